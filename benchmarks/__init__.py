@@ -1,0 +1,1 @@
+"""Scenarios of the papers as data, their experiments, and the work of the command line."""

@@ -1,0 +1,63 @@
+"""One source for each equation.
+
+An equation is a plain function of scalars, written with operators and elementwise functions and without branching on
+values. `@equation` leaves it an ordinary Python function, so it takes floats, NumPy batches, complex numbers and, where
+its operations allow, intervals; compiled code may call it too, and then it is compiled into its caller.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from numba import njit
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+F = TypeVar("F", bound=Callable[..., Any])
+Array = NDArray[Any]
+
+COMPLEX_STEP = 1e-30  # no subtraction takes place, so any size free of underflow gives the derivative to rounding
+
+
+def equation(function: F) -> F:
+    """Mark a scalar function as an equation: Python for arrays and complex numbers, compiled inside compiled callers."""
+    return register_jitable(function)  # type: ignore[no-any-return]
+
+
+def compiled(function: F) -> F:
+    """Compile a loop over equations (a driver) and keep the machine code on disk.
+
+    The cache notices edits of the driver's own file only: equations stand in the same file as the driver that joins
+    them, and numbers that change without an edit (fitted coefficients, parameters) are arguments.
+    """
+    return njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
+def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the argument names of an equation: the variables it depends on, that is its row of the structure."""
+    return tuple(inspect.signature(function).parameters)
+
+
+def complex_step_jacobian(function: Callable[[Array], Array], x: Array) -> Array:
+    """Return d function / d x, exact to rounding, by the complex step (Squire and Trapp 1998).
+
+    `function` maps (..., n) to (..., m) elementwise over the leading axes and must be analytic (no abs, no
+    comparison of the values); x is (..., n). The result is (..., m, n).
+    """
+    n = x.shape[-1]
+    perturbed = x[..., None, :] + 1j * COMPLEX_STEP * np.eye(n)
+    return np.swapaxes(function(perturbed).imag / COMPLEX_STEP, -1, -2)
+
+
+def difference_jacobian(function: Callable[[Array], Array], x: Array, scale: Array) -> Array:
+    """Return d function / d x by central differences of width eps^(1/3) scale, for functions that reject complex numbers.
+
+    x is (..., n), scale (n,) the size of a change of each component that matters. The result is (..., m, n).
+    """
+    width = np.finfo(float).eps ** (1 / 3) * np.maximum(np.abs(scale), np.finfo(float).tiny)
+    ahead = function(x[..., None, :] + np.diag(width))
+    behind = function(x[..., None, :] - np.diag(width))
+    return np.swapaxes((ahead - behind) / (2 * width[:, None]), -1, -2)

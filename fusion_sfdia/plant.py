@@ -1,0 +1,285 @@
+"""Plants: named signals, sensors, physics and the discretised model on which every detector runs.
+
+Everything is SI inside. A batch (seeds, ensemble members, sigma points) is leading axes everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.equation import complex_step_jacobian
+
+Array = NDArray[Any]
+StepFunction = Callable[[float, Array, Array, float], Array]
+OutputFunction = Callable[[float, Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A physical variable: its name, unit, nominal value and the limits between which the model holds."""
+
+    name: str
+    unit: str = "1"
+    nominal: float = 0.0
+    low: float = -np.inf
+    high: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.nominal <= self.high:
+            raise ValueError(
+                f"signal {self.name!r}: nominal {self.nominal} is not within [{self.low}, {self.high}]; correct the limits"
+            )
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """An instrument that reads one variable, with noise stated as a standard deviation, a bound, or both.
+
+    What is not stated follows: sigma of a uniform error within the bound (bound/sqrt 3); no bound (inf) for a sigma.
+    `owner` is the block that reads the sensor, `quantity` the kind of thing it measures ("pressure"), by which results
+    are grouped.
+    """
+
+    name: str
+    measures: str
+    unit: str = "1"
+    sigma: float | None = None
+    bound: float | None = None
+    owner: str = ""
+    quantity: str = ""
+
+    def __post_init__(self) -> None:
+        for what, value in (("sigma", self.sigma), ("bound", self.bound)):
+            if value is not None and not value > 0:
+                raise ValueError(f"sensor {self.name!r}: {what} is {value}; it must be positive")
+        if self.sigma is None and self.bound is None:
+            raise ValueError(f"sensor {self.name!r} states no noise; give sigma, bound or both")
+
+    @property
+    def noise_sigma(self) -> float:
+        """Standard deviation of the reading, in the sensor's unit."""
+        return self.sigma if self.sigma is not None else float(self.bound or 0.0) / np.sqrt(3.0)
+
+    @property
+    def noise_bound(self) -> float:
+        """Largest error of the reading, in the sensor's unit; inf where none is stated."""
+        return np.inf if self.bound is None else self.bound
+
+
+@dataclass(frozen=True)
+class Block:
+    """A named part of the physics: the variables it computes and the blocks from which it needs variables."""
+
+    name: str
+    variables: tuple[str, ...]
+    neighbours: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Continuous-time physics: dx/dt = f(t, x, z, u, c) and, for a DAE of index 1, z = phi(t, x, z, u, c).
+
+    states, inputs, algebraic: the signals of x (..., n), u (..., m) and z (..., k).
+    f, phi: functions of batches, analytic in x, z and u so that Jacobians come from the complex step.
+    parameters: c, usually a NamedTuple of floats.
+    equations: the scalar equations behind f and phi by the variable they give; their argument names are the structure.
+    blocks: the parts of the physics and their neighbours.
+    """
+
+    name: str
+    states: tuple[Signal, ...]
+    f: Callable[[float, Array, Array, Array, Any], Array]
+    inputs: tuple[Signal, ...] = ()
+    algebraic: tuple[Signal, ...] = ()
+    phi: Callable[[float, Array, Array, Array, Any], Array] | None = None
+    parameters: Any = None
+    equations: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
+    blocks: tuple[Block, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [s.name for s in (*self.states, *self.inputs, *self.algebraic)]
+        require_unique(f"physics {self.name!r}", names)
+        if bool(self.algebraic) != (self.phi is not None):
+            raise ValueError(f"physics {self.name!r}: algebraic variables and phi go together; give both or neither")
+        block_names = {b.name for b in self.blocks}
+        for block in self.blocks:
+            unknown = [v for v in block.variables if v not in names] + [b for b in block.neighbours if b not in block_names]
+            if unknown:
+                raise ValueError(f"block {block.name!r} names unknown variables or neighbours: {', '.join(unknown)}")
+        unknown = [v for v in self.equations if v not in names]
+        if unknown:
+            raise ValueError(f"physics {self.name!r}: equations for unknown variables {', '.join(unknown)}")
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A discretised plant: x(t + dt) = step(t, x, u, dt) + w, y(t) = output(t, x, u) + v.
+
+    u is the input that acts over [t, t + dt] and, for the output, the one that acted until t. A covariance is given as
+    its diagonal (n,) or as a matrix (n, n): `initial_cov` of x0, `process_cov` of w over one nominal dt (it grows in
+    proportion to dt). Sensors are fixed for life: a missing reading is NaN, never another set of sensors.
+
+    step_jacobian(t, x, u, dt) and output_jacobian(t, x, u) are optional; the complex step gives them otherwise.
+    operation(t) is the input that a simulation applies when it is given none.
+    fixed_dt: whether the model holds for its nominal dt only.
+    """
+
+    name: str
+    states: tuple[Signal, ...]
+    sensors: tuple[Sensor, ...]
+    step: StepFunction
+    output: OutputFunction
+    dt: float
+    x0: Array
+    initial_cov: Array
+    process_cov: Array
+    inputs: tuple[Signal, ...] = ()
+    operation: Callable[[float], Array] | None = None
+    step_jacobian: StepFunction | None = None
+    output_jacobian: OutputFunction | None = None
+    process_bound: Array | None = None
+    blocks: tuple[Block, ...] = ()
+    fixed_dt: bool = False
+    max_dt: float = np.inf
+
+    def __post_init__(self) -> None:
+        n = len(self.states)
+        require_unique(f"plant {self.name!r}", [s.name for s in (*self.states, *self.inputs)])
+        require_unique(f"sensors of plant {self.name!r}", [s.name for s in self.sensors])
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"plant {self.name!r}: dt is {self.dt} s; it must be positive and finite")
+        if np.shape(self.x0) != (n,) or not np.all(np.isfinite(self.x0)):
+            raise ValueError(f"plant {self.name!r}: x0 has shape {np.shape(self.x0)}; wanted {n} finite values, one a state")
+        for what in ("initial_cov", "process_cov"):
+            require_covariance(f"plant {self.name!r}: {what}", getattr(self, what), n)
+
+    @cached_property
+    def sensor_names(self) -> tuple[str, ...]:
+        return tuple(s.name for s in self.sensors)
+
+    @cached_property
+    def sensor_sigma(self) -> Array:
+        """Standard deviation of each reading (N,), in the sensors' units."""
+        return np.array([s.noise_sigma for s in self.sensors])
+
+    @cached_property
+    def sensor_cov(self) -> Array:
+        """R as its diagonal (N,): readings err independently of each other."""
+        return self.sensor_sigma**2
+
+    @cached_property
+    def state_scale(self) -> Array:
+        """A size of change that matters for each state (n,): the standard deviation of x0 or of one step's noise."""
+        variance = np.maximum(diagonal(self.initial_cov), diagonal(self.process_cov))
+        return np.sqrt(np.where(variance > 0, variance, 1.0))
+
+    @cached_property
+    def quantities(self) -> dict[str, Array]:
+        """Indices of the sensors of each quantity, in the order of the sensors."""
+        groups: dict[str, list[int]] = {}
+        for i, sensor in enumerate(self.sensors):
+            groups.setdefault(sensor.quantity or sensor.name, []).append(i)
+        return {name: np.array(members) for name, members in groups.items()}
+
+    def sensor_index(self, name: str) -> int:
+        """Return the position of a sensor; ValueError for an unknown name."""
+        if name not in self.sensor_names:
+            raise ValueError(f"unknown sensor {name!r} of plant {self.name!r}; known: {', '.join(self.sensor_names)}")
+        return self.sensor_names.index(name)
+
+    def input_at(self, t: float) -> Array:
+        """Return the plant's usual input at t, (m,)."""
+        if self.operation is None:
+            return np.array([s.nominal for s in self.inputs])
+        return np.asarray(self.operation(t), dtype=float)
+
+    def check_dt(self, dt: float) -> None:
+        """Raise ValueError where the model does not hold for a step of dt seconds."""
+        if not (np.isfinite(dt) and dt > 0):
+            raise ValueError(f"a step of {dt} s; times must be finite and increase")
+        if self.fixed_dt and not np.isclose(dt, self.dt, rtol=1e-9):
+            raise ValueError(f"a step of {dt} s; plant {self.name!r} holds for {self.dt} s only")
+        if dt > self.max_dt * (1 + 1e-9):
+            raise ValueError(
+                f"a step of {dt:g} s; the largest admissible step of plant {self.name!r} is {self.max_dt:.4g} s: "
+                "feed NaN readings in between, or build the plant with more substeps"
+            )
+
+    def process_cov_over(self, dt: float) -> Array:
+        """Process-noise covariance of a step of dt seconds, (n,) or (n, n)."""
+        return self.process_cov if dt == self.dt else self.process_cov * (dt / self.dt)
+
+    def step_jacobian_at(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        """F = d step / d x, (..., n, n)."""
+        if self.step_jacobian is not None:
+            return self.step_jacobian(t, x, u, dt)
+        return complex_step_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x)
+
+    def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
+        """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
+        if self.output_jacobian is not None:
+            return self.output_jacobian(t, x, u)
+        return complex_step_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x)
+
+    @cached_property
+    def state_limits(self) -> tuple[Array, Array]:
+        return np.array([s.low for s in self.states]), np.array([s.high for s in self.states])
+
+    def guard(self, x: Array) -> tuple[Array, Array]:
+        """Return x (..., n) moved into the limits of the states, and whether any had to be moved (...)."""
+        low, high = self.state_limits
+        inside = np.clip(x, low, high)
+        return inside, np.any(inside != x, axis=-1)
+
+    def in_units(self, units: Mapping[str, tuple[str, float]]) -> Plant:
+        """Return the same plant with some sensors read in another unit: {sensor: (unit, readings per present unit)}."""
+        factor = np.ones(len(self.sensors))
+        sensors = list(self.sensors)
+        for name, (unit, scale) in units.items():
+            i = self.sensor_index(name)
+            s = sensors[i]
+            factor[i] = scale
+            sensors[i] = replace(
+                s, unit=unit, sigma=s.sigma and s.sigma * abs(scale), bound=s.bound and s.bound * abs(scale)
+            )
+        jacobian = self.output_jacobian
+        return replace(
+            self,
+            sensors=tuple(sensors),
+            output=lambda t, x, u: self.output(t, x, u) * factor,
+            output_jacobian=None if jacobian is None else lambda t, x, u: jacobian(t, x, u) * factor[:, None],
+        )
+
+
+def diagonal(cov: Array) -> Array:
+    """Variances (..., n) of a covariance given as its diagonal (n,) or as a matrix (..., n, n)."""
+    return cov if cov.ndim == 1 else np.diagonal(cov, axis1=-2, axis2=-1)
+
+
+def require_unique(what: str, names: Sequence[str]) -> None:
+    """Raise ValueError where a name stands twice."""
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ValueError(f"{what}: the names {', '.join(twice)} stand more than once; names must differ")
+
+
+def require_covariance(what: str, cov: Array, n: int) -> None:
+    """Raise ValueError unless cov is (n,) non-negative variances or an (n, n) positive semi-definite matrix."""
+    if np.shape(cov) not in {(n,), (n, n)}:
+        raise ValueError(f"{what} has shape {np.shape(cov)}; wanted ({n},) variances or a ({n}, {n}) matrix")
+    if not np.all(np.isfinite(cov)):
+        raise ValueError(f"{what} has entries that are not finite; wanted variances or a covariance matrix")
+    variances = diagonal(np.asarray(cov))
+    if np.any(variances < 0):
+        raise ValueError(f"{what} has a negative variance ({variances.min():g}); a variance is at least 0")
+    if np.ndim(cov) == 2:
+        scale = np.sqrt(np.where(variances > 0, variances, 1.0))
+        unit = cov / np.outer(scale, scale)
+        if not np.allclose(unit, unit.T, atol=1e-9) or np.linalg.eigvalsh(unit).min() < -1e-9:
+            raise ValueError(f"{what} is not symmetric positive semi-definite; give a covariance matrix")

@@ -1,0 +1,76 @@
+"""Files that are whole or absent: atomic writes, and detector states without pickle."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import IO, Any, Literal
+
+import numpy as np
+
+from fusion_sfdia.detector import Detector, State
+from fusion_sfdia.plant import Plant
+
+
+@contextmanager
+def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
+    """Open a file that takes its name only when the block ends well; otherwise nothing is left behind."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8", newline=None if "b" in mode else "") as file:
+            yield file
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def fingerprint(detector: Detector) -> str:
+    """A digest of a detector's class, settings and plant (names, nominal dt, noise), by which a saved state is matched."""
+    plant: Plant = detector.plant
+    settings = [
+        f"{f.name}={getattr(detector, f.name)!r}"
+        for f in (fields(detector) if is_dataclass(detector) else ())
+        if not isinstance(getattr(detector, f.name), Plant)
+    ]
+    parts = [type(detector).__name__, *settings, plant.name, repr(plant.dt), *plant.sensor_names, *(s.name for s in plant.states)]
+    digest = hashlib.sha256("\n".join(parts).encode())
+    for array in (plant.x0, plant.initial_cov, plant.process_cov, plant.sensor_cov):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def save_state(path: str | Path, detector: Detector, state: State) -> None:
+    """Write a detector's state to a .npz file, without pickle; a run goes on from it with the same bits."""
+    arrays = {f"state_{i:03d}": np.asarray(a) for i, a in enumerate(state)}
+    with atomic_write(Path(path), "wb") as file:
+        np.savez(file, fingerprint=np.array(fingerprint(detector)), **arrays)
+
+
+def load_state(path: str | Path, detector: Detector) -> State:
+    """Read a state written by save_state; ValueError where it is of another detector, settings or plant."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = str(file["fingerprint"])
+            state = tuple(file[k] for k in sorted(k for k in file.files if k.startswith("state_")))
+    except (KeyError, ValueError, EOFError) as error:
+        raise ValueError(f"{path} is not a saved detector state ({error}); write one with save_state") from error
+    if found != fingerprint(detector):
+        raise ValueError(
+            f"{path} was saved by another detector, other settings or another plant than {type(detector).__name__} "
+            f"on {detector.plant.name!r}; build the detector as it was when the state was saved"
+        )
+    return state

@@ -1,0 +1,1 @@
+"""Plants of the papers, a plant a file, each parameter with its provenance."""
