@@ -1,0 +1,157 @@
+"""Detector: the fusing filters of Shaheen 2024, a bank of N leave-one-out filters with an information mixture.
+
+As printed, but for what cannot run as printed: the process noise is reset each step (fed back as Q_i = beta_i Q_m it
+falls as N^(-2k) and the gain dies), the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify,
+gives each local ensemble the mixture's mean and covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia import mixing
+from fusion_sfdia.detector import Decision, State, check_reading
+from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, stream
+from fusion_sfdia.health import broken, keep_broken_out
+from fusion_sfdia.leave_one_out import local_estimates, posterior, statistics
+from fusion_sfdia.plant import Plant
+
+Array = NDArray[Any]
+
+
+class Mixed(NamedTuple):
+    """Local estimates (..., N, n), the mixture's x (..., n) and P (..., n, n), the core fed back, and the NIS (...)."""
+
+    local: Array
+    x: Array
+    p: Array
+    core: Core
+    nis: Array
+
+
+@dataclass(frozen=True)
+class FusingBank:
+    """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
+
+    plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum
+    to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
+    gives the same numbers for the price of one (equal beta only: unequal beta always runs literally).
+    thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units; None never alarms (set them
+    with `calibration.calibrate`). residual_scale: (n,) by which states are divided in the residual (20), which otherwise
+    adds unlike units; None for the plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
+    """
+
+    plant: Plant
+    estimator: Estimator = Unscented(redraw=False)
+    beta: tuple[float, ...] | None = None
+    thresholds: tuple[float, ...] | None = None
+    residual_scale: tuple[float, ...] | None = None
+    accommodate: bool = True
+    literal: bool = False
+
+    def __post_init__(self) -> None:
+        n, count = len(self.plant.states), len(self.plant.sensors)
+        if count < 2:
+            raise ValueError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")
+        for what, values, wanted in (
+            ("beta", self.beta, count), ("thresholds", self.thresholds, count), ("residual_scale", self.residual_scale, n),
+        ):  # fmt: skip
+            if values is not None and (len(values) != wanted or not all(v > 0 for v in values)):
+                raise ValueError(f"{what} must be {wanted} positive numbers; got {len(values)}, the least {min(values, default=0)}")
+        if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
+            raise ValueError(f"beta sums to {sum(self.beta):.6g}; the information distribution factors must sum to 1")
+
+    @property
+    def hypotheses(self) -> tuple[str, ...]:
+        return self.plant.sensor_names
+
+    @property
+    def runs_literally(self) -> bool:
+        return self.literal or (self.beta is not None and len(set(self.beta)) > 1)
+
+    def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
+        """State at time t: seed, step count, time, diverged (*batch), and the filter's core (with an axis N when literal)."""
+        core = self.estimator.start(self.plant, batch, stream(seed, 0))
+        if self.runs_literally:
+            axis, count = len(batch), len(self.plant.sensors)
+            core = tuple(np.repeat(np.expand_dims(a, axis), count, axis=axis) for a in core)
+        return np.array(seed, np.uint64), np.array(0), np.array(float(t)), np.zeros(batch, bool), *core
+
+    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
+        """Diagnose the readings y (..., N) at t under the input u (..., m); ValueError for a wrong shape or time."""
+        seed, k, last, diverged, *core = state
+        plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
+        check_reading(plant, y, u, diverged.shape)
+        plant.check_dt(dt := t - float(last))
+        k = k + 1
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            prior = self._predict(tuple(core), float(last), u, dt, seed, k)
+            used = np.isfinite(y)
+            mixed = self._mix(prior, t, y, u, used, seed, k)
+            seen = plant.output(t, mixed.local, u[..., None, :])
+            state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
+            residual = np.where(used, np.sqrt(state_variance), np.nan)
+            threshold = np.broadcast_to(np.inf if self.thresholds is None else np.asarray(self.thresholds), y.shape)
+            distance = np.linalg.norm((mixed.local - mixed.x[..., None, :]) / scale, axis=-1)  # (20)
+            alarm = np.any(residual > threshold, axis=-1)
+            suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
+            isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
+            if self.accommodate and np.any(isolated):
+                mixed = self._mix(prior, t, y, u, used & ~isolated, seed, k)
+            without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
+            expected = plant.output(t, mixed.x, u)
+        diverged = diverged | broken(mixed.x, mixed.p)
+        core = keep_broken_out(diverged, mixed.core, self.init(diverged.shape, t, int(seed))[4:])
+        decision = Decision(
+            estimate=np.where(diverged[..., None], np.nan, mixed.x),
+            measured=np.where(diverged[..., None], np.nan, np.where(used & ~isolated, y, expected)),
+            residual=np.where(diverged[..., None], np.nan, residual),
+            threshold=threshold.copy(),
+            isolated=isolated & ~diverged[..., None],
+            fault_size=np.where(isolated & ~diverged[..., None], y - without, np.nan),
+            diverged=diverged,
+            guarded=np.any([p.guarded for p in prior], axis=0),
+            nis=np.where(diverged, np.nan, mixed.nis),
+            covariance=mixed.p,
+        )
+        return (seed, k, np.array(t), diverged, *core), decision
+
+    def _predict(self, core: Core, t: float, u: Array, dt: float, seed: Array, k: Array) -> list[Prior]:
+        """The prior of each local filter, or the one they share."""
+        if not self.runs_literally:
+            return [self.estimator.predict(self.plant, core, t, u, dt, stream(seed, k))]
+        axis = u.ndim - 1
+        count = len(self.plant.sensors)
+        one_by_one = (tuple(np.take(a, i, axis=axis) for a in core) for i in range(count))
+        return [self.estimator.predict(self.plant, c, t, u, dt, stream(seed, k)) for c in one_by_one]
+
+    def _mix(self, priors: list[Prior], t: float, y: Array, u: Array, used: Array, seed: Array, k: Array) -> Mixed:
+        """Steps 2 to 4: local updates, mixture, feedback."""
+        plant, est, count = self.plant, self.estimator, len(self.plant.sensors)
+        beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
+        reading = Reading(t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
+        joints = [est.joint(plant, prior, t, u) for prior in priors]
+        founds = [statistics(joints[0], y, used)]
+        if self.runs_literally:
+            founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
+            parts = [posterior(joint, found) for joint, found in zip(joints, founds, strict=True)]
+            local = np.stack([x for x, _ in parts], axis=-2)
+            x, p = mixing.mix(local, np.stack([p for _, p in parts], axis=-3), plant.state_scale)
+        else:
+            local, _ = local_estimates(joints[0], founds[0])
+            if est.consistent:
+                x, p = mixing.mixture(joints[0], y, used, plant.sensor_cov)
+            else:
+                x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
+        cores = [
+            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, stream(seed, k + np.int64(2**32)))
+            for prior, b in zip(priors, beta, strict=False)
+        ]
+        core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))
+        innovation = np.where(founds[0].used, y, joints[0].y) - joints[0].y
+        nis = np.sum(innovation * founds[0].whitened, axis=-1) / np.maximum(np.sum(founds[0].used, axis=-1), 1)
+        return Mixed(local, x, p, core, nis)

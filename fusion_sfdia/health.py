@@ -1,0 +1,25 @@
+"""When an estimator has broken down, and how the rest of its batch goes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+def broken(x: Array, p: Array) -> Array:
+    """Return (...) whether the estimate x (..., n) or covariance p (..., n, n) is no longer finite and non-negative."""
+    variances = np.diagonal(p, axis1=-2, axis2=-1)
+    return ~(np.all(np.isfinite(x), axis=-1) & np.all(np.isfinite(p), axis=(-2, -1)) & np.all(variances >= 0, axis=-1))
+
+
+def keep_broken_out(diverged: Array, core: tuple[Array, ...], fresh: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return core with the diverged elements of the batch replaced by fresh values: they are flagged, the others go on."""
+    if not np.any(diverged):
+        return core
+    return tuple(
+        np.where(diverged.reshape(diverged.shape + (1,) * (a.ndim - diverged.ndim)), b, a) for a, b in zip(core, fresh, strict=True)
+    )
