@@ -77,9 +77,13 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> N
     """Raise ValueError unless y is (*batch, N) and u broadcasts to (*batch, m) without infinities or missing inputs."""
     n, m = len(plant.sensors), len(plant.inputs)
     if y.shape != (*batch, n):
-        raise ValueError(f"y has shape {y.shape}; wanted {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one")
+        raise ValueError(
+            f"y has shape {y.shape}; wanted {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one"
+        )
     if u.shape[-1:] != (m,):
-        raise ValueError(f"u has shape {u.shape}; plant {plant.name!r} has {m} inputs ({', '.join(s.name for s in plant.inputs)})")
+        raise ValueError(
+            f"u has shape {u.shape}; plant {plant.name!r} has {m} inputs ({', '.join(s.name for s in plant.inputs)})"
+        )
     if np.any(np.isinf(y)):
         raise ValueError("y has infinite readings; pass NaN for a missing one")
     if not np.all(np.isfinite(u)):

@@ -60,4 +60,6 @@ def watch(now: Exclusion, error: Array, variance: Array, limit: float, level: fl
     count = now.count + learns
     size = now.size + np.where(learns, (e - now.size) / np.clip(count, 1.0, MEMORY), 0.0)
     back = seen & (evidence > level) & (quiet >= QUIET)
-    return Exclusion(now.out & ~back, np.where(back, 0.0, size), np.where(back, 0.0, count), np.where(back, 0.0, evidence), quiet)
+    return Exclusion(
+        now.out & ~back, np.where(back, 0.0, size), np.where(back, 0.0, count), np.where(back, 0.0, evidence), quiet
+    )

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from fusion_sfdia import mixing
 from fusion_sfdia.detector import Decision, State, check_reading
 from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, stream
-from fusion_sfdia.health import broken, keep_broken_out
-from fusion_sfdia.leave_one_out import local_estimates, posterior, statistics
+from fusion_sfdia.health import broken, keep_broken_out, without_broken
+from fusion_sfdia.leave_one_out import local_estimates, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.plant import Plant
 
 Array = NDArray[Any]
@@ -61,7 +61,9 @@ class FusingBank:
             ("beta", self.beta, count), ("thresholds", self.thresholds, count), ("residual_scale", self.residual_scale, n),
         ):  # fmt: skip
             if values is not None and (len(values) != wanted or not all(v > 0 for v in values)):
-                raise ValueError(f"{what} must be {wanted} positive numbers; got {len(values)}, the least {min(values, default=0)}")
+                raise ValueError(
+                    f"{what} must be {wanted} positive numbers; got {len(values)}, the least {min(values, default=0)}"
+                )
         if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
             raise ValueError(f"beta sums to {sum(self.beta):.6g}; the information distribution factors must sum to 1")
 
@@ -107,18 +109,18 @@ class FusingBank:
         diverged = diverged | broken(mixed.x, mixed.p)
         core = keep_broken_out(diverged, mixed.core, self.init(diverged.shape, t, int(seed))[4:])
         decision = Decision(
-            estimate=np.where(diverged[..., None], np.nan, mixed.x),
-            measured=np.where(diverged[..., None], np.nan, np.where(used & ~isolated, y, expected)),
-            residual=np.where(diverged[..., None], np.nan, residual),
+            estimate=mixed.x,
+            measured=np.where(used & ~isolated, y, expected),
+            residual=residual,
             threshold=threshold.copy(),
-            isolated=isolated & ~diverged[..., None],
-            fault_size=np.where(isolated & ~diverged[..., None], y - without, np.nan),
+            isolated=isolated,
+            fault_size=np.where(isolated, y - without, np.nan),
             diverged=diverged,
             guarded=np.any([p.guarded for p in prior], axis=0),
-            nis=np.where(diverged, np.nan, mixed.nis),
+            nis=mixed.nis,
             covariance=mixed.p,
         )
-        return (seed, k, np.array(t), diverged, *core), decision
+        return (seed, k, np.array(t), diverged, *core), without_broken(decision, diverged)
 
     def _predict(self, core: Core, t: float, u: Array, dt: float, seed: Array, k: Array) -> list[Prior]:
         """The prior of each local filter, or the one they share."""
@@ -152,6 +154,4 @@ class FusingBank:
             for prior, b in zip(priors, beta, strict=False)
         ]
         core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))
-        innovation = np.where(founds[0].used, y, joints[0].y) - joints[0].y
-        nis = np.sum(innovation * founds[0].whitened, axis=-1) / np.maximum(np.sum(founds[0].used, axis=-1), 1)
-        return Mixed(local, x, p, core, nis)
+        return Mixed(local, x, p, core, normalised_innovation_squared(joints[0], founds[0], y))

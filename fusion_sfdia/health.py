@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion_sfdia.detector import Decision
 
 Array = NDArray[Any]
 
@@ -21,5 +24,23 @@ def keep_broken_out(diverged: Array, core: tuple[Array, ...], fresh: tuple[Array
     if not np.any(diverged):
         return core
     return tuple(
-        np.where(diverged.reshape(diverged.shape + (1,) * (a.ndim - diverged.ndim)), b, a) for a, b in zip(core, fresh, strict=True)
+        np.where(diverged.reshape(diverged.shape + (1,) * (a.ndim - diverged.ndim)), b, a)
+        for a, b in zip(core, fresh, strict=True)
+    )
+
+
+def without_broken(decision: Decision, diverged: Array) -> Decision:
+    """Return the decision flagged, with nothing that looks like a number where the filter has diverged (...)."""
+    if not np.any(diverged):
+        return replace(decision, diverged=diverged)
+    gone = diverged[..., None]
+    return replace(
+        decision,
+        estimate=np.where(gone, np.nan, decision.estimate),
+        measured=np.where(gone, np.nan, decision.measured),
+        residual=np.where(gone, np.nan, decision.residual),
+        isolated=decision.isolated & ~gone,
+        fault_size=np.where(gone, np.nan, decision.fault_size),
+        nis=np.where(diverged, np.nan, decision.nis),
+        diverged=diverged,
     )

@@ -90,3 +90,9 @@ def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     x, _ = posterior(joint, found)
     gains = np.swapaxes(joint.C @ found.inverse, -1, -2)
     return x[..., None, :] - gains * found.innovation[..., None], gains
+
+
+def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:
+    """Return d' S^-1 d over the readings used, divided by their number (...): 1 on average for a consistent filter."""
+    innovation = np.where(found.used, y, joint.y) - joint.y
+    return np.sum(innovation * found.whitened, axis=-1) / np.maximum(np.sum(found.used, axis=-1), 1)

@@ -12,7 +12,7 @@ The statistically consistent form of the bank: every sensor is judged against al
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,8 @@ from scipy.special import ndtri
 from fusion_sfdia.detector import Decision, State, check_reading
 from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Prior, stream
 from fusion_sfdia.exclusion import Exclusion, exclude, nobody, watch
-from fusion_sfdia.gaussian import Joint
-from fusion_sfdia.health import broken, keep_broken_out
-from fusion_sfdia.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
+from fusion_sfdia.health import broken, keep_broken_out, without_broken
+from fusion_sfdia.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.likelihood_window import Best, Evidence, Window, absorbed, advance, best_onset, empty, weigh
 from fusion_sfdia.plant import Plant
 
@@ -55,9 +54,13 @@ class LeaveOneOutBank:
         if self.window < 1:
             raise ValueError(f"window is {self.window}; it must be at least 1 sample")
         if isinstance(self.estimator, Ensemble) or not self.estimator.consistent:
-            raise ValueError(f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)")
+            raise ValueError(
+                f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)"
+            )
         if self.max_faults is not None and not 0 < self.max_faults < len(self.plant.sensors):
-            raise ValueError(f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors")
+            raise ValueError(
+                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
+            )
 
     @property
     def hypotheses(self) -> tuple[str, ...]:
@@ -90,10 +93,18 @@ class LeaveOneOutBank:
         diverged = diverged | decision.diverged
         fresh = self.init(diverged.shape, t)[2:]
         core = keep_broken_out(diverged, (*core, *exclusion, *window), fresh)
-        return (np.array(t), diverged, *core), _without_broken(decision, diverged)
+        return (np.array(t), diverged, *core), without_broken(decision, diverged)
 
     def _judge(
-        self, core: tuple[Array, ...], exclusion: Exclusion, window: Window, last: float, t: float, dt: float, y: Array, u: Array
+        self,
+        core: tuple[Array, ...],
+        exclusion: Exclusion,
+        window: Window,
+        last: float,
+        t: float,
+        dt: float,
+        y: Array,
+        u: Array,
     ) -> tuple[tuple[Array, ...], Exclusion, Window, Decision]:
         plant, est = self.plant, self.estimator
         one_limit, window_limit = self.limits
@@ -144,7 +155,7 @@ class LeaveOneOutBank:
             fault_size=np.where(held, exclusion.size if self.accommodate else size, np.nan),
             diverged=broken(x, p),
             guarded=prior.guarded,
-            nis=_nis(joint, found, y),
+            nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
         )
         return (x, p), exclusion, window, decision
@@ -180,26 +191,3 @@ def _freed(prior: Prior, evidence: Evidence, best: Best, sensor: Array, chosen: 
     moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(evidence, best, sensor), 0.0)
     size, information = (np.take_along_axis(v, sensor[..., None], axis=-1) for v in (best.size, best.information))
     return prior._replace(core=(x - moved * size, p + moved[..., :, None] * (moved / information)[..., None, :]))
-
-
-def _nis(joint: Joint, found: LeaveOneOut, y: Array) -> Array:
-    """Normalised innovation squared of the readings used, per reading (...)."""
-    innovation = np.where(found.used, y, joint.y) - joint.y
-    return np.sum(innovation * found.whitened, axis=-1) / np.maximum(np.sum(found.used, axis=-1), 1)
-
-
-def _without_broken(decision: Decision, diverged: Array) -> Decision:
-    """The decision with nothing that looks like a number where the filter has diverged."""
-    if not np.any(diverged):
-        return replace(decision, diverged=diverged)
-    gone = diverged[..., None]
-    return replace(
-        decision,
-        estimate=np.where(gone, np.nan, decision.estimate),
-        measured=np.where(gone, np.nan, decision.measured),
-        residual=np.where(gone, np.nan, decision.residual),
-        isolated=decision.isolated & ~gone,
-        fault_size=np.where(gone, np.nan, decision.fault_size),
-        nis=np.where(diverged, np.nan, decision.nis),
-        diverged=diverged,
-    )

@@ -1,6 +1,6 @@
 """The information mixture of local filters (Shaheen 2024, sec. III-B, step 3), literal and in closed form.
 
-    P_m = (sum_i P_i^-1)^-1,    x_m = P_m sum_i P_i^-1 x_i
+P_m = (sum_i P_i^-1)^-1,    x_m = P_m sum_i P_i^-1 x_i
 """
 
 from __future__ import annotations

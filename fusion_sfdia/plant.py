@@ -245,9 +245,7 @@ class Plant:
             i = self.sensor_index(name)
             s = sensors[i]
             factor[i] = scale
-            sensors[i] = replace(
-                s, unit=unit, sigma=s.sigma and s.sigma * abs(scale), bound=s.bound and s.bound * abs(scale)
-            )
+            sensors[i] = replace(s, unit=unit, sigma=s.sigma and s.sigma * abs(scale), bound=s.bound and s.bound * abs(scale))
         jacobian = self.output_jacobian
         return replace(
             self,

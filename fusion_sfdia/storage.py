@@ -46,7 +46,14 @@ def fingerprint(detector: Detector) -> str:
         for f in (fields(detector) if is_dataclass(detector) else ())
         if not isinstance(getattr(detector, f.name), Plant)
     ]
-    parts = [type(detector).__name__, *settings, plant.name, repr(plant.dt), *plant.sensor_names, *(s.name for s in plant.states)]
+    parts = [
+        type(detector).__name__,
+        *settings,
+        plant.name,
+        repr(plant.dt),
+        *plant.sensor_names,
+        *(s.name for s in plant.states),
+    ]
     digest = hashlib.sha256("\n".join(parts).encode())
     for array in (plant.x0, plant.initial_cov, plant.process_cov, plant.sensor_cov):
         digest.update(np.ascontiguousarray(array).tobytes())

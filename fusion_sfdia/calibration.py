@@ -1,0 +1,38 @@
+"""Thresholds from healthy data, where a method states none of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.detector import run
+from fusion_sfdia.fusing_bank import FusingBank
+
+Array = NDArray[Any]
+
+
+def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 0) -> FusingBank:
+    """Return the bank with one threshold for each quantity, at the stated rate of false alarms per sample.
+
+    t (K,), y (K, ..., N) healthy readings, u (K, ..., m). The threshold of a quantity is the empirical quantile of its
+    largest residual over the samples after the first `warm_up`; the budget is shared equally by the quantities. ValueError
+    where the data are too few for the rate: fewer than one sample is expected above the threshold.
+    """
+    groups = bank.plant.quantities
+    state = bank.init(y.shape[1:-1], float(t[0]) - bank.plant.dt)
+    _, decisions = run(replace(bank, thresholds=None), state, t, y, u)
+    residual = np.abs(decisions.residual[warm_up:]).reshape(-1, y.shape[-1])
+    share = false_alarm / len(groups)
+    if not 0 < share * residual.shape[0] or share * residual.shape[0] < 1:
+        raise ValueError(
+            f"{residual.shape[0]} healthy samples cannot set a false-alarm rate of {false_alarm:g} over {len(groups)} quantities; "
+            f"give at least {int(np.ceil(len(groups) / false_alarm))} or ask for a higher rate"
+        )
+    thresholds = np.empty(y.shape[-1])
+    for members in groups.values():
+        largest = np.nanmax(np.where(np.isfinite(residual[:, members]), residual[:, members], -np.inf), axis=1)
+        thresholds[members] = np.quantile(largest, 1 - share)
+    return replace(bank, thresholds=tuple(thresholds.tolist()))
