@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.gaussian import Joint, add, cholesky, inverse, masked_inverse, sample
+from fusion_sfdia.gaussian import Joint, add, cholesky, half_inverse, inverse, sample
 
 Array = NDArray[Any]
 Model = Callable[[Array], Array]
@@ -130,7 +130,8 @@ def _localised(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R: Arra
     Yt = np.swapaxes(Y, -1, -2)
     S = add(taper.readings * (Yt @ Y) / over, R)
     C = taper.cross * (np.swapaxes(A, -1, -2) @ Y) / over
-    Kt = masked_inverse(S, used) @ np.swapaxes(C, -1, -2)
+    U = half_inverse(S, used)
+    Kt = U @ np.swapaxes(C @ U, -1, -2)
     change = shift @ Kt
     if settings.method == "deterministic":
         return change[..., 0, :], A - 0.5 * (Y @ Kt)
