@@ -14,11 +14,11 @@ from fusion_sfdia.fusing_bank import FusingBank
 Array = NDArray[Any]
 
 
-def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 0) -> FusingBank:
+def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> FusingBank:
     """Return the bank with one threshold for each quantity, at the stated rate of false alarms per sample.
 
     t (K,), y (K, ..., N) healthy readings, u (K, ..., m). The threshold of a quantity is the empirical quantile of its
-    largest residual over the samples after the first `warm_up`; the budget is shared equally by the quantities. ValueError
+    largest residual after the first `warm_up` samples, in which the filter settles; the budget is shared equally by the quantities. ValueError
     where the data are too few for the rate: fewer than one sample is expected above the threshold.
     """
     groups = bank.plant.quantities
@@ -26,10 +26,12 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
     _, decisions = run(replace(bank, thresholds=None), state, t, y, u)
     residual = np.abs(decisions.residual[warm_up:]).reshape(-1, y.shape[-1])
     share = false_alarm / len(groups)
-    if not 0 < share * residual.shape[0] or share * residual.shape[0] < 1:
+    if not 0 < false_alarm < 1:
+        raise ValueError(f"false_alarm is {false_alarm}; a probability strictly between 0 and 1 is wanted")
+    if share * residual.shape[0] < 1:
         raise ValueError(
-            f"{residual.shape[0]} healthy samples cannot set a false-alarm rate of {false_alarm:g} over {len(groups)} quantities; "
-            f"give at least {int(np.ceil(len(groups) / false_alarm))} or ask for a higher rate"
+            f"{residual.shape[0]} healthy samples cannot set a false-alarm rate of {false_alarm:g} over {len(groups)} "
+            f"quantities; give at least {int(np.ceil(len(groups) / false_alarm))} or ask for a higher rate"
         )
     thresholds = np.empty(y.shape[-1])
     for members in groups.values():

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.gaussian import Joint, inverse
+from fusion_sfdia.gaussian import Joint, inverse, masked_inverse, symmetrise
 
 Array = NDArray[Any]
 
@@ -53,11 +53,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     """Return the leave-one-out statistics of the readings y (..., N) for which `used` holds (NaN readings never are)."""
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
-    pair = used[..., :, None] & used[..., None, :]
-    s = np.where(pair, joint.S, 0.0)
-    size = s.shape[-1]
-    s = s + np.eye(size) * np.where(used, 0.0, np.diagonal(joint.S, axis1=-2, axis2=-1))[..., None, :]
-    s_inv = np.where(pair, inverse(s), 0.0)
+    s_inv = inverse(joint.S) if np.all(used) else masked_inverse(joint.S, used)
     return LeaveOneOut((s_inv @ d[..., None])[..., 0], np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used)
 
 
@@ -79,10 +75,16 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
 
 
 def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
-    """Return estimate (..., n) and covariance (..., n, n) after the readings used: x + C u and P - C S^-1 C'."""
+    """Return estimate (..., n) and covariance (..., n, n) after the readings used: x + C u and P - C S^-1 C'.
+
+    The rounding of the subtraction, about (n + N) eps of the prior variances, is added four times to the diagonal (see
+    `gaussian.condition`), so that P stays positive definite after a reading far more precise than the prior.
+    """
     x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
-    p = joint.P - joint.C @ found.inverse @ np.swapaxes(joint.C, -1, -2)
-    return x, (p + np.swapaxes(p, -1, -2)) / 2
+    p = symmetrise(joint.P - joint.C @ found.inverse @ np.swapaxes(joint.C, -1, -2))
+    floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
+    np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
+    return x, p
 
 
 def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:

@@ -1,0 +1,98 @@
+"""The fusing bank: its algebra against N filters run one by one, and what the paper's rules then say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toy_plants import chain, readings, tanks
+
+from fusion_sfdia.calibration import calibrate
+from fusion_sfdia.detector import run
+from fusion_sfdia.enkf import EnKFSettings
+from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Unscented
+from fusion_sfdia.fusing_bank import FusingBank
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.ukf import SigmaPoints
+
+KINDS = [
+    Extended(),
+    Unscented(),
+    Unscented(SigmaPoints(alpha=0.5), redraw=False),
+    Ensemble(EnKFSettings(size=8)),
+    Ensemble(EnKFSettings(size=8, method="square-root")),
+]
+
+
+@pytest.mark.parametrize("estimator", KINDS, ids=["ekf", "ukf", "ukf-printed", "enkf", "enkf-root"])
+@pytest.mark.parametrize("plant", [chain(6), chain(4, sensors=7), tanks()], ids=["chain", "general-h", "tanks"])
+def test_algebra_equals_the_literal_bank_with_missing_readings(plant: Plant, estimator: Estimator) -> None:
+    t, _, y, u = readings(plant, 25, 1, seed=1)
+    y = y[:, 0].copy()
+    y[5:9, 2] = np.nan
+    y[12] = np.nan
+    fast = FusingBank(plant, estimator, thresholds=tuple(2 * plant.sensor_sigma))
+    slow = replace(fast, literal=True)
+    _, a = run(fast, fast.init(seed=3), t, y, u[:, 0], covariance=True)
+    _, b = run(slow, slow.init(seed=3), t, y, u[:, 0], covariance=True)
+    # weights of 1/alpha^2 = 1e6 magnify the rounding of values of 100 scales; 50 operations are allowed for
+    tolerance = 50 * np.finfo(float).eps * 1e2 * 1e6
+    np.testing.assert_allclose(a.estimate / plant.state_scale, b.estimate / plant.state_scale, atol=tolerance, rtol=0)
+    np.testing.assert_allclose(a.residual / plant.sensor_sigma, b.residual / plant.sensor_sigma, atol=tolerance, rtol=0)
+    scale = np.outer(plant.state_scale, plant.state_scale)
+    assert a.covariance is not None and b.covariance is not None
+    np.testing.assert_allclose(a.covariance / scale, b.covariance / scale, atol=tolerance, rtol=0)
+    np.testing.assert_array_equal(a.isolated, b.isolated)
+    assert not a.diverged.any() and np.isnan(a.residual[6, 2])
+
+
+def test_unequal_beta_runs_literally_and_equal_beta_given_in_full_does_not() -> None:
+    plant = chain(5)
+    t, _, y, u = readings(plant, 15, 1, seed=2)
+    even = FusingBank(plant, Extended(), beta=(0.2,) * 5)
+    uneven = FusingBank(plant, Extended(), beta=(0.3, 0.1, 0.2, 0.2, 0.2))
+    assert uneven.runs_literally and not even.runs_literally
+    _, same = run(even, even.init(), t, y[:, 0], u[:, 0])
+    _, default = run(FusingBank(plant, Extended()), FusingBank(plant, Extended()).init(), t, y[:, 0], u[:, 0])
+    np.testing.assert_array_equal(same.estimate, default.estimate)
+    _, other = run(uneven, uneven.init(), t, y[:, 0], u[:, 0])
+    assert np.all(np.isfinite(other.estimate)) and np.abs(other.estimate - same.estimate).max() > 1e-6
+
+
+def test_a_large_bias_is_found_named_and_accommodated() -> None:
+    plant = chain(8)
+    t, x, y, u = readings(plant, 220, 10, seed=3)
+    bank = calibrate(FusingBank(plant, Extended()), t, y, u, false_alarm=1e-2)
+    faulty = y.copy()
+    faulty[100:140, :, 5] += 15.0
+    _, with_fdi = run(bank, bank.init((10,)), t, faulty, u)
+    _, without = run(replace(bank, accommodate=False), bank.init((10,)), t, faulty, u)
+    assert with_fdi.isolated[100:140, :, 5].mean() > 0.99
+    during = slice(100, 140)
+    healthy_error = np.sqrt(np.mean((run(bank, bank.init((10,)), t, y, u)[1].estimate - x)[during] ** 2))
+    assert np.sqrt(np.mean((with_fdi.estimate - x)[during] ** 2)) < 1.1 * healthy_error
+    assert np.sqrt(np.mean((without.estimate - x)[during] ** 2)) > 1.5 * healthy_error
+    # the size is seen through the local filter that ignores sensor 5: 15 within the noise of a reading
+    assert np.nanmean(with_fdi.fault_size[during, :, 5]) == pytest.approx(15.0, abs=4 / np.sqrt(400) + 0.3)
+
+
+def test_calibration_keeps_the_stated_rate_on_fresh_data() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 400, 25, seed=4)
+    bank = calibrate(FusingBank(plant, Extended()), t, y, u, false_alarm=0.02)
+    t, _, y, u = readings(plant, 400, 25, seed=5)
+    _, decisions = run(bank, bank.init((25,)), t, y, u)
+    rate = decisions.alarm.mean()
+    # binomial error of calibration and of test add up; samples of a run correlate mildly: a factor of two
+    assert rate < 0.02 + 3 * 2 * np.sqrt(2 * 0.02 * 0.98 / 10000)
+    with pytest.raises(ValueError, match="give at least"):
+        calibrate(bank, t[:10], y[:10], u[:10], false_alarm=1e-4)
+
+
+def test_bad_settings_are_named() -> None:
+    plant = chain(4)
+    with pytest.raises(ValueError, match="beta must be 4 positive numbers"):
+        FusingBank(plant, beta=(0.5, 0.5))
+    with pytest.raises(ValueError, match="must sum to 1"):
+        FusingBank(plant, beta=(0.5, 0.5, 0.5, 0.5))
+    with pytest.raises(ValueError, match="leaving one out takes at least 2"):
+        FusingBank(chain(1))

@@ -1,0 +1,150 @@
+"""The leave-one-out algebra and the mixture against filters that really leave a sensor out."""
+
+import numpy as np
+import pytest
+from toy_plants import chain, tanks
+
+from fusion_sfdia import ekf, mixing
+from fusion_sfdia.gaussian import Joint
+from fusion_sfdia.leave_one_out import eliminate, local_estimates, normalised_innovation_squared, posterior, statistics
+
+
+def random_joint(rng: np.random.Generator, n: int, count: int, batch: tuple[int, ...] = ()) -> tuple[Joint, np.ndarray]:
+    """A joint Gaussian with a general H, and R as its diagonal."""
+    root = rng.normal(size=(*batch, n, n))
+    p = root @ np.swapaxes(root, -1, -2) + np.eye(n)
+    h = rng.normal(size=(count, n))
+    r = rng.uniform(0.5, 2.0, count)
+    x = rng.normal(size=(*batch, n))
+    return ekf.joint(x, p, lambda s: s @ h.T, h, r), r
+
+
+def without(joint: Joint, y: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """Textbook update with row i deleted from everything."""
+    keep = np.delete(np.arange(y.size), i)
+    gain = joint.C[:, keep] @ np.linalg.inv(joint.S[np.ix_(keep, keep)])
+    return joint.x + gain @ (y - joint.y)[keep], joint.P - gain @ joint.C[:, keep].T
+
+
+@pytest.mark.parametrize(("n", "count"), [(3, 5), (6, 6), (8, 4)])
+def test_every_local_filter_equals_the_one_that_deletes_its_sensor(n: int, count: int) -> None:
+    rng = np.random.default_rng(n)
+    joint, _ = random_joint(rng, n, count)
+    y = joint.y + rng.normal(size=count) * 3
+    found = statistics(joint, y, np.ones(count, bool))
+    local, gains = local_estimates(joint, found)
+    _, p_all = posterior(joint, found)
+    for i in range(count):
+        x, p = without(joint, y, i)
+        np.testing.assert_allclose(local[i], x, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(p_all + np.outer(gains[i], gains[i]) / found.weight[i], p, rtol=1e-9, atol=1e-10)
+        keep = np.delete(np.arange(count), i)
+        conditional = joint.y[i] + joint.S[i, keep] @ np.linalg.solve(joint.S[np.ix_(keep, keep)], (y - joint.y)[keep])
+        assert found.innovation[i] == pytest.approx(y[i] - conditional, rel=1e-9)
+
+
+def test_a_missing_reading_equals_a_deleted_one_and_poisons_nothing() -> None:
+    rng = np.random.default_rng(0)
+    joint, _ = random_joint(rng, 4, 6)
+    y = joint.y + rng.normal(size=6)
+    x, p = without(joint, y, 2)
+    gone = y.copy()
+    gone[2] = np.nan
+    found = statistics(joint, gone, np.ones(6, bool))
+    got_x, got_p = posterior(joint, found)
+    np.testing.assert_allclose(got_x, x, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(got_p, p, rtol=1e-10, atol=1e-12)
+    assert found.innovation[2] == 0 and np.isinf(found.variance[2]) and np.all(np.isfinite(found.chi_square))
+    nothing = statistics(joint, np.full(6, np.nan), np.ones(6, bool))
+    np.testing.assert_array_equal(posterior(joint, nothing)[0], joint.x)
+    assert normalised_innovation_squared(joint, nothing, np.full(6, np.nan)) == 0
+
+
+def test_elimination_equals_starting_without_the_sensors_in_any_order() -> None:
+    rng = np.random.default_rng(1)
+    joint, _ = random_joint(rng, 5, 7, batch=(3,))
+    y = joint.y + rng.normal(size=(3, 7)) * 2
+    everything = statistics(joint, y, np.ones((3, 7), bool))
+    where = np.array([True, True, False])
+    once = eliminate(everything, np.array([4, 1, 2]), where)
+    twice = eliminate(once, np.array([0, 6, 2]), where)
+    for i, gone in enumerate([(4, 0), (1, 6), ()]):
+        used = ~np.isin(np.arange(7), gone)
+        direct = statistics(Joint(*(a[i] for a in joint)), y[i], used)
+        for got, wanted in zip(twice, direct, strict=True):
+            np.testing.assert_allclose(np.asarray(got)[i], wanted, rtol=1e-9, atol=1e-11)
+
+
+def test_chi_square_is_chi_square_with_one_degree_of_freedom() -> None:
+    rng = np.random.default_rng(2)
+    joint, _ = random_joint(rng, 4, 6)
+    runs = 20000
+    y = rng.multivariate_normal(joint.y, joint.S, size=runs)
+    chi_square = statistics(Joint(*(np.broadcast_to(a, (runs, *a.shape)) for a in joint)), y, np.ones((runs, 6), bool)).chi_square
+    # mean 1, variance 2 each: four standard errors
+    assert np.all(np.abs(chi_square.mean(axis=0) - 1) < 4 * np.sqrt(2 / runs))
+    assert abs(np.mean(chi_square > 6.634896601021214) - 0.01) < 4 * np.sqrt(0.01 * 0.99 / (6 * runs)) * 2  # sensors correlate
+
+
+@pytest.mark.parametrize("missing", [(), (1,), (0, 3, 4)])
+def test_mixture_in_closed_form_equals_the_printed_sum_of_inverses(missing: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(3)
+    joint, r = random_joint(rng, 5, 6)
+    y = joint.y + rng.normal(size=6)
+    y[list(missing)] = np.nan
+    used = np.isfinite(y)
+    parts = []
+    for i in range(6):
+        found = statistics(joint, y, used & (np.arange(6) != i))
+        parts.append(posterior(joint, found))
+    x, p = mixing.mix(np.stack([a for a, _ in parts]), np.stack([b for _, b in parts]), np.ones(5))
+    close = mixing.mixture(joint, y, used, r)
+    general = mixing.mixture_of_any_joint(joint, statistics(joint, y, used))
+    for got_x, got_p in (close, general):
+        np.testing.assert_allclose(got_x, x, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(got_p, p, rtol=1e-9, atol=1e-10)
+
+
+def test_federated_factors_make_the_mixture_the_central_filter() -> None:
+    """Carlson's information sharing: local priors N P and noises (N - 1) R fuse to the one filter that uses everything."""
+    rng = np.random.default_rng(4)
+    joint, r = random_joint(rng, 5, 6)
+    y = joint.y + rng.normal(size=6)
+    h = np.linalg.solve(joint.P, joint.C).T
+    wide = ekf.joint(joint.x, 6 * joint.P, lambda s: joint.y, h, 5 * r)
+    x, p = mixing.mixture(wide, y, np.ones(6, bool), 5 * r)
+    central_x, central_p = posterior(joint, statistics(joint, y, np.ones(6, bool)))
+    np.testing.assert_allclose(x, central_x, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(p, central_p, rtol=1e-8, atol=1e-9)
+
+
+def test_mixture_of_singular_covariances_stays_on_their_range() -> None:
+    """An ensemble smaller than the state: P has no inverse, the mixture still exists."""
+    rng = np.random.default_rng(5)
+    anomalies = rng.normal(size=(4, 9))
+    anomalies -= anomalies.mean(axis=0)
+    p = anomalies.T @ anomalies / 3
+    r = np.ones(9)
+    joint = Joint(np.zeros(9), p, np.zeros(9), p + np.diag(r), p)
+    y = rng.normal(size=9)
+    used = np.ones(9, bool)
+    x, p_m = mixing.mixture(joint, y, used, r)
+    parts = [posterior(joint, statistics(joint, y, np.arange(9) != i)) for i in range(9)]
+    literal_x, literal_p = mixing.mix(np.stack([a for a, _ in parts]), np.stack([b for _, b in parts]), np.ones(9))
+    assert np.linalg.matrix_rank(p_m, rtol=1e-9, hermitian=True) == 3
+    np.testing.assert_allclose(x, literal_x, atol=1e-9)
+    np.testing.assert_allclose(p_m, literal_p, atol=1e-9)
+
+
+def test_toy_plants_have_the_jacobians_of_their_functions() -> None:
+    for plant in (chain(5), tanks()):
+        x, u = plant.x0 + 0.1, plant.input_at(0.0)
+        step = 1e-6
+        for jacobian, function in (
+            (plant.step_jacobian_at(0.0, x, u, plant.dt), lambda s, p=plant: p.step(0.0, s, u, p.dt)),
+            (plant.output_jacobian_at(0.0, x, u), lambda s, p=plant: p.output(0.0, s, u)),
+        ):
+            differences = np.stack(
+                [(function(x + step * e) - function(x - step * e)) / (2 * step) for e in np.eye(x.size)], axis=-1
+            )
+            np.testing.assert_allclose(jacobian, differences, rtol=1e-7, atol=1e-9)
