@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.gaussian import Joint, add, cholesky, half_inverse, inverse, sample
+from fusion_sfdia.gaussian import Joint, add, half_inverse, inverse, sample, whiten
 
 Array = NDArray[Any]
 Model = Callable[[Array], Array]
@@ -105,7 +105,7 @@ def _anomalies(E: Array, HE: Array) -> tuple[Array, Array, Array, Array]:
 def _in_member_space(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R: Array, used: Array) -> tuple[Array, Array]:
     """Return the change of the mean (..., n) and the new anomalies (..., Ne, n)."""
     over = A.shape[-2] - 1
-    Y, shift = _whiten(Y, R, used), _whiten(shift, R, used)
+    Y, shift = whiten(Y, R, used), whiten(shift, R, used)
     Yt = np.swapaxes(Y, -1, -2)
     M = Y @ Yt
     np.einsum("...ii->...i", M)[...] += over
@@ -137,16 +137,6 @@ def _localised(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R: Arra
         return change[..., 0, :], A - 0.5 * (Y @ Kt)
     mean = np.mean(change, axis=-2)
     return mean, A + change - mean[..., None, :]
-
-
-def _whiten(Y: Array, R: Array, used: Array) -> Array:
-    """Rows Y (..., k, N) in units of the noise of the readings used, zero for the others."""
-    rows = used[..., None, :]
-    if R.ndim == 1:
-        return np.where(rows, Y / np.sqrt(R), 0.0)
-    pair = used[..., :, None] & rows
-    L = cholesky(np.where(pair | np.eye(R.shape[-1], dtype=bool), R, 0.0))
-    return np.swapaxes(np.linalg.solve(L, np.swapaxes(np.where(rows, Y, 0.0), -1, -2)), -1, -2)
 
 
 def rotation(size: int, rng: np.random.Generator, batch: tuple[int, ...] = ()) -> Array:

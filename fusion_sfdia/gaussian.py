@@ -95,6 +95,16 @@ def half_inverse(A: Array, used: Array | None = None) -> Array:
     return scale[..., :, None] * np.swapaxes(np.linalg.inv(L), -1, -2)
 
 
+def whiten(rows: Array, R: Array, used: Array) -> Array:
+    """Readings (..., k, N) in units of the noise R (N,) or (..., N, N) of those used (..., N), zero for the others.
+
+    The product of two whitened rows is a' R^-1 b over the readings used.
+    """
+    if R.ndim == 1:
+        return np.where(used[..., None, :], rows / np.sqrt(R), 0.0)
+    return np.where(used[..., None, :], rows, 0.0) @ half_inverse(R, used)
+
+
 def _one_by_one(function: Callable[[Array], Array], A: Array) -> Array:
     if A.ndim == 2:
         return function(A)

@@ -89,7 +89,7 @@ def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
 
 def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     """Return x_i (..., N, n) of every local filter, and the columns K_i of the gain as rows (..., N, n)."""
-    x, _ = posterior(joint, found)
+    x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
     gains = np.swapaxes(joint.C @ found.inverse, -1, -2)
     return x[..., None, :] - gains * found.innovation[..., None], gains
 
