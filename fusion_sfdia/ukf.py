@@ -83,8 +83,9 @@ def predict(points: SigmaPoints, x: Array, P: Array, f: Model, Q: Array) -> tupl
 
 
 def joint(points: SigmaPoints, x: Array, P: Array, h: Model, R: Array, propagated: Array | None = None) -> Joint:
-    """Return the joint Gaussian of state and readings; h maps points (..., 2n+1, n) to readings (..., 2n+1, N), R (N,) or matrix.
+    """Return the joint Gaussian of state and readings.
 
+    x (..., n), P (..., n, n), h maps points (..., 2n+1, n) to readings (..., 2n+1, N), R (N,) or (..., N, N).
     Without `propagated`, new points are drawn from x, P, as the textbook does. With it, the points that `predict` returned
     serve again, as Shaheen 2024, sec. III-C3 prints it; S and C then lack the process noise that P contains.
     """
