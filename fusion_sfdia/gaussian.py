@@ -77,7 +77,7 @@ def masked_inverse(A: Array, used: Array) -> Array:
 
 
 def half_inverse(A: Array, used: Array | None = None) -> Array:
-    """U with U U' = A^-1 (..., n, n), upper triangular; NaN in those elements of the batch that are not positive definite.
+    """U with U U' = A^-1 (..., n, n); an element of the batch that is not positive definite is NaN, it alone.
 
     used (..., n): rows and columns of A to leave out as if they did not exist; U and U U' are zero there.
     """
@@ -136,7 +136,9 @@ def _square_root(a: Array) -> Array:
 def _half_inverse(a: Array) -> Array:
     """From A = V'V, V upper triangular: U = V^-1."""
     V, failed = dpotrf(a.T, lower=0, clean=1)
-    return np.full(a.shape, np.nan) if failed else np.asarray(dtrtri(V, lower=0, overwrite_c=1)[0])
+    if failed or not np.isfinite(V.trace()):
+        return np.full(a.shape, np.nan)
+    return np.asarray(dtrtri(V, lower=0, overwrite_c=1)[0])
 
 
 class Joint(NamedTuple):

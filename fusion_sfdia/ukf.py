@@ -44,7 +44,7 @@ class SigmaPoints:
             raise ValueError(f"alpha {self.alpha}, beta {self.beta}, kappa {self.kappa}; alpha must be positive and all finite")
 
     def spread(self, n: int) -> float:
-        """n + lambda = alpha^2 (n + kappa), the square of the points' distance in standard deviations."""
+        """Return n + lambda = alpha^2 (n + kappa), the square of the points' distance in standard deviations."""
         if n + self.kappa <= 0:
             raise ValueError(f"kappa is {self.kappa} for {n} states; it must exceed {-n}")
         return self.alpha**2 * (n + self.kappa)

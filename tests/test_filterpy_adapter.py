@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import filterpy.kalman as fp
@@ -54,14 +55,23 @@ def settle(source: Any, x: Array) -> None:
     source.R = np.diag([0.04, 0.09])
 
 
+def move(plant: Plant, u: Array, x: Array) -> Array:
+    return plant.step(0.0, x, u, plant.dt)
+
+
+def read(plant: Plant, u: Array, x: Array) -> Array:
+    return plant.output(0.0, x, u)
+
+
 def run_ekf(plant: Plant, ys: Array, us: Array | None = None) -> tuple[Array, Array]:
-    x, P = plant.x0, plant.initial_cov
+    x: Array = plant.x0
+    P: Array = plant.initial_cov
     for k, y in enumerate(ys):
         t, u = k * plant.dt, NO_INPUT if us is None else us[k]
         F = plant.step_jacobian_at(t, x, u, plant.dt)
-        x, P = ekf.predict(x, P, lambda s, u=u: plant.step(0.0, s, u, plant.dt), F, plant.process_cov)  # type: ignore[misc]
+        x, P = ekf.predict(x, P, partial(move, plant, u), F, plant.process_cov)
         H = plant.output_jacobian_at(t, x, u)
-        x, P = condition(ekf.joint(x, P, lambda s, u=u: plant.output(0.0, s, u), H, plant.sensor_cov), y)[:2]  # type: ignore[misc]
+        x, P = condition(ekf.joint(x, P, partial(read, plant, u), H, plant.sensor_cov), y)[:2]
     return x, P
 
 

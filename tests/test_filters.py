@@ -1,0 +1,237 @@
+"""Laws of the linear, extended and unscented Kalman filters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fusion_sfdia import ekf, ukf
+from fusion_sfdia.gaussian import Joint, condition, dense
+from fusion_sfdia.ukf import SigmaPoints
+
+Array = NDArray[Any]
+
+F = np.array([[1.0, 0.1, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.1, 0.8]])
+H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])
+Q, R = np.array([0.01, 0.0, 0.04]), np.array([0.1, 0.3])
+NAN = np.nan
+
+
+def f(x: Array) -> Array:
+    return np.asarray(x @ F.T)
+
+
+def h(x: Array) -> Array:
+    return np.asarray(x @ H.T)
+
+
+def bend(x: Array) -> Array:
+    """A nonlinear step, analytic."""
+    return np.stack([x[..., 0] + 0.1 * x[..., 1], x[..., 1] - 0.5 * np.sin(x[..., 0]), x[..., 2] * np.exp(-0.1 * x[..., 1])], -1)
+
+
+def look(x: Array) -> Array:
+    """Nonlinear readings of two sensors."""
+    return np.stack([np.sin(x[..., 0]) + x[..., 2], x[..., 1] * x[..., 2]], -1)
+
+
+def readings(steps: int, *batch: int) -> Array:
+    """Random readings of which a fifth are missing, at one step all of them."""
+    rng = np.random.default_rng(7)
+    y = rng.standard_normal((steps, *batch, 2))
+    y[rng.random(y.shape) < 0.2] = NAN
+    y[3] = NAN
+    return y
+
+
+def kalman(x: Array, P: Array, y: Array) -> tuple[Array, Array]:
+    """The textbook's Kalman filter for one series, readings left out by deleting rows."""
+    for reading in y:
+        x, P = F @ x, F @ P @ F.T + np.diag(Q)
+        used = np.isfinite(reading)
+        rows = H[used]
+        K = P @ rows.T @ np.linalg.inv(rows @ P @ rows.T + np.diag(R[used]))
+        x, P = x + K @ (reading[used] - rows @ x), (np.eye(3) - K @ rows) @ P
+    return x, P
+
+
+@pytest.mark.parametrize("filter_name", ["jacobian", "complex step", "ukf", "ukf 1e-3", "cubature"])
+def test_every_filter_is_the_kalman_filter_on_a_linear_model(filter_name: str) -> None:
+    """alpha = 1e-3 divides differences of 1e-3 by 1e-6: rounding grows from 1e-15 to some 1e-10."""
+    points = {"ukf": SigmaPoints(0.5), "ukf 1e-3": SigmaPoints(), "cubature": SigmaPoints(1.0, 0.0, 0.0)}.get(filter_name)
+    y = readings(40, 4)
+    x, P = np.ones((4, 3)), np.broadcast_to(np.eye(3), (4, 3, 3))
+    jacobians = (F, H) if filter_name == "jacobian" else (None, None)
+    for reading in y:
+        if points is None:
+            x, P = ekf.predict(x, P, f, jacobians[0], Q)
+            joint = ekf.joint(x, P, h, jacobians[1], R)
+        else:
+            x, P, _ = ukf.predict(points, x, P, f, Q)
+            joint = ukf.joint(points, x, P, h, R)
+        x, P = condition(joint, reading)[:2]
+    tolerance = 1e-9 if filter_name == "ukf 1e-3" else 1e-12
+    for b in range(4):
+        wanted_x, wanted_P = kalman(np.ones(3), np.eye(3), y[:, b])
+        np.testing.assert_allclose(x[b], wanted_x, atol=tolerance)
+        np.testing.assert_allclose(P[b], wanted_P, atol=tolerance)
+
+
+@pytest.mark.parametrize("redraw", [True, False, None])
+def test_a_batch_is_its_elements(redraw: bool | None) -> None:
+    """For the EKF (None) and both kinds of UKF, on a nonlinear model with readings missing."""
+    points = SigmaPoints(0.3)
+
+    def run(x: Array, P: Array, ys: Array) -> tuple[Array, Array]:
+        for y in ys:
+            if redraw is None:
+                x, P = ekf.predict(x, P, bend, None, Q)
+                joint = ekf.joint(x, P, look, None, R)
+            else:
+                x, P, propagated = ukf.predict(points, x, P, bend, Q)
+                joint = ukf.joint(points, x, P, look, R, None if redraw else propagated)
+            x, P = condition(joint, y)[:2]
+        return x, P
+
+    y = readings(10, 2, 3)
+    start_x = np.random.default_rng(0).standard_normal((2, 3, 3))
+    x, P = run(start_x, np.broadcast_to(0.1 * np.eye(3), (2, 3, 3, 3)), y)
+    for index in np.ndindex(2, 3):
+        alone = run(start_x[index], 0.1 * np.eye(3), y[:, *index])
+        np.testing.assert_allclose(x[index], alone[0], atol=1e-10)
+        np.testing.assert_allclose(P[index], alone[1], atol=1e-10)
+
+
+@pytest.mark.parametrize("settings", [(1.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.5, 2.0, 0.0), (0.1, 2.0, 1.0), (1.0, 2.0, 0.5)])
+def test_moments_relative_to_the_centre_are_the_usual_weighted_sums(settings: tuple[float, float, float]) -> None:
+    alpha, beta, kappa = settings
+    n = 3
+    points = SigmaPoints(*settings)
+    rng = np.random.default_rng(0)
+    x, P = rng.standard_normal(n), dense(np.array([0.3, 0.2, 0.5])) + 0.1
+    X = ukf.draw(points, x, P)
+    spread = alpha**2 * (n + kappa)
+    W = np.full(2 * n + 1, 0.5 / spread)
+    Wc = W.copy()
+    W[0] = 1 - n / spread
+    Wc[0] = W[0] + 1 - alpha**2 + beta
+    np.testing.assert_allclose(W @ X, x, atol=1e-12)
+    np.testing.assert_allclose((X - x).T @ (W[:, None] * (X - x)), P, atol=1e-12)
+    mean, cov, propagated = ukf.predict(points, x, P, bend, Q)
+    np.testing.assert_array_equal(propagated, bend(X))
+    # the weights of up to 1/alpha^2 = 100 cancel in the usual sums: 1e-14 at best
+    np.testing.assert_allclose(mean, W @ bend(X), atol=1e-12)
+    e = bend(X) - W @ bend(X)
+    np.testing.assert_allclose(cov, e.T @ (Wc[:, None] * e) + np.diag(Q), atol=1e-12)
+    joint = ukf.joint(points, mean, cov, look, R, propagated)
+    z = look(propagated) - W @ look(propagated)
+    np.testing.assert_allclose(joint.S, z.T @ (Wc[:, None] * z) + np.diag(R), atol=1e-12)
+    np.testing.assert_allclose(joint.C, e.T @ (Wc[:, None] * z), atol=1e-12)
+
+
+def test_without_redraw_the_readings_do_not_know_of_the_process_noise() -> None:
+    """As Shaheen 2024 prints it: S and C are those of F P F', while P is F P F' + Q; redrawn, all of F P F' + Q."""
+    points, P = SigmaPoints(0.5), np.eye(3)
+    x, predicted, propagated = ukf.predict(points, np.ones(3), P, f, Q)
+    printed, redrawn = ukf.joint(points, x, predicted, h, R, propagated), ukf.joint(points, x, predicted, h, R)
+    np.testing.assert_allclose(printed.S, H @ F @ P @ F.T @ H.T + np.diag(R), atol=1e-12)
+    np.testing.assert_allclose(redrawn.S, H @ (F @ P @ F.T + np.diag(Q)) @ H.T + np.diag(R), atol=1e-12)
+    np.testing.assert_allclose(redrawn.C - printed.C, np.diag(Q) @ H.T, atol=1e-12)
+
+
+def test_the_unscented_covariance_is_positive_where_weighted_sums_cancel() -> None:
+    """States of 1e7 with standard deviations of 1: with alpha = 1e-3, a Gram matrix keeps 6 digits, 1e7 eps / (1e-3 sqrt 3)."""
+    x, P = np.full(3, 1e7), np.eye(3)
+    mean, cov, _ = ukf.predict(SigmaPoints(), x, P, lambda s: s, np.zeros(3))
+    np.testing.assert_allclose(cov, P, atol=1e-5)
+    np.testing.assert_allclose(mean, x, rtol=1e-9)
+
+
+def test_a_state_known_exactly_keeps_the_unscented_filter_going() -> None:
+    """Zero variances have no Cholesky factor; the square root of a singular covariance serves."""
+    P = np.diag([1.0, 0.0, 0.0])
+    x, P, _ = ukf.predict(SigmaPoints(0.5), np.ones(3), P, lambda s: s, np.array([0.0, 0.0, 0.1]))
+    np.testing.assert_allclose(P, np.diag([1.0, 0.0, 0.1]), atol=1e-12)
+    found = condition(ukf.joint(SigmaPoints(0.5), x, P, h, R), np.array([2.0, 2.0]))
+    exact = condition(Joint(x, P, h(x), H @ P @ H.T + np.diag(R), P @ H.T), np.array([2.0, 2.0]))
+    np.testing.assert_allclose(found.x, exact.x, atol=1e-12)
+
+
+def test_units_change_nothing_beyond_rounding() -> None:
+    """States and readings in other units, by up to 1e8: the same estimates, the same NIS."""
+    state, reading = np.array([1e-5, 1.0, 1e8]), np.array([1e5, 1e-3])
+    y = readings(20)
+
+    def run(state: Array, reading: Array, points: SigmaPoints | None) -> tuple[Array, Array]:
+        x, P, nis = np.ones(3) * state, np.diag(state**2), []
+
+        def move(s: Array) -> Array:
+            return bend(s / state) * state
+
+        def read(s: Array) -> Array:
+            return look(s / state) * reading
+
+        for z in y:
+            if points is None:
+                x, P = ekf.predict(x, P, move, None, Q * state**2)
+                joint = ekf.joint(x, P, read, None, R * reading**2)
+            else:
+                x, P, _ = ukf.predict(points, x, P, move, Q * state**2)
+                joint = ukf.joint(points, x, P, read, R * reading**2)
+            found = condition(joint, z * reading)
+            x, P = found.x, found.P
+            nis.append(found.nis)
+        return x / state, np.array(nis)
+
+    for points in (None, SigmaPoints(0.5)):
+        ones = run(np.ones(3), np.ones(2), points)
+        other = run(state, reading, points)
+        np.testing.assert_allclose(other[0], ones[0], rtol=1e-9)
+        np.testing.assert_allclose(other[1], ones[1], rtol=1e-9)
+
+
+def test_the_filter_is_consistent() -> None:
+    """NIS and NEES per dimension are 1 on average: chi-square means of K independent values have standard error sqrt(2 / K)."""
+    rng = np.random.default_rng(5)
+    runs, steps = 400, 20
+    truth = rng.standard_normal((runs, 3))
+    x, P = np.zeros((runs, 3)), np.broadcast_to(np.eye(3), (runs, 3, 3))
+    nis = []
+    for _ in range(steps):
+        truth = f(truth) + np.sqrt(Q) * rng.standard_normal(truth.shape)
+        x, P = ekf.predict(x, P, f, F, Q)
+        y = h(truth) + np.sqrt(R) * rng.standard_normal((runs, 2))
+        y[rng.random(y.shape) < 0.3] = NAN
+        found = condition(ekf.joint(x, P, h, H, R), y)
+        x, P = found.x, found.P
+        nis.append(np.where(np.isfinite(found.nis), found.nis * found.used.sum(-1), 0.0).sum() / found.used.sum())
+    assert abs(np.mean(nis) - 1) < 4 * np.sqrt(2 / (runs * steps * 2 * 0.7))
+    nees = np.einsum("bi,bij,bj->b", x - truth, np.linalg.inv(P), x - truth) / 3
+    assert abs(nees.mean() - 1) < 4 * np.sqrt(2 / (3 * runs))
+
+
+def test_a_diverged_element_leaves_the_others_alone() -> None:
+    x, P = np.zeros((3, 3)), np.broadcast_to(np.eye(3), (3, 3, 3)).copy()
+    P[1] = NAN
+    y = np.ones((3, 2))
+    points = SigmaPoints(0.5)
+    new_x, new_P, _ = ukf.predict(points, x, P, bend, Q)
+    found = condition(ukf.joint(points, new_x, new_P, look, R), y)
+    assert np.isnan(found.x[1]).all()
+    alone_x, alone_P, _ = ukf.predict(points, x[0], P[0], bend, Q)
+    alone = condition(ukf.joint(points, alone_x, alone_P, look, R), y[0])
+    np.testing.assert_allclose(found.x[[0, 2]], np.stack([alone.x, alone.x]), atol=1e-13)
+
+
+@pytest.mark.parametrize(("settings", "message"), [((0.0, 2.0, 0.0), "alpha must be positive"), ((1.0, NAN, 0.0), "all finite")])
+def test_bad_settings(settings: tuple[float, float, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SigmaPoints(*settings)
+
+
+def test_kappa_too_small_for_the_number_of_states() -> None:
+    with pytest.raises(ValueError, match="kappa is -3.0 for 3 states; it must exceed -3"):
+        ukf.draw(SigmaPoints(1.0, 0.0, -3.0), np.zeros(3), np.eye(3))
