@@ -98,8 +98,9 @@ class Pendulum(fp.ExtendedKalmanFilter):  # type: ignore[misc]
     """The way filterpy has users give a nonlinear model: predict_x overridden, F set before it is used."""
 
     def predict_x(self, u: float = 0) -> None:
-        self.F = pendulum_jacobian(self.x.ravel())
-        self.x = pendulum(self.x.ravel(), DT).reshape(self.x.shape)
+        state: Array = np.asarray(self.x)  # type: ignore[has-type]
+        self.F = pendulum_jacobian(state.ravel())
+        self.x = pendulum(state.ravel(), DT).reshape(state.shape)
 
 
 def column_reading(x: Array) -> Array:

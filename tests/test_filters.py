@@ -30,7 +30,9 @@ def h(x: Array) -> Array:
 
 def bend(x: Array) -> Array:
     """A nonlinear step, analytic."""
-    return np.stack([x[..., 0] + 0.1 * x[..., 1], x[..., 1] - 0.5 * np.sin(x[..., 0]), x[..., 2] * np.exp(-0.1 * x[..., 1])], -1)
+    return np.stack(
+        [x[..., 0] + 0.1 * x[..., 1], x[..., 1] - 0.5 * np.sin(x[..., 0]), x[..., 2] * np.exp(-0.1 * x[..., 1])], -1
+    )
 
 
 def look(x: Array) -> Array:
@@ -226,12 +228,14 @@ def test_a_diverged_element_leaves_the_others_alone() -> None:
     np.testing.assert_allclose(found.x[[0, 2]], np.stack([alone.x, alone.x]), atol=1e-13)
 
 
-@pytest.mark.parametrize(("settings", "message"), [((0.0, 2.0, 0.0), "alpha must be positive"), ((1.0, NAN, 0.0), "all finite")])
+@pytest.mark.parametrize(
+    ("settings", "message"), [((0.0, 2.0, 0.0), "alpha must be positive"), ((1.0, NAN, 0.0), "all finite")]
+)
 def test_bad_settings(settings: tuple[float, float, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SigmaPoints(*settings)
 
 
 def test_kappa_too_small_for_the_number_of_states() -> None:
-    with pytest.raises(ValueError, match="kappa is -3.0 for 3 states; it must exceed -3"):
+    with pytest.raises(ValueError, match=r"kappa is -3\.0 for 3 states; it must exceed -3"):
         ukf.draw(SigmaPoints(1.0, 0.0, -3.0), np.zeros(3), np.eye(3))
