@@ -18,8 +18,8 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
     """Return the bank with one threshold for each quantity, at the stated rate of false alarms per sample.
 
     t (K,), y (K, ..., N) healthy readings, u (K, ..., m). The threshold of a quantity is the empirical quantile of its
-    largest residual after the first `warm_up` samples, in which the filter settles; the budget is shared equally by the quantities. ValueError
-    where the data are too few for the rate: fewer than one sample is expected above the threshold.
+    largest residual after the first `warm_up` samples, in which the filter settles; the quantities share the budget
+    equally. ValueError where the data are too few for the rate: less than one sample expected above the threshold.
     """
     groups = bank.plant.quantities
     state = bank.init(y.shape[1:-1], float(t[0]) - bank.plant.dt)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,11 @@ Array = NDArray[Any]
 @dataclass(frozen=True)
 class CentralFilter:
     """A single filter of any kind: residual y - E[y], threshold from its variance at a false-alarm budget per step over
-    all sensors (Bonferroni); names the sensor with the largest ratio; nothing is accommodated."""
+    all sensors (Bonferroni); names the sensor with the largest ratio; nothing is accommodated.
+    """
 
     plant: Plant
-    estimator: Estimator = Extended()
+    estimator: Estimator = field(default_factory=Extended)
     false_alarm: float = 1e-3
 
     def __post_init__(self) -> None:

@@ -48,12 +48,12 @@ class Decision:
     @property
     def score(self) -> Array:
         """The largest of `scores` (...)."""
-        return np.max(self.scores, axis=-1)
+        return np.asarray(np.max(self.scores, axis=-1))
 
     @property
     def alarm(self) -> Array:
         """Whether a residual exceeds its threshold or a hypothesis is isolated (...)."""
-        return (self.score > 1) | np.any(self.isolated, axis=-1)
+        return np.asarray((self.score > 1) | np.any(self.isolated, axis=-1))
 
 
 @runtime_checkable

@@ -23,7 +23,8 @@ def runge_kutta_4(slope: Callable[[float, Array], Array], t: float, x: Array, dt
     k2 = slope(t + dt / 2, x + dt / 2 * k1)
     k3 = slope(t + dt / 2, x + dt / 2 * k2)
     k4 = slope(t + dt, x + dt * k3)
-    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    advanced: Array = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return advanced
 
 
 def solve_algebraic(physics: Physics, t: float, x: Array, u: Array) -> Array:

@@ -22,7 +22,8 @@ Core = tuple[Array, ...]
 
 class Prior(NamedTuple):
     """A filter between its two halves: core before the reading, whether the estimate had to be moved into the plant's
-    limits (...), and, where the filter has them, the Jacobian of the step and the sigma points that wait for the reading."""
+    limits (...), and, where the filter has them, the Jacobian of the step and the sigma points that wait for the reading.
+    """
 
     core: Core
     guarded: Array
@@ -100,7 +101,7 @@ class Unscented(_Moments):
     propagated points serve again as the paper prints it, and the gain does not know of the process noise.
     """
 
-    points: ukf.SigmaPoints = ukf.SigmaPoints()
+    points: ukf.SigmaPoints = field(default_factory=ukf.SigmaPoints)
     redraw: bool = True
 
     @property
@@ -124,9 +125,10 @@ class Unscented(_Moments):
 @dataclass(frozen=True)
 class Ensemble:
     """The ensemble Kalman filter (Shaheen 2024, sec. III-C2), with S = H P H' + R for the printed sample covariance,
-    which is singular for fewer members than readings."""
+    which is singular for fewer members than readings.
+    """
 
-    settings: enkf.EnKFSettings = enkf.EnKFSettings()
+    settings: enkf.EnKFSettings = field(default_factory=enkf.EnKFSettings)
     consistent: bool = field(default=True, init=False, repr=False)
 
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:

@@ -18,7 +18,7 @@ class Exclusion(NamedTuple):
 
     out: Array
     size: Array
-    count: Array
+    samples: Array
     evidence: Array
     quiet: Array
 
@@ -34,7 +34,7 @@ def exclude(now: Exclusion, faulty: Array, size: Array) -> Exclusion:
     return Exclusion(
         now.out | faulty,
         np.where(faulty, size, now.size),
-        np.where(faulty, 1.0, now.count),
+        np.where(faulty, 1.0, now.samples),
         np.where(faulty, 0.0, now.evidence),
         np.where(faulty, 0.0, now.quiet),
     )
@@ -57,7 +57,7 @@ def watch(now: Exclusion, error: Array, variance: Array, limit: float, level: fl
     evidence = np.where(seen, np.maximum(now.evidence + gain, 0.0), now.evidence)
     quiet = np.where(seen, np.where(e**2 <= limit * v, now.quiet + 1, 0.0), now.quiet)
     learns = seen & (evidence == 0.0)
-    count = now.count + learns
+    count = now.samples + learns
     size = now.size + np.where(learns, (e - now.size) / np.clip(count, 1.0, MEMORY), 0.0)
     back = seen & (evidence > level) & (quiet >= QUIET)
     return Exclusion(

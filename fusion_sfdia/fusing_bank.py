@@ -7,7 +7,7 @@ gives each local ensemble the mixture's mean and covariance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,7 +46,7 @@ class FusingBank:
     """
 
     plant: Plant
-    estimator: Estimator = Unscented(redraw=False)
+    estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
     beta: tuple[float, ...] | None = None
     thresholds: tuple[float, ...] | None = None
     residual_scale: tuple[float, ...] | None = None
@@ -85,13 +85,13 @@ class FusingBank:
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
         """Diagnose the readings y (..., N) at t under the input u (..., m); ValueError for a wrong shape or time."""
-        seed, k, last, diverged, *core = state
+        seed, k, last, diverged = state[:4]
         plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
         check_reading(plant, y, u, diverged.shape)
         plant.check_dt(dt := t - float(last))
         k = k + 1
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            prior = self._predict(tuple(core), float(last), u, dt, seed, k)
+            prior = self._predict(state[4:], float(last), u, dt, seed, k)
             used = np.isfinite(y)
             mixed = self._mix(prior, t, y, u, used, seed, k)
             seen = plant.output(t, mixed.local, u[..., None, :])

@@ -16,7 +16,8 @@ Array = NDArray[Any]
 def broken(x: Array, p: Array) -> Array:
     """Return (...) whether the estimate x (..., n) or covariance p (..., n, n) is no longer finite and non-negative."""
     variances = np.diagonal(p, axis1=-2, axis2=-1)
-    return ~(np.all(np.isfinite(x), axis=-1) & np.all(np.isfinite(p), axis=(-2, -1)) & np.all(variances >= 0, axis=-1))
+    sound = np.all(np.isfinite(x), axis=-1) & np.all(np.isfinite(p), axis=(-2, -1)) & np.all(variances >= 0, axis=-1)
+    return np.asarray(~sound)
 
 
 def keep_broken_out(diverged: Array, core: tuple[Array, ...], fresh: tuple[Array, ...]) -> tuple[Array, ...]:

@@ -25,7 +25,8 @@ Array = NDArray[Any]
 
 class LeaveOneOut(NamedTuple):
     """Leave-one-out statistics: whitened innovation u (..., N), weight w (..., N) (both 0 for a reading not used),
-    S^-1 (..., N, N) with zero rows and columns for those, and which were used (..., N)."""
+    S^-1 (..., N, N) with zero rows and columns for those, and which were used (..., N).
+    """
 
     whitened: Array
     weight: Array
@@ -97,4 +98,4 @@ def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
 def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:
     """Return d' S^-1 d over the readings used, divided by their number (...): 1 on average for a consistent filter."""
     innovation = np.where(found.used, y, joint.y) - joint.y
-    return np.sum(innovation * found.whitened, axis=-1) / np.maximum(np.sum(found.used, axis=-1), 1)
+    return np.asarray(np.sum(innovation * found.whitened, axis=-1) / np.maximum(np.sum(found.used, axis=-1), 1))

@@ -12,7 +12,7 @@ The statistically consistent form of the bank: every sensor is judged against al
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ class LeaveOneOutBank:
     """
 
     plant: Plant
-    estimator: Estimator = Extended()
+    estimator: Estimator = field(default_factory=Extended)
     window: int = 15
     false_alarm: float = 1e-3
     max_faults: int | None = None
@@ -182,7 +182,7 @@ class LeaveOneOutBank:
 
 def _only(sensor: Array, like: Array) -> Array:
     """One-hot (..., N) of the sensor's index (...)."""
-    return np.arange(like.shape[-1]) == sensor[..., None]
+    return np.asarray(np.arange(like.shape[-1]) == sensor[..., None])
 
 
 def _freed(prior: Prior, evidence: Evidence, best: Best, sensor: Array, chosen: Array) -> Prior:

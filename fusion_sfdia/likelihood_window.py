@@ -72,7 +72,7 @@ def best_onset(evidence: Evidence, usable: Array, sensor_cov: Array) -> Best:
     statistic = size**2 * information
     onset = np.argmax(statistic, axis=-2, keepdims=True)
     at = [np.take_along_axis(v, onset, axis=-2)[..., 0, :] for v in (statistic, size, information)]
-    return Best(*at, onset[..., 0, :])
+    return Best(at[0], at[1], at[2], onset[..., 0, :])
 
 
 def absorbed(evidence: Evidence, best: Best, sensor: Array) -> Array:

@@ -41,11 +41,10 @@ def _umask() -> int:
 def fingerprint(detector: Detector) -> str:
     """A digest of a detector's class, settings and plant (names, nominal dt, noise), by which a saved state is matched."""
     plant: Plant = detector.plant
-    settings = [
-        f"{f.name}={getattr(detector, f.name)!r}"
-        for f in (fields(detector) if is_dataclass(detector) else ())
-        if not isinstance(getattr(detector, f.name), Plant)
-    ]
+    named: list[tuple[str, object]] = (
+        [(f.name, getattr(detector, f.name)) for f in fields(detector)] if is_dataclass(detector) else []
+    )
+    settings = [f"{name}={value!r}" for name, value in named if not isinstance(value, Plant)]
     parts = [
         type(detector).__name__,
         *settings,
@@ -64,7 +63,7 @@ def save_state(path: str | Path, detector: Detector, state: State) -> None:
     """Write a detector's state to a .npz file, without pickle; a run goes on from it with the same bits."""
     arrays = {f"state_{i:03d}": np.asarray(a) for i, a in enumerate(state)}
     with atomic_write(Path(path), "wb") as file:
-        np.savez(file, fingerprint=np.array(fingerprint(detector)), **arrays)
+        np.savez(file, allow_pickle=False, fingerprint=np.array(fingerprint(detector)), **arrays)
 
 
 def load_state(path: str | Path, detector: Detector) -> State:

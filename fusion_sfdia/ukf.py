@@ -52,10 +52,18 @@ class SigmaPoints:
 
 def draw(points: SigmaPoints, x: Array, P: Array) -> Array:
     """Return the sigma points (..., 2n+1, n): x, then x + sqrt(n + lambda) L_j, then x - sqrt(n + lambda) L_j, L L' = P."""
+    return _around(points, x, square_root(P))
+
+
+def _around(points: SigmaPoints, x: Array, L: Array) -> Array:
     n = x.shape[-1]
-    offsets = np.sqrt(points.spread(n)) * np.swapaxes(square_root(P), -1, -2)
+    offsets = np.sqrt(points.spread(n)) * np.swapaxes(L, -1, -2)
+    X = np.empty((*offsets.shape[:-2], 2 * n + 1, n))
     centre = x[..., None, :]
-    return np.concatenate([np.broadcast_to(centre, (*offsets.shape[:-2], 1, n)), centre + offsets, centre - offsets], axis=-2)
+    X[..., :1, :] = centre
+    np.add(centre, offsets, out=X[..., 1 : n + 1, :])
+    np.subtract(centre, offsets, out=X[..., n + 1 :, :])
+    return X
 
 
 def _moments(points: SigmaPoints, X: Array, n: int) -> tuple[Array, Array, Array]:
@@ -90,7 +98,13 @@ def joint(points: SigmaPoints, x: Array, P: Array, h: Model, R: Array, propagate
     serve again, as Shaheen 2024, sec. III-C3 prints it; S and C then lack the process noise that P contains.
     """
     n = x.shape[-1]
-    X = draw(points, x, P) if propagated is None else propagated
-    of_state, of_readings = _moments(points, X, n), _moments(points, h(X), n)
-    S = add(symmetrise(_covariance(points, of_readings, of_readings)), R)
-    return Joint(x, P, of_readings[0], S, _covariance(points, of_state, of_readings))
+    if propagated is None:
+        L = square_root(P)
+        Y = h(_around(points, x, L))
+        of_readings = _moments(points, Y, n)
+        # of points that lie symmetrically, sum_j W_j D_j (Y_j - Y_0)' is a central difference along the columns of L
+        C = L @ ((Y[..., 1 : n + 1, :] - Y[..., n + 1 :, :]) * (0.5 / np.sqrt(points.spread(n))))
+    else:
+        of_readings = _moments(points, h(propagated), n)
+        C = _covariance(points, _moments(points, propagated, n), of_readings)
+    return Joint(x, P, of_readings[0], add(symmetrise(_covariance(points, of_readings, of_readings)), R), C)

@@ -29,7 +29,9 @@ def gerg_2008(p: Array, T: Array, composition: dict[str, float] = COMPOSITION) -
     try:
         import pyaga8
     except ImportError as error:
-        raise ModuleNotFoundError("the fit needs pyaga8, an implementation of GERG-2008; pip install 'fusion-sfdia[gas]'") from error
+        raise ModuleNotFoundError(
+            "the fit needs pyaga8, an implementation of GERG-2008; pip install 'fusion-sfdia[gas]'"
+        ) from error
     model, mixture = pyaga8.Gerg2008(), pyaga8.Composition()
     for component, fraction in composition.items():
         setattr(mixture, component, fraction)
@@ -70,7 +72,12 @@ def fit() -> tuple[Array, Array, float]:
     ideal = np.vander(T / TEMPERATURE_SCALE - 1, 3, increasing=True)
     none, size = np.zeros_like(ideal), np.mean(wanted["cp"])
     system = [np.hstack([z, none]), np.hstack([p_z_p, none]), np.hstack([t_z_t, none]), np.hstack([cp, ideal]) / size]
-    target = [wanted["z"] - 1, wanted["z"] * (1 - wanted["alpha_2"]), wanted["z"] * (wanted["alpha_1"] - 1), wanted["cp"] / size]
+    target = [
+        wanted["z"] - 1,
+        wanted["z"] * (1 - wanted["alpha_2"]),
+        wanted["z"] * (wanted["alpha_1"] - 1),
+        wanted["cp"] / size,
+    ]
     matrix = np.vstack([w * s for w, s in zip(WEIGHTS, system, strict=True)])
     right = np.concatenate([w * t for w, t in zip(WEIGHTS, target, strict=True)])
     columns = np.linalg.norm(matrix, axis=0)
@@ -95,6 +102,7 @@ def largest_errors(points: int = 33) -> dict[str, float]:
 
 
 def main() -> None:
+    """Print coefficients and error box."""
     z, cp0, R = fit()
     with np.printoptions(precision=10, floatmode="maxprec", suppress=False):
         print(f"GAS_CONSTANT = {R!r}\nZ = {np.array2string(z, separator=', ')}\nCP0 = {np.array2string(cp0, separator=', ')}")

@@ -18,6 +18,7 @@ What the paper misprints or leaves out, and what stands here instead:
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -117,7 +118,10 @@ def steady_state(nodes: int, flow: float, parameters: PipelineParameters) -> Arr
 
 
 def largest_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
-    """Largest step (s) by Courant, Friedrichs and Lewy (9), at the fastest sound of the gas model's box and twice the velocity of x."""
+    """Largest step (s) by Courant, Friedrichs and Lewy (9).
+
+    At the fastest sound in the gas model's box and twice the largest velocity of x, so that it holds all along a transient.
+    """
     c = parameters
     p, T = np.meshgrid(np.linspace(*PRESSURES, 31), np.linspace(*TEMPERATURES, 31))
     z, alpha_1, alpha_2, cp = equations.gas(p, T, c)
@@ -128,6 +132,7 @@ def largest_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
 
 
 def signals(nodes: int, x: Array) -> tuple[Signal, ...]:
+    """The states' names, units, nominal values and limits: those of the gas model, and of flow from inlet to outlet."""
     limits = (PRESSURES, FLOW, TEMPERATURES)
     return tuple(
         Signal(f"{letter}_{i}", unit, float(x[v * nodes + i]), *limits[v])
@@ -141,25 +146,23 @@ def pipeline_physics(nodes: int, parameters: PipelineParameters) -> Physics:
 
     The same scalar equations as the compiled drivers: what tests hold against each other.
     """
-    stencil = STENCIL / (12 * parameters.length / (nodes - 1))
     first = np.clip(np.arange(nodes) - 2, 0, nodes - 5)
-    rows = np.where(np.arange(nodes) < 2, np.arange(nodes), np.where(np.arange(nodes) < nodes - 2, 2, np.arange(nodes) - nodes + 5))
     derivative = np.zeros((nodes, nodes))
     for i in range(nodes):
-        derivative[i, first[i] : first[i] + 5] = stencil[rows[i]]
+        derivative[i, first[i] : first[i] + 5] = STENCIL[i - first[i]] / (12 * parameters.length / (nodes - 1))
 
     def f(t: float, x: Array, z: Array, u: Array, c: PipelineParameters) -> Array:
         p, m, T = (x[..., v * nodes : (v + 1) * nodes] for v in range(3))
-        gradients = [part @ derivative.T for part in (p, m, T)]
-        inner = equations.rates(p, m, T, *gradients, c)[:3]
-        at_inlet = [a[..., 0] for a in (p, m, T, *gradients)]
-        at_outlet = [a[..., -1] for a in (p, m, T, *gradients)]
-        inlet = equations.inlet_rates(*at_inlet, u[..., 0], u[..., 1], c)
-        outlet = equations.outlet_rates(*at_outlet, u[..., 2], c)
-        ends = [(np.broadcast_to(a, at_inlet[0].shape), np.broadcast_to(b, at_inlet[0].shape)) for a, b in zip(inlet, outlet, strict=True)]
-        return np.concatenate(
-            [np.concatenate([a[..., None], r[..., 1:-1], b[..., None]], axis=-1) for (a, b), r in zip(ends, inner, strict=True)], axis=-1
-        )
+        local = (p, m, T, p @ derivative.T, m @ derivative.T, T @ derivative.T)
+        inner = equations.rates(*local, c)[:3]
+        inlet = equations.inlet_rates(*[a[..., 0] for a in local], u[..., 0], u[..., 1], c)  # type: ignore[arg-type, call-arg]
+        outlet = equations.outlet_rates(*[a[..., -1] for a in local], u[..., 2], c)  # type: ignore[arg-type, call-arg]
+        edge = p.shape[:-1]
+        parts = [
+            np.concatenate([np.broadcast_to(a, edge)[..., None], r[..., 1:-1], np.broadcast_to(b, edge)[..., None]], axis=-1)
+            for a, r, b in zip(inlet, inner, outlet, strict=True)
+        ]
+        return np.concatenate(parts, axis=-1)
 
     x = steady_state(nodes, 300.0, parameters)
     return Physics(
@@ -168,7 +171,6 @@ def pipeline_physics(nodes: int, parameters: PipelineParameters) -> Physics:
         inputs=(Signal("p_inlet_rate", "Pa/s"), Signal("T_inlet_rate", "K/s"), Signal("m_outlet_rate", "kg/s2")),
         f=f,
         parameters=parameters,
-        equations={},
     )
 
 
@@ -186,9 +188,9 @@ def gas_pipeline(
     """Return the pipeline as a plant.
 
     nodes: of the grid, at least 7. dt: seconds between readings. substeps: of RK4 in dt; None for the fewest that (9)
-    allows, and more than the limit is a ValueError that names it. stations: places with sensors, every (nodes-1)/(stations-1)-th
-    node (None: all), named as on the coarse grid. snr: "high", "moderate", "low" (Table III). process_noise: "tenth" or
-    "nine-tenths" of sigma. initial: "noise" for P0 = R, "identity" for one squared unit of the paper (MPa, kg/s, K).
+    allows; too few are a ValueError that names the limit. stations: places with sensors, at every k-th node (None: all),
+    named as on the coarse grid. snr: "high", "moderate", "low" (Table III). process_noise: "tenth" or "nine-tenths" of
+    sigma. initial: "noise" for P0 = R, "identity" for one squared unit of the paper (MPa, kg/s, K).
     """
     c = parameters or pipeline_parameters()
     for what, value, known in (
@@ -215,7 +217,6 @@ def gas_pipeline(
     picks = (np.arange(3)[:, None] * nodes + np.arange(stations) * every).ravel()
     states = signals(nodes, x0)
     sigma = np.array(SIGMA[snr])
-    readout = np.zeros((picks.size, 0))
 
     def advance(function: Any, x: Array, u: Array, dt: float) -> Array:
         kind = np.result_type(x, u, float)
@@ -225,12 +226,11 @@ def gas_pipeline(
         result: Array = function(flat, inputs, float(dt), count, c, stencil)
         return result.reshape(*batch, *result.shape[1:])
 
-    def output_jacobian(t: float, x: Array, u: Array) -> Array:
-        nonlocal readout
-        if not readout.size:
-            readout = np.zeros((picks.size, 3 * nodes))
-            readout[np.arange(picks.size), picks] = 1.0
-        return readout
+    @cache
+    def readout() -> Array:
+        selection = np.zeros((picks.size, 3 * nodes))
+        selection[np.arange(picks.size), picks] = 1.0
+        return selection
 
     return Plant(
         name="gas-pipeline",
@@ -248,7 +248,7 @@ def gas_pipeline(
         step=lambda t, x, u, dt: advance(equations.advance, x, u, dt),
         output=lambda t, x, u: x[..., picks],
         step_jacobian=lambda t, x, u, dt: advance(equations.advance_tangent, x, u, dt),
-        output_jacobian=output_jacobian,
+        output_jacobian=lambda t, x, u: readout(),
         dt=dt,
         max_dt=limit * count,
         x0=x0,

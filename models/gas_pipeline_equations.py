@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.equation import compiled, equation
+from fusion_sfdia.models.natural_gas import Gas
 
 Array = NDArray[Any]
 
@@ -51,7 +52,7 @@ class PipelineParameters(NamedTuple):
 
 
 @equation
-def gas(p, T, c):  # type: ignore[no-untyped-def]
+def gas(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any]:
     """z, alpha_1 = 1 + (T/z) z_T, alpha_2 = 1 - (p/z) z_p, C_p in J/(kg K), of one equation of state.
 
     C_p = C_p0(T) - T int_0^p v_TT dp with v = z R T / p, which for tau = 300 K / T is
@@ -79,13 +80,13 @@ def gas(p, T, c):  # type: ignore[no-untyped-def]
 
 
 @equation
-def wave_speed_squared(p, rho, T, alpha_1, alpha_2, cp):  # type: ignore[no-untyped-def]
+def wave_speed_squared(p: Any, rho: Any, T: Any, alpha_1: Any, alpha_2: Any, cp: Any) -> Any:
     """a_s^2 = (d p / d rho)_s, m2/s2 (Shaheen 2024, below (5))."""
     return p / (rho * (alpha_2 - p / (rho * cp * T) * alpha_1 * alpha_1))
 
 
 @equation
-def friction_factor(m, c):  # type: ignore[no-untyped-def]
+def friction_factor(m: Any, c: PipelineParameters) -> Any:
     """Darcy f of Colebrook and White, 1/sqrt f = -2 log10(eps/(3.7 d) + 2.51/(Re sqrt f)), Re = 4 m / (pi d mu).
 
     Haaland's explicit formula, then two Newton steps in 1/sqrt f: exact to 1e-12 for turbulent flow.
@@ -101,7 +102,7 @@ def friction_factor(m, c):  # type: ignore[no-untyped-def]
 
 
 @equation
-def rates(p, m, T, p_s, m_s, T_s, c):  # type: ignore[no-untyped-def]
+def rates(p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, c: PipelineParameters) -> tuple[Any, ...]:
     """p_t (Pa/s), m_t (kg/s2), T_t (K/s), and v, v_t, rho, a, alpha_1, alpha_2, C_p for the boundaries."""
     z, alpha_1, alpha_2, cp = gas(p, T, c)
     area = 0.25 * np.pi * c.diameter * c.diameter
@@ -120,18 +121,22 @@ def rates(p, m, T, p_s, m_s, T_s, c):  # type: ignore[no-untyped-def]
 
 
 @equation
-def inlet_rates(p, m, T, p_s, m_s, T_s, p_given, T_given, c):  # type: ignore[no-untyped-def]
+def inlet_rates(
+    p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, p_given: Any, T_given: Any, c: PipelineParameters
+) -> tuple[Any, Any, Any]:
     """Rates at the inlet, where p_t and T_t are given; m_t from the wave v - a."""
-    p_t, m_t, T_t, v, v_t, rho, a, alpha_1, alpha_2, cp = rates(p, m, T, p_s, m_s, T_s, c)
+    p_t, _, _, v, v_t, rho, a, alpha_1, alpha_2, _ = rates(p, m, T, p_s, m_s, T_s, c)
     v_t = v_t + (p_given - p_t) / (rho * a)
     area = 0.25 * np.pi * c.diameter * c.diameter
     return p_given, rho * area * (v_t - v * (alpha_1 * T_given / T - alpha_2 * p_given / p)), T_given
 
 
 @equation
-def outlet_rates(p, m, T, p_s, m_s, T_s, m_given, c):  # type: ignore[no-untyped-def]
+def outlet_rates(
+    p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, m_given: Any, c: PipelineParameters
+) -> tuple[Any, Any, Any]:
     """Rates at the outlet, where m_t is given; p_t and T_t from the waves v + a and v."""
-    p_t, m_t, T_t, v, v_t, rho, a, alpha_1, alpha_2, cp = rates(p, m, T, p_s, m_s, T_s, c)
+    p_t, _, T_t, v, v_t, rho, a, alpha_1, alpha_2, cp = rates(p, m, T, p_s, m_s, T_s, c)
     area = 0.25 * np.pi * c.diameter * c.diameter
     kappa = alpha_1 / (rho * cp)
     entropy = T_t - kappa * p_t
@@ -141,8 +146,8 @@ def outlet_rates(p, m, T, p_s, m_s, T_s, m_given, c):  # type: ignore[no-untyped
 
 
 @compiled
-def slope(x, given, c, stencil, out):  # type: ignore[no-untyped-def]
-    """out = dx/dt of one state x (3n,) = [p, m, T], with the rates given at the boundaries (p_in, T_in, m_out)."""
+def slope(x: Any, given: Any, c: PipelineParameters, stencil: Array, out: Any) -> None:
+    """Write to out dx/dt of one state x (3n,) = [p, m, T], with the rates given at the boundaries (p_in, T_in, m_out)."""
     n = x.shape[0] // 3
     for i in range(n):
         first = min(max(i - 2, 0), n - 5)
@@ -164,13 +169,18 @@ def slope(x, given, c, stencil, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance(states, inputs, dt, substeps, c, stencil):  # type: ignore[no-untyped-def]
+def advance(states: Any, inputs: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array) -> Array:
     """RK4 for a batch of states (B, 3n), inputs (B, 3) = (p_in, T_in, m_out) that the boundary reaches at the end of dt."""
     size = states.shape[1]
     n = size // 3
-    result = states.copy()
+    result: Array = states.copy()
     given = np.empty(3, states.dtype)
-    k1, k2, k3, k4 = np.empty(size, states.dtype), np.empty(size, states.dtype), np.empty(size, states.dtype), np.empty(size, states.dtype)
+    k1, k2, k3, k4 = (
+        np.empty(size, states.dtype),
+        np.empty(size, states.dtype),
+        np.empty(size, states.dtype),
+        np.empty(size, states.dtype),
+    )
     h = dt / substeps
     for b in range(states.shape[0]):
         x = result[b]
@@ -188,8 +198,8 @@ def advance(states, inputs, dt, substeps, c, stencil):  # type: ignore[no-untype
 
 
 @compiled
-def tangent_slope(x, given, dx, dgiven, c, stencil, k, dk):  # type: ignore[no-untyped-def]
-    """k = dx/dt (3n,) as `slope`, and dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M).
+def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameters, stencil: Array, k: Any, dk: Any) -> None:
+    """Write to k dx/dt (3n,) as `slope`, and to dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M).
 
     Each node depends on its own p, m, T and their gradients: nine complex steps at most give its small Jacobian, which is
     exact to rounding; the stencil does the rest.
@@ -206,11 +216,11 @@ def tangent_slope(x, given, dx, dgiven, c, stencil, k, dk):  # type: ignore[no-u
         for v in range(3):
             local[v] = x[v * n + i]
             s = 0.0
-            for l in range(5):
-                d = stencil[row, l]
-                s += d * x[v * n + first + l]
+            for near in range(5):
+                d = stencil[row, near]
+                s += d * x[v * n + first + near]
                 for j in range(columns):
-                    gradient[v, j] += d * dx[v * n + first + l, j]
+                    gradient[v, j] += d * dx[v * n + first + near, j]
             local[3 + v] = s
             local[6 + v] = given[v]
             dk[v * n + i] = 0.0
@@ -235,7 +245,7 @@ def tangent_slope(x, given, dx, dgiven, c, stencil, k, dk):  # type: ignore[no-u
 
 
 @compiled
-def advance_tangent(states, inputs, dt, substeps, c, stencil):  # type: ignore[no-untyped-def]
+def advance_tangent(states: Any, inputs: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array) -> Array:
     """Jacobians (B, 3n, 3n) of `advance` with respect to the states, by the chain rule through its stages."""
     size = states.shape[1]
     n = size // 3

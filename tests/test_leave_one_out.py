@@ -80,7 +80,9 @@ def test_chi_square_is_chi_square_with_one_degree_of_freedom() -> None:
     joint, _ = random_joint(rng, 4, 6)
     runs = 20000
     y = rng.multivariate_normal(joint.y, joint.S, size=runs)
-    chi_square = statistics(Joint(*(np.broadcast_to(a, (runs, *a.shape)) for a in joint)), y, np.ones((runs, 6), bool)).chi_square
+    chi_square = statistics(
+        Joint(*(np.broadcast_to(a, (runs, *a.shape)) for a in joint)), y, np.ones((runs, 6), bool)
+    ).chi_square
     # mean 1, variance 2 each: four standard errors
     assert np.all(np.abs(chi_square.mean(axis=0) - 1) < 4 * np.sqrt(2 / runs))
     assert abs(np.mean(chi_square > 6.634896601021214) - 0.01) < 4 * np.sqrt(0.01 * 0.99 / (6 * runs)) * 2  # sensors correlate
@@ -141,8 +143,8 @@ def test_toy_plants_have_the_jacobians_of_their_functions() -> None:
         x, u = plant.x0 + 0.1, plant.input_at(0.0)
         step = 1e-6
         for jacobian, function in (
-            (plant.step_jacobian_at(0.0, x, u, plant.dt), lambda s, p=plant: p.step(0.0, s, u, p.dt)),
-            (plant.output_jacobian_at(0.0, x, u), lambda s, p=plant: p.output(0.0, s, u)),
+            (plant.step_jacobian_at(0.0, x, u, plant.dt), lambda s, p=plant, u=u: p.step(0.0, s, u, p.dt)),
+            (plant.output_jacobian_at(0.0, x, u), lambda s, p=plant, u=u: p.output(0.0, s, u)),
         ):
             differences = np.stack(
                 [(function(x + step * e) - function(x - step * e)) / (2 * step) for e in np.eye(x.size)], axis=-1

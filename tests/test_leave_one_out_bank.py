@@ -95,7 +95,11 @@ def test_accommodation_keeps_the_error_of_a_healthy_run() -> None:
     faulty[50:100, :, 0] += 30 * plant.sensor_sigma[0]
     bank = LeaveOneOutBank(plant)
     rmse = {}
-    for name, data, used in (("healthy", y, bank), ("with", faulty, bank), ("without", faulty, replace(bank, accommodate=False))):
+    for name, data, used in (
+        ("healthy", y, bank),
+        ("with", faulty, bank),
+        ("without", faulty, replace(bank, accommodate=False)),
+    ):
         _, decisions = run(used, used.init((60,)), t, data, u)
         rmse[name] = np.sqrt(np.mean((decisions.estimate - x)[50:100] ** 2))
     assert rmse["with"] < 1.3 * rmse["healthy"]  # one of four sensors less

@@ -12,7 +12,7 @@ HERE = 293.15  # K, where the flow sensor reads true
 
 
 def valve() -> Plant:
-    """Opening and sensor drift as random walks; the sensor reads (1 + drift (T - 293.15)) times the flow, the command the opening."""
+    """Opening and drift as random walks; one sensor reads (1 + drift (T - 293.15)) times the flow, the command the opening."""
 
     def flow(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return K_VALVE * x[..., 0] ** 2 * np.sqrt(u[..., 0])

@@ -16,7 +16,11 @@ Array = NDArray[Any]
 def chain(n: int = 12, sensors: int | None = None, sigma: float = 1.0, process: float = 0.1) -> Plant:
     """n coupled first-order states, each read by one sensor, or by `sensors` sensors that read sums of neighbours."""
     count = n if sensors is None else sensors
-    readout = np.eye(n) if sensors is None else np.array([[1.0 if j in (i % n, (i + 1) % n) else 0.0 for j in range(n)] for i in range(count)])
+    readout = (
+        np.eye(n)
+        if sensors is None
+        else np.array([[1.0 if j in (i % n, (i + 1) % n) else 0.0 for j in range(n)] for i in range(count)])
+    )
     return linear_plant(
         "chain",
         0.95 * np.eye(n) + 0.03 * np.eye(n, k=1),
