@@ -194,7 +194,8 @@ def _freeze(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: fl
 
 def _spikes(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: float, rng: Any) -> Array:
     hit = rng.random(rows.size) < fault.probability
-    return column[rows] + b * np.where(rng.random(rows.size) < 0.5, -1.0, 1.0) * hit
+    sign = np.where(rng.random(rows.size) < 0.5, -1.0, 1.0)
+    return np.asarray(column[rows] + b * sign * hit)
 
 
 def _dropout(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: float, rng: Any) -> Array:
