@@ -32,7 +32,7 @@ class Taper(NamedTuple):
     readings: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class EnKFSettings:
     """size: members. method: "stochastic" (perturbed readings, Burgers 1998), "deterministic" (Sakov and Oke 2008) or
     "square-root" (symmetric transform, Bishop 2001, Hunt 2007). inflation: factor on the anomalies after each update.
