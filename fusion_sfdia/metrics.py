@@ -1,0 +1,122 @@
+"""Numbers from repeated runs with their 95 % intervals.
+
+Samples of one run depend on each other (a latched alarm, a filter's memory), runs of different seeds do not: intervals come
+from the differences between runs. Time is the first axis of every array, the run the second.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[Any]
+
+LEVEL = 0.95
+RESAMPLES = 1999
+
+
+class Estimate(NamedTuple):
+    """A value with its 95 % interval and the number of independent runs or trials behind it; NaN, NaN, NaN, 0 for none."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+
+
+NOTHING = Estimate(float("nan"), float("nan"), float("nan"), 0)
+
+
+def without_diverged(diverged: Array, *arrays: Array) -> tuple[int, tuple[Array, ...]]:
+    """Return how many runs diverged, and the arrays (K, B, ...) of the others; diverged is (B,) or (K, B).
+
+    What a metric says of a method holds for the runs that are left: report both.
+    """
+    lost = diverged.any(axis=0) if diverged.ndim == 2 else diverged
+    return int(lost.sum()), tuple(a[:, ~lost] for a in arrays)
+
+
+def proportion(hits: int, trials: int) -> Estimate:
+    """Return hits / trials of independent trials, with the interval of Wilson (1927)."""
+    if trials == 0:
+        return NOTHING
+    interval = stats.binomtest(hits, trials).proportion_ci(LEVEL, method="wilson")
+    return Estimate(hits / trials, float(interval.low), float(interval.high), trials)
+
+
+def rate_over_runs(hits: Array, samples: Array) -> Estimate:
+    """Return sum hits / sum samples over runs, (B,) each: samples depend on each other within their run.
+
+    The interval is Wilson's for the number of independent samples with the variance seen between the runs,
+    n = p (1 - p) / V, V = B/(B-1) sum (h_b - p n_b)^2 / (sum n_b)^2, times (z/t)^2 for the B - 1 degrees of freedom
+    behind V (Korn and Graubard 1998); n is at most the number of samples, and the number of runs where they do not
+    differ. It covers better than a bootstrap over runs where the proportion is near 0 or 1 (beta-binomial runs of 30
+    samples: 0.94 to 0.95 of the time for 10 to 50 runs, the percentile bootstrap 0.83 to 0.94). Where few runs hold all the
+    hits, as when one run in fifty alarms throughout, it covers about 0.8 of the time: simulate more runs.
+    """
+    counted = samples > 0
+    h, m, runs = hits[counted].astype(float), samples[counted].astype(float), int(counted.sum())
+    if runs == 0:
+        return NOTHING
+    p, total = float(h.sum() / m.sum()), float(m.sum())
+    between = float(((h - p * m) ** 2).sum() / total**2 * runs / max(runs - 1, 1))
+    z = float(stats.norm.ppf((1 + LEVEL) / 2))
+    n = float(runs)
+    if runs > 1 and between > 0:
+        n = min(p * (1 - p) / between, total) * (z / float(stats.t.ppf((1 + LEVEL) / 2, runs - 1))) ** 2
+    centre, half = (p + z**2 / (2 * n)) / (1 + z**2 / n), z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    return Estimate(p, min(max(centre - half, 0.0), p), max(min(centre + half, 1.0), p), runs)
+
+
+def mean_over_runs(totals: Array, counts: Array, rng: np.random.Generator | int = 0) -> Estimate:
+    """Return sum totals / sum counts over runs, (B,) each, with a bootstrap over runs; runs without a count are left out."""
+    counted = counts > 0
+    total, count = totals[counted].astype(float), counts[counted].astype(float)
+    return bootstrap_over_runs(lambda runs: total[runs].sum(axis=-1) / count[runs].sum(axis=-1), int(counted.sum()), rng)
+
+
+def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int, rng: np.random.Generator | int = 0) -> Estimate:
+    """Return the statistic of all runs with the BCa interval (Efron 1987) over resampled runs; NaN limits for fewer than two.
+
+    statistic maps indices of runs (..., R) to values (...). Where BCa does not exist (all runs but one agree, say), the
+    percentile interval stands in.
+    """
+    if runs == 0:
+        return NOTHING
+    everyone = np.arange(runs)
+    value = float(statistic(everyone))
+    if runs < 2:
+        return Estimate(value, float("nan"), float("nan"), runs)
+
+    def limits(method: str) -> tuple[float, float]:
+        found = stats.bootstrap(
+            (everyone,),
+            lambda sample, axis: statistic(np.moveaxis(sample, axis, -1)),
+            vectorized=True,
+            n_resamples=RESAMPLES,
+            confidence_level=LEVEL,
+            method=method,
+            rng=np.random.default_rng(rng),
+        ).confidence_interval
+        return float(found.low), float(found.high)
+
+    with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+        low, high = limits("BCa")
+        if not (np.isfinite(low) and np.isfinite(high)):
+            low, high = limits("percentile")
+    return Estimate(value, low, high, runs)
+
+
+def require_shapes(**arrays: tuple[Array, tuple[int, ...]]) -> None:
+    """Raise ValueError naming every array whose shape is not the wanted one."""
+    wrong = [
+        f"{name} has shape {np.shape(a)}, wanted {wanted}" for name, (a, wanted) in arrays.items() if np.shape(a) != wanted
+    ]
+    if wrong:
+        raise ValueError(f"{'; '.join(wrong)}: time first, then runs, then sensors")
