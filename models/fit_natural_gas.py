@@ -4,7 +4,8 @@
 
 needs pyaga8 (the extra "gas"), an implementation of ISO 20765-2. One linear least squares for compressibility, its two
 logarithmic derivatives and the heat capacity together: all are linear in the coefficients of z and of the ideal-gas C_p,
-because C_p = C_p0 - T int v_TT dp. The result stands in natural_gas.py.
+because C_p = C_p0 - T int v_TT dp. R is that of GERG-2008 over the molar mass of the mixture. The result stands in
+natural_gas.py.
 """
 
 from __future__ import annotations
@@ -14,7 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.models.gas_pipeline_equations import PRESSURE_SCALE, TEMPERATURE_SCALE, gas, wave_speed_squared
+from fusion_sfdia.models.gas_pipeline_equations import (
+    POWERS_OF_PRESSURE,
+    POWERS_OF_TAU,
+    PRESSURE_SCALE,
+    TEMPERATURE_SCALE,
+    gas,
+    wave_speed_squared,
+)
 from fusion_sfdia.models.natural_gas import COMPOSITION, PRESSURES, TEMPERATURES, natural_gas
 
 Array = NDArray[Any]
@@ -58,13 +66,13 @@ def box(points: int, chebyshev: bool) -> tuple[Array, Array]:
 
 
 def fit() -> tuple[Array, Array, float]:
-    """Return the coefficients z (4, 5) and cp0 (3,) of `gas_pipeline_equations.gas`, and the specific gas constant."""
+    """Return the coefficients z (6, 7) and cp0 (3,) of `gas_pipeline_equations.gas`, and the specific gas constant."""
     p, T = box(24, chebyshev=True)
     wanted, R = gerg_2008(p, T)
     x, tau = p / PRESSURE_SCALE, TEMPERATURE_SCALE / T
-    powers = [np.polynomial.Polynomial.basis(j) for j in range(5)]
+    powers = [np.polynomial.Polynomial.basis(j) for j in range(POWERS_OF_TAU + 1)]
     y = tau - 1
-    terms = [(i, f(y), f.deriv(1)(y), f.deriv(2)(y)) for i in range(1, 5) for f in powers]
+    terms = [(i, f(y), f.deriv(1)(y), f.deriv(2)(y)) for i in range(1, POWERS_OF_PRESSURE + 1) for f in powers]
     z = np.stack([x**i * f for i, f, _, _ in terms], axis=1)
     p_z_p = np.stack([i * x**i * f for i, f, _, _ in terms], axis=1)
     t_z_t = np.stack([-(x**i) * tau * f1 for i, _, f1, _ in terms], axis=1)
@@ -82,7 +90,7 @@ def fit() -> tuple[Array, Array, float]:
     right = np.concatenate([w * t for w, t in zip(WEIGHTS, target, strict=True)])
     columns = np.linalg.norm(matrix, axis=0)
     solution = np.linalg.lstsq(matrix / columns, right, rcond=None)[0] / columns
-    return solution[:20].reshape(4, 5), solution[20:], R
+    return solution[: len(terms)].reshape(POWERS_OF_PRESSURE, -1), solution[len(terms) :], R
 
 
 def properties(p: Array, T: Array) -> dict[str, Array]:
@@ -104,8 +112,8 @@ def largest_errors(points: int = 33) -> dict[str, float]:
 def main() -> None:
     """Print coefficients and error box."""
     z, cp0, R = fit()
-    with np.printoptions(precision=10, floatmode="maxprec", suppress=False):
-        print(f"GAS_CONSTANT = {R!r}\nZ = {np.array2string(z, separator=', ')}\nCP0 = {np.array2string(cp0, separator=', ')}")
+    rows = ",\n".join("    [" + ", ".join(f"{v:.12g}" for v in row) + "]" for row in z)
+    print(f"GAS_CONSTANT = {R:.12g}\nZ = [\n{rows},\n]\nCP0 = [{', '.join(f'{v:.12g}' for v in cp0)}]")
     print(f"over {PRESSURES} Pa x {TEMPERATURES} K, largest relative error of the gas as it stands in natural_gas.py:")
     for name, error in largest_errors().items():
         print(f"  {name:14s}{error:.2e}")

@@ -1,7 +1,9 @@
 """The plant `gas-pipeline`: 150 km of high-pressure natural gas under transient flow (Shaheen 2024, sec. II and IV).
 
 State [p_0 .. p_{n-1}, m_0 .., T_0 ..] at n equally spaced nodes, a sensor for each. The pressure and temperature at the
-inlet and the mass flow at the outlet are given: as inputs, between whose sampling times they run linearly.
+inlet and the mass flow at the outlet are given: the inputs are their values at the end of a step, to which they run
+linearly. So a finer truth takes the same dt in more substeps, not a smaller dt with the input held:
+gas_pipeline(nodes=81, stations=21) has the sensors of gas_pipeline(), and `coarse_state` picks its 63 states.
 
 What the paper misprints or leaves out, and what stands here instead:
 - (6), A_21: see gas_pipeline_equations. theta = pi is a horizontal pipe, as here. "log" in Colebrook-White is log10 and
@@ -23,18 +25,25 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from fusion_sfdia.models import gas_pipeline_equations as equations
 from fusion_sfdia.models.gas_pipeline_equations import PipelineParameters
-from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES, natural_gas
-from fusion_sfdia.plant import Block, Physics, Plant, Sensor, Signal
+from fusion_sfdia.models.gas_pipeline_physics import (
+    FLOW,
+    INLET_PRESSURE,
+    INLET_TEMPERATURE,
+    STENCIL,
+    largest_step,
+    pipeline_parameters,
+    require_parameters,
+    signals,
+    steady_state,
+)
+from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES
+from fusion_sfdia.plant import Block, Plant, Sensor, Signal
 
 Array = NDArray[Any]
 
-INLET_PRESSURE = 8.4e6  # Pa, Shaheen 2024, sec. IV-A
-INLET_TEMPERATURE = 303.15  # K, the same
-FLOW = (1.0, 2000.0)  # kg/s, ours: turbulent, and from inlet to outlet
 SIGMA = {  # Pa, kg/s, K: Shaheen 2024, Table III
     "high": (50.0, 0.25, 0.15),
     "moderate": (500.0, 2.5, 1.5),
@@ -42,33 +51,8 @@ SIGMA = {  # Pa, kg/s, K: Shaheen 2024, Table III
 }
 PROCESS_NOISE = {"tenth": 0.1, "nine-tenths": 0.9}  # of the sensors' sigma, see above
 IDENTITY = (1e6, 1.0, 1.0)  # Pa, kg/s, K: one of each of the paper's units
-STENCIL = np.array(  # times 12 ds: Shaheen 2024, below (8)
-    [[-25.0, 48, -36, 16, -3], [-3, -10, 18, -6, 1], [1, -8, 0, 8, -1], [-1, 6, -18, 10, 3], [3, -16, 36, -48, 25]]
-)
+DENSE_NODES = 600  # with all intermediate results about 200 MB
 QUANTITIES = ("pressure", "mass flow", "temperature")
-
-
-def pipeline_parameters(**changes: Any) -> PipelineParameters:
-    """The paper's pipe (Shaheen 2024, Table II) with our viscosity and gas; changes replace single values (SI)."""
-    gas = natural_gas()
-    values: dict[str, Any] = {
-        "length": 150e3,
-        "diameter": 1.4,
-        "roughness": 0.016e-3,
-        "ambient": 278.15,
-        "heat_transfer": 2.84,
-        "viscosity": 1.25e-5,  # ours
-        "gas_constant": gas.gas_constant,
-        "z": gas.z,
-        "cp0": gas.cp0,
-    }
-    unknown = sorted(set(changes) - set(values))
-    if unknown:
-        raise ValueError(f"unknown pipeline parameters {', '.join(unknown)}; known: {', '.join(values)}")
-    for name, value in changes.items():
-        if np.ndim(value) == 0 and not (np.isfinite(value) and value > 0):
-            raise ValueError(f"pipeline parameter {name} is {value}; it must be positive and finite (SI)")
-    return PipelineParameters(**(values | changes))
 
 
 def demand(t: float) -> float:
@@ -78,100 +62,6 @@ def demand(t: float) -> float:
         return 0.5 * (1.0 - float(np.cos(np.pi * np.clip((t - start) / (stop - start), 0.0, 1.0))))
 
     return 300.0 + 150.0 * ramp(0.0, 600.0) - 100.0 * ramp(1800.0, 2700.0)
-
-
-def operation(t: float) -> Array:
-    """Input (p_inlet, T_inlet, m_outlet) that the boundary has reached at t + 10 s, the end of the paper's step from t."""
-    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(t)])
-
-
-def steady_state(nodes: int, flow: float, parameters: PipelineParameters) -> Array:
-    """State (3 nodes,) at constant mass flow (kg/s): momentum and energy along the pipe, integrated to 1e-12.
-
-    A p_s + m v_s = -w and v (T_s - kappa p_s) = what heats, with v_s as in gas_pipeline_equations at m_s = 0. Raises
-    ArithmeticError where the pressure falls out of the gas model before the outlet.
-    """
-    c = parameters
-    area = np.pi / 4 * c.diameter**2
-
-    def along(s: float, y: Array) -> Array:
-        p, T = y
-        p_t, m_t, T_t, v, _, rho, _, alpha_1, alpha_2, cp = equations.rates(p, flow, T, 0.0, 0.0, 0.0, c)
-        kappa = alpha_1 / (rho * cp)
-        matrix = np.array([[area - flow * v * alpha_2 / p, flow * v * alpha_1 / T], [-kappa * v, v]])
-        solution: Array = np.linalg.solve(matrix, np.array([m_t, T_t - kappa * p_t]))
-        return solution
-
-    def leaves(s: float, y: Array) -> float:
-        return float(y[0] - PRESSURES[0])
-
-    leaves.terminal = True  # type: ignore[attr-defined]
-    where = np.linspace(0.0, c.length, nodes)
-    start = np.array([INLET_PRESSURE, INLET_TEMPERATURE])
-    found = solve_ivp(along, (0.0, c.length), start, "DOP853", t_eval=where, rtol=1e-12, atol=1e-9, events=leaves)
-    if found.y.shape[1] != nodes:
-        raise ArithmeticError(
-            f"no steady state at {flow:g} kg/s: the pressure falls below {PRESSURES[0]:g} Pa before the outlet; "
-            "lower the flow or shorten the pipe"
-        )
-    return np.concatenate([found.y[0], np.full(nodes, flow), found.y[1]])
-
-
-def largest_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
-    """Largest step (s) by Courant, Friedrichs and Lewy (9).
-
-    At the fastest sound in the gas model's box and twice the largest velocity of x, so that it holds all along a transient.
-    """
-    c = parameters
-    p, T = np.meshgrid(np.linspace(*PRESSURES, 31), np.linspace(*TEMPERATURES, 31))
-    z, alpha_1, alpha_2, cp = equations.gas(p, T, c)
-    sound = np.sqrt(equations.wave_speed_squared(p, p / (z * c.gas_constant * T), T, alpha_1, alpha_2, cp)).max()
-    z, *_ = equations.gas(x[:nodes], x[2 * nodes :], c)
-    velocity = x[nodes : 2 * nodes] * z * c.gas_constant * x[2 * nodes :] / (np.pi / 4 * c.diameter**2 * x[:nodes])
-    return float(c.length / (nodes - 1) / (sound + 2 * velocity.max()))
-
-
-def signals(nodes: int, x: Array) -> tuple[Signal, ...]:
-    """The states' names, units, nominal values and limits: those of the gas model, and of flow from inlet to outlet."""
-    limits = (PRESSURES, FLOW, TEMPERATURES)
-    return tuple(
-        Signal(f"{letter}_{i}", unit, float(x[v * nodes + i]), *limits[v])
-        for v, (letter, unit) in enumerate((("p", "Pa"), ("m", "kg/s"), ("T", "K")))
-        for i in range(nodes)
-    )
-
-
-def pipeline_physics(nodes: int, parameters: PipelineParameters) -> Physics:
-    """The semi-discrete equations on arrays (..., 3 nodes); inputs are the rates at which the boundary values change.
-
-    The same scalar equations as the compiled drivers: what tests hold against each other.
-    """
-    first = np.clip(np.arange(nodes) - 2, 0, nodes - 5)
-    derivative = np.zeros((nodes, nodes))
-    for i in range(nodes):
-        derivative[i, first[i] : first[i] + 5] = STENCIL[i - first[i]] / (12 * parameters.length / (nodes - 1))
-
-    def f(t: float, x: Array, z: Array, u: Array, c: PipelineParameters) -> Array:
-        p, m, T = (x[..., v * nodes : (v + 1) * nodes] for v in range(3))
-        local = (p, m, T, p @ derivative.T, m @ derivative.T, T @ derivative.T)
-        inner = equations.rates(*local, c)[:3]
-        inlet = equations.inlet_rates(*[a[..., 0] for a in local], u[..., 0], u[..., 1], c)  # type: ignore[arg-type, call-arg]
-        outlet = equations.outlet_rates(*[a[..., -1] for a in local], u[..., 2], c)  # type: ignore[arg-type, call-arg]
-        edge = p.shape[:-1]
-        parts = [
-            np.concatenate([np.broadcast_to(a, edge)[..., None], r[..., 1:-1], np.broadcast_to(b, edge)[..., None]], axis=-1)
-            for a, r, b in zip(inlet, inner, outlet, strict=True)
-        ]
-        return np.concatenate(parts, axis=-1)
-
-    x = steady_state(nodes, 300.0, parameters)
-    return Physics(
-        name="gas-pipeline",
-        states=signals(nodes, x),
-        inputs=(Signal("p_inlet_rate", "Pa/s"), Signal("T_inlet_rate", "K/s"), Signal("m_outlet_rate", "kg/s2")),
-        f=f,
-        parameters=parameters,
-    )
 
 
 def gas_pipeline(
@@ -192,26 +82,26 @@ def gas_pipeline(
     named as on the coarse grid. snr: "high", "moderate", "low" (Table III). process_noise: "tenth" or "nine-tenths" of
     sigma. initial: "noise" for P0 = R, "identity" for one squared unit of the paper (MPa, kg/s, K).
     """
-    c = parameters or pipeline_parameters()
+    c = pipeline_parameters() if parameters is None else require_parameters(parameters)
     for what, value, known in (
         ("snr", snr, SIGMA), ("process_noise", process_noise, PROCESS_NOISE), ("initial", initial, ("noise", "identity")),
     ):  # fmt: skip
         if value not in known:
             raise ValueError(f"{what} is {value!r}; known: {', '.join(known)}")
-    stations = stations or nodes
+    stations = nodes if stations is None else stations
     if nodes < 7 or stations < 2 or (nodes - 1) % (stations - 1):
         raise ValueError(f"{nodes} nodes with {stations} stations; wanted at least 7 nodes and stations at every k-th of them")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt is {dt} s; it must be positive and finite")
     x0 = steady_state(nodes, demand(0.0), c)
     limit = largest_step(nodes, c, x0)
     needed = int(np.ceil(dt / limit - 1e-9))
-    if substeps is None:
-        substeps = max(needed, 1)
-    if substeps < needed:
+    count = needed if substeps is None else substeps
+    if count < needed:
         raise ValueError(
-            f"dt = {dt:g} s in {substeps} substeps with {nodes} nodes breaks the CFL condition: the largest admissible step "
+            f"dt = {dt:g} s in {count} substeps with {nodes} nodes breaks the CFL condition: the largest admissible step "
             f"is {limit:.4g} s; use substeps={needed}, a smaller dt or fewer nodes"
         )
-    count = substeps
     stencil = STENCIL / (12 * c.length / (nodes - 1))
     every = (nodes - 1) // (stations - 1)
     picks = (np.arange(3)[:, None] * nodes + np.arange(stations) * every).ravel()
@@ -226,8 +116,13 @@ def gas_pipeline(
         result: Array = function(flat, inputs, float(dt), count, c, stencil)
         return result.reshape(*batch, *result.shape[1:])
 
+    def step_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
+        require_dense(nodes)
+        return advance(equations.advance_tangent, x, u, dt)
+
     @cache
     def readout() -> Array:
+        require_dense(nodes)
         selection = np.zeros((picks.size, 3 * nodes))
         selection[np.arange(picks.size), picks] = 1.0
         return selection
@@ -247,20 +142,31 @@ def gas_pipeline(
         ),
         step=lambda t, x, u, dt: advance(equations.advance, x, u, dt),
         output=lambda t, x, u: x[..., picks],
-        step_jacobian=lambda t, x, u, dt: advance(equations.advance_tangent, x, u, dt),
+        step_jacobian=step_jacobian,
         output_jacobian=lambda t, x, u: readout(),
         dt=dt,
         max_dt=limit * count,
         x0=x0,
         initial_cov=np.repeat((sigma if initial == "noise" else np.array(IDENTITY)) ** 2, nodes),
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
-        operation=operation,
+        operation=lambda t: np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(t + dt)]),
         blocks=(Block("pipe", tuple(s.name for s in states)),),
     )
 
 
-def coarse_state(x: Array, nodes: int, stations: int) -> Array:
-    """The state (..., 3 stations) of a fine state (..., 3 nodes) at the stations."""
-    every = (nodes - 1) // (stations - 1)
+def require_dense(nodes: int) -> None:
+    """Raise ValueError where matrices of all states by all states would fill the memory."""
+    if nodes > DENSE_NODES:
+        raise ValueError(
+            f"Jacobians of {3 * nodes} states are dense and too large here; use the ensemble filter, which needs none, "
+            f"or at most {DENSE_NODES} nodes"
+        )
+
+
+def coarse_state(x: Array, stations: int) -> Array:
+    """The state (..., 3 stations) at the stations of a fine state (..., 3 nodes); ValueError where they are not nodes."""
+    nodes = x.shape[-1] // 3
+    if x.shape[-1] != 3 * nodes or stations < 2 or (nodes - 1) % (stations - 1):
+        raise ValueError(f"a state of {x.shape[-1]} values has no {stations} stations; wanted nodes = 1 + k (stations - 1)")
     fine = x.reshape(*x.shape[:-1], 3, nodes)
-    return fine[..., ::every].reshape(*x.shape[:-1], 3 * stations)
+    return fine[..., :: (nodes - 1) // (stations - 1)].reshape(*x.shape[:-1], 3 * stations)

@@ -17,7 +17,9 @@ The boundary node follows what leaves the pipe: with r the rates that the one-si
 prescribed) keeps p_t - rho a v_t of the wave that runs out against the flow, the outlet (m prescribed) keeps
 p_t + rho a v_t and T_t - (alpha_1 / (rho C_p)) p_t of those that run out with it.
 
-Signs hold for flow from inlet to outlet (m > 0). Everything is analytic there, so it takes complex numbers as well.
+The pipe is horizontal. Everything holds, and is analytic, for turbulent flow from inlet to outlet (m > 0), where
+v |v| = v^2; so it takes complex numbers as well. For m <= 0 the logarithm of Colebrook and White has no real value: the
+rates are NaN, never plausible numbers. Limits on the mass flow keep simulations and filters away from there.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ from fusion_sfdia.models.natural_gas import Gas
 Array = NDArray[Any]
 
 PRESSURE_SCALE = 1e7  # Pa, and
-TEMPERATURE_SCALE = 300.0  # K: those of the gas polynomials
+TEMPERATURE_SCALE = 300.0  # K: those of the gas polynomials, of powers
+POWERS_OF_PRESSURE = 6  # 1 to 6 and
+POWERS_OF_TAU = 6  # 0 to 6
 LN10 = float(np.log(10.0))
 
 
@@ -47,7 +51,7 @@ class PipelineParameters(NamedTuple):
     heat_transfer: float  # W/(m2 K)
     viscosity: float  # Pa s
     gas_constant: float  # J/(kg K), specific
-    z: Array  # (4, 5): z = 1 + sum z[i-1, j] (p / 1e7 Pa)^i (300 K / T - 1)^j
+    z: Array  # (6, 7): z = 1 + sum z[i-1, j] (p / 1e7 Pa)^i (300 K / T - 1)^j
     cp0: Array  # (3,) J/(kg K): ideal-gas heat capacity = sum cp0[k] (T / 300 K - 1)^k
 
 
@@ -66,13 +70,16 @@ def gas(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any
     p_z_p = 0.0 * x
     z_tau = 0.0 * x
     curvature = 0.0 * x
-    for i in range(4):
-        a0, a1, a2, a3, a4 = c.z[i, 0], c.z[i, 1], c.z[i, 2], c.z[i, 3], c.z[i, 4]
-        value = power * (a0 + y * (a1 + y * (a2 + y * (a3 + y * a4))))
-        z = z + value
-        p_z_p = p_z_p + (i + 1.0) * value
-        z_tau = z_tau + power * (a1 + y * (2.0 * a2 + y * (3.0 * a3 + y * (4.0 * a4))))
-        curvature = curvature + power * (2.0 * a2 + y * (6.0 * a3 + y * (12.0 * a4))) / (i + 1.0)
+    for i in range(POWERS_OF_PRESSURE):
+        value, first, second = c.z[i, POWERS_OF_TAU] + 0.0 * y, 0.0 * y, 0.0 * y  # of the row, d/dtau, (d/dtau)^2 / 2
+        for k in range(POWERS_OF_TAU):
+            second = second * y + first
+            first = first * y + value
+            value = value * y + c.z[i, POWERS_OF_TAU - 1 - k]
+        z = z + power * value
+        p_z_p = p_z_p + (i + 1.0) * power * value
+        z_tau = z_tau + power * first
+        curvature = curvature + 2.0 / (i + 1.0) * power * second
         power = power * x
     warmth = T / TEMPERATURE_SCALE - 1.0
     cp = c.cp0[0] + warmth * (c.cp0[1] + warmth * c.cp0[2]) - c.gas_constant * tau * tau * curvature
@@ -175,12 +182,8 @@ def advance(states: Any, inputs: Any, dt: float, substeps: int, c: PipelineParam
     n = size // 3
     result: Array = states.copy()
     given = np.empty(3, states.dtype)
-    k1, k2, k3, k4 = (
-        np.empty(size, states.dtype),
-        np.empty(size, states.dtype),
-        np.empty(size, states.dtype),
-        np.empty(size, states.dtype),
-    )
+    k1, k2 = np.empty(size, states.dtype), np.empty(size, states.dtype)
+    k3, k4 = np.empty(size, states.dtype), np.empty(size, states.dtype)
     h = dt / substeps
     for b in range(states.shape[0]):
         x = result[b]
