@@ -1,7 +1,8 @@
 """The three filters of the banks behind one face: start, predict, joint, and what a bank does with their state.
 
 A core is what a filter carries from step to step, a tuple of arrays: (x, P) for the extended and unscented filters,
-(ensemble,) for the ensemble filter. Each keeps the plant's limits: `predict` starts from the guarded estimate.
+(ensemble,) for the ensemble filter. Each keeps the plant's limits: a prediction starts from the state moved into them, a
+state whose step still ends in no number stays where it is, and both are told as `guarded`.
 """
 
 from __future__ import annotations
@@ -61,6 +62,16 @@ class Reading(NamedTuple):
     cov_gain: float = 1.0
 
 
+def guarded_step(plant: Plant, t: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
+    """Return the states (..., n) after a step from within the plant's limits, and whether any was guarded (...)."""
+    inside, moved = plant.guard(x)
+    ahead = plant.step(t, inside, u, dt)
+    lost = ~np.all(np.isfinite(ahead), axis=-1)
+    if not np.any(lost):
+        return ahead, moved
+    return np.where(lost[..., None], inside, ahead), moved | lost
+
+
 class _Moments:
     """What the filters that carry mean and covariance share."""
 
@@ -83,10 +94,14 @@ class Extended(_Moments):
     consistent: bool = field(default=True, init=False, repr=False)
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        x, moved = plant.guard(core[0])
-        jacobian = plant.step_jacobian_at(t, x, u, dt)
-        x, p = ekf.predict(x, core[1], lambda s: plant.step(t, s, u, dt), jacobian, plant.process_cov_over(dt))
-        return Prior((x, p), moved, tangent=jacobian)
+        start, _ = plant.guard(core[0])
+        ahead, guarded = guarded_step(plant, t, core[0], u, dt)
+        jacobian = plant.step_jacobian_at(t, start, u, dt)
+        if np.any(guarded):  # where there was no step, there is no slope either
+            sound = np.all(np.isfinite(jacobian), axis=(-2, -1), keepdims=True)
+            jacobian = np.where(sound, jacobian, np.eye(start.shape[-1]))
+        x, p = ekf.predict(start, core[1], lambda s: ahead, jacobian, plant.process_cov_over(dt))
+        return Prior((x, p), guarded, tangent=jacobian)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
@@ -109,10 +124,10 @@ class Unscented(_Moments):
         return self.redraw
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        x, moved = plant.guard(core[0])
+        start, moved = plant.guard(core[0])
         over = np.expand_dims(u, -2)
         x, p, propagated = ukf.predict(
-            self.points, x, core[1], lambda s: plant.step(t, plant.guard(s)[0], over, dt), plant.process_cov_over(dt)
+            self.points, start, core[1], lambda s: guarded_step(plant, t, s, over, dt)[0], plant.process_cov_over(dt)
         )
         return Prior((x, p), moved, propagated=None if self.redraw else propagated)
 
@@ -135,10 +150,9 @@ class Ensemble:
         return (plant.x0 + gaussian.sample(plant.initial_cov, rng, (*batch, self.settings.size)),)
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        members, moved = plant.guard(core[0])
-        over = np.expand_dims(u, -2)
-        members = enkf.predict(members, lambda s: plant.step(t, s, over, dt), plant.process_cov_over(dt), rng)
-        return Prior((members,), np.any(moved, axis=-1))
+        members, guarded = guarded_step(plant, t, core[0], np.expand_dims(u, -2), dt)
+        members = enkf.predict(members, lambda s: s, plant.process_cov_over(dt), rng)
+        return Prior((members,), np.any(guarded, axis=-1))
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         over = np.expand_dims(u, -2)

@@ -46,16 +46,18 @@ def watch(now: Exclusion, error: Array, variance: Array, limit: float, level: fl
     error (..., N): reading less its estimate from the trusted sensors, NaN where missing (nothing is learned then);
     variance (..., N): of error when healthy. The evidence is the cumulative sum, kept at or above zero, of the
     log-likelihood ratio of "no fault" against "a fault of the estimated size" (at least one standard deviation, so
-    that a sensor left out for nothing comes back); the size rests while evidence of health gathers. A sensor is
-    readmitted when the evidence exceeds `level` and the last samples lie within error^2 <= limit variance.
+    that a sensor left out for nothing comes back), over samples within error^2 <= limit variance: any other sets it back
+    to zero. The size rests while evidence gathers. A sensor is readmitted when the evidence exceeds `level` and the last
+    samples all lay within that limit.
     """
     seen = now.out & np.isfinite(error)
     e = np.where(seen, error, 0.0)
     v = np.where(seen, variance, 1.0)
     assumed = np.where(now.size < 0, -1.0, 1.0) * np.maximum(np.abs(now.size), np.sqrt(v))
     gain = ((e - assumed) ** 2 - e**2) / (2 * v)
-    evidence = np.where(seen, np.maximum(now.evidence + gain, 0.0), now.evidence)
-    quiet = np.where(seen, np.where(e**2 <= limit * v, now.quiet + 1, 0.0), now.quiet)
+    plausible = e**2 <= limit * v
+    evidence = np.where(seen, np.where(plausible, np.maximum(now.evidence + gain, 0.0), 0.0), now.evidence)
+    quiet = np.where(seen, np.where(plausible, now.quiet + 1, 0.0), now.quiet)
     learns = seen & (evidence == 0.0)
     count = now.samples + learns
     size = now.size + np.where(learns, (e - now.size) / np.clip(count, 1.0, MEMORY), 0.0)

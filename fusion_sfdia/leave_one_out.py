@@ -18,20 +18,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.gaussian import Joint, inverse, masked_inverse, symmetrise
+from fusion_sfdia.gaussian import Joint, half_inverse
 
 Array = NDArray[Any]
 
 
 class LeaveOneOut(NamedTuple):
-    """Leave-one-out statistics: whitened innovation u (..., N), weight w (..., N) (both 0 for a reading not used),
-    S^-1 (..., N, N) with zero rows and columns for those, and which were used (..., N).
+    """Leave-one-out statistics of the readings used (..., N).
+
+    Whitened innovation u and weight w (..., N), both 0 for a reading not used; S^-1 (..., N, N) with zero rows and columns
+    for those; half U with S^-1 = U U', None after an elimination.
     """
 
     whitened: Array
     weight: Array
     inverse: Array
     used: Array
+    half: Array | None
 
     @property
     def innovation(self) -> Array:
@@ -54,8 +57,10 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     """Return the leave-one-out statistics of the readings y (..., N) for which `used` holds (NaN readings never are)."""
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
-    s_inv = inverse(joint.S) if np.all(used) else masked_inverse(joint.S, used)
-    return LeaveOneOut((s_inv @ d[..., None])[..., 0], np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used)
+    half = half_inverse(joint.S) if np.all(used) else half_inverse(joint.S, used)
+    s_inv = half @ np.swapaxes(half, -1, -2)
+    whitened = (s_inv @ d[..., None])[..., 0]
+    return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half)
 
 
 def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
@@ -72,17 +77,17 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
     keep = ~((np.arange(whitened.shape[-1]) == index) & where[..., None])
     s_inv = s_inv * keep[..., :, None] * keep[..., None, :]
     weight = np.maximum(np.diagonal(s_inv, axis1=-2, axis2=-1), 0.0)
-    return LeaveOneOut(whitened * keep, weight, s_inv, found.used & keep)
+    return LeaveOneOut(whitened * keep, weight, s_inv, found.used & keep, None)
 
 
 def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     """Return estimate (..., n) and covariance (..., n, n) after the readings used: x + C u and P - C S^-1 C'.
 
-    The rounding of the subtraction, about (n + N) eps of the prior variances, is added four times to the diagonal (see
-    `gaussian.condition`), so that P stays positive definite after a reading far more precise than the prior.
+    As `gaussian.condition`, with W = C U: P - W W', plus four times its rounding on the diagonal, stays positive definite.
     """
     x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
-    p = symmetrise(joint.P - joint.C @ found.inverse @ np.swapaxes(joint.C, -1, -2))
+    w = joint.C @ (found.half if found.half is not None else half_inverse(joint.S, found.used))
+    p = joint.P - w @ np.swapaxes(w, -1, -2)
     floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
     np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
     return x, p

@@ -1,0 +1,117 @@
+"""Trials: simulated recordings with drawn faults, run through a detector, kept as the arrays that the metrics need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.detector import Decision, Detector, run
+from fusion_sfdia.fault_draws import FaultRange, draw
+from fusion_sfdia.faults import apply
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.random_streams import stream
+from fusion_sfdia.simulate import Recording, simulate
+
+Array = NDArray[Any]
+Arrays = dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Faulted:
+    """Recordings with their faults: readings y (K, B, N), active (K, B, N) bool, size (K, B, N), and the recording."""
+
+    recording: Recording
+    y: Array
+    active: Array
+    size: Array
+
+
+def faulted(
+    plant: Plant,
+    steps: int,
+    seeds: Sequence[int],
+    faults: str | FaultRange | None,
+    quantity: str | None,
+    *,
+    count: int = 1,
+    truth: Plant | None = None,
+    to_states: Callable[[Array], Array] | None = None,
+    process_noise: bool = False,
+    settle: int = 30,
+) -> Faulted:
+    """Simulate one run a seed with `count` random faults in each, none for faults=None.
+
+    The onset lies after `settle` samples and early enough for a fault of 40 samples to end within the run.
+    """
+    recording = simulate(
+        plant, steps, seeds, truth=truth, to_states=to_states, process_noise=process_noise,
+        start="sampled" if process_noise else "nominal",
+    )  # fmt: skip
+    if faults is None:
+        nothing = np.zeros(recording.y.shape)
+        return Faulted(recording, recording.y, nothing.astype(bool), nothing)
+    window = ((settle + 1) * plant.dt, max(settle + 1, steps - 40) * plant.dt)
+    lists = [draw(faults, plant, stream(s, "faults"), window=window, count=count, quantity=quantity) for s in seeds]
+    changed = apply(plant, recording.t, recording.y, lists, [int(s) for s in seeds], signal=recording.signal)
+    return Faulted(recording, changed.y, changed.active, changed.size)
+
+
+def decide(detector: Detector, data: Faulted, *, covariance: bool = False, seed: int = 0) -> Decision:
+    """Run a detector over the recordings as one batch."""
+    recording = data.recording
+    runs = data.y.shape[1]
+    u = np.broadcast_to(recording.u[:, None], (recording.t.size, runs, recording.u.shape[-1]))
+    start = detector.init((runs,), float(recording.t[0]) - detector.plant.dt, seed)
+    return run(detector, start, recording.t, data.y, u, covariance=covariance)[1]
+
+
+def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
+    """Arrays of a trial: what was true and what the detector said, small enough to keep.
+
+    residual, score (K, B, Q): the largest |residual| and |residual| / threshold in each quantity. alarm (K, B).
+    isolated, active (K, B, N) packed into bits. square_error (K, B, Q): mean over the states read by the quantity's
+    sensors. size_error (K, B): relative error of the isolated fault's size, NaN where there is none. diverged, guarded (B,).
+    """
+    plant = detector.plant
+    decision = decide(detector, data, seed=seed)
+    groups = list(plant.quantities.values())
+    scores, residual = decision.scores, np.nan_to_num(np.abs(decision.residual), nan=0.0)
+    error = np.full((*scores.shape[:2], len(groups)), np.nan)
+    if data.recording.x is not None:
+        square = (decision.estimate - data.recording.x) ** 2
+        for q, members in enumerate(groups):
+            error[..., q] = square[..., [measured_state(plant, i) for i in members]].mean(axis=-1)
+    named = data.active & decision.isolated[..., : len(plant.sensors)] & np.isfinite(data.size) & (data.size != 0)
+    off = np.where(named, np.abs(decision.fault_size / np.where(named, data.size, 1.0) - 1), 0.0)
+    count = named.sum(axis=-1)
+    return {
+        "residual": np.stack([residual[..., members].max(axis=-1) for members in groups], axis=-1),
+        "score": np.stack([scores[..., members].max(axis=-1) for members in groups], axis=-1),
+        "alarm": decision.alarm,
+        "isolated": np.packbits(decision.isolated[..., : len(plant.sensors)], axis=-1),
+        "active": np.packbits(data.active, axis=-1),
+        "square_error": error,
+        "size_error": np.where(count > 0, np.sum(off, axis=-1) / np.maximum(count, 1), np.nan),
+        "diverged": decision.diverged.any(axis=0),
+        "guarded": decision.guarded.mean(axis=0),
+    }
+
+
+def measured_state(plant: Plant, sensor: int) -> int:
+    """Index of the state that a sensor reads directly."""
+    return [s.name for s in plant.states].index(plant.sensors[sensor].measures)
+
+
+def unpack(arrays: Arrays, what: str, sensors: int) -> Array:
+    """Return isolated or active (K, B, N) as bool."""
+    return np.unpackbits(arrays[what], axis=-1, count=sensors).astype(bool)
+
+
+def join(parts: Sequence[Arrays]) -> Arrays:
+    """Return the trials of several tasks as one: runs side by side (the axis of seeds is the last but what is per sensor)."""
+    axes = {"diverged": 0, "guarded": 0}
+    return {name: np.concatenate([p[name] for p in parts], axis=axes.get(name, 1)) for name in parts[0]}
