@@ -1,0 +1,109 @@
+"""Logs: what is written is read back to the bit; what is wrong is named by file, row and column."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from toy_plants import tanks
+
+from fusion_sfdia.logs import read_log, write_log
+
+HEADER = "time,l1,l2,q12,q2"
+ROW = "1,1.0,1.0,6e-4,6e-4"
+
+
+def log(tmp_path, text):
+    path = tmp_path / "log.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@settings(max_examples=30, deadline=None)
+@given(arrays(float, (4, 4), elements=st.floats(allow_infinity=False)), arrays(float, (4, 1), elements=st.floats(-1e9, 1e9)))
+def test_read_back_to_the_bit(tmp_path_factory, y, u):
+    path = tmp_path_factory.mktemp("logs") / "log.csv"
+    t = np.array([0.1, 0.2, 0.30000000000000004, 1e6 / 3])
+    write_log(path, tanks(), t, y, u)
+    found = read_log(path, tanks())
+    for read, written in zip(found, (t, y, u), strict=True):
+        np.testing.assert_array_equal(read, written)
+
+
+def test_what_is_written(tmp_path):
+    path = tmp_path / "new folder" / "log.csv"
+    write_log(path, tanks(), np.array([5.0]), np.array([[1.0, np.nan, 6e-4, 6e-4]]))
+    assert path.read_text() == "time [s],l1 [m],l2 [m],q12 [m3/s],q2 [m3/s]\n5.0,1.0,,0.0006,0.0006\n"
+    assert [p.name for p in path.parent.iterdir()] == ["log.csv"]
+
+
+def test_header_with_and_without_units_in_any_order(tmp_path):
+    path = log(tmp_path, "\ufeffq2 [m3/s], l1 ,time [s],l2[m],q12\r\n4,1,5,2,3\r\n\r\n,NaN,6, 2 ,nan\r\n")
+    found = read_log(path, tanks())
+    np.testing.assert_array_equal(found.t, [5, 6])
+    np.testing.assert_array_equal(found.y, [[1, 2, 3, 4], [np.nan, 2, np.nan, np.nan]])
+
+
+def test_inputs_default_to_the_plants_operation_since_the_reading_before(tmp_path):
+    from dataclasses import replace
+
+    plant = replace(tanks(), operation=lambda t: np.array([t]))
+    found = read_log(log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n"), plant)
+    np.testing.assert_array_equal(found.u, [[5], [10], [12]])
+    given_input = read_log(log(tmp_path, HEADER + ",inflow\n10,1,1,1,1,7\n"), plant)
+    np.testing.assert_array_equal(given_input.u, [[7]])
+
+
+def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
+    path = log(tmp_path, "time,l1,weather\n1,1.0,fine\n")
+    found = read_log(path, tanks(), absent_sensors=True, other_columns=True)
+    np.testing.assert_array_equal(found.y, [[1, np.nan, np.nan, np.nan]])
+    with pytest.raises(ValueError, match="no column for the sensors l2, q12, q2"):
+        read_log(path, tanks(), other_columns=True)
+    with pytest.raises(ValueError, match="columns weather are no sensors or inputs"):
+        read_log(path, tanks(), absent_sensors=True)
+    with pytest.raises(ValueError, match="no column of any sensor"):
+        read_log(log(tmp_path, "time\n1\n"), tanks(), absent_sensors=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty; wanted a header"),
+        (" \n\n", "is empty; wanted a header"),
+        (HEADER + "\n", "a header and no rows"),
+        ("t,l1,l2,q12,q2\n" + ROW, "no column 'time'"),
+        ("time;l1;l2;q12;q2\n1;1;1;1;1", "no column 'time' among 'time;l1"),
+        (HEADER.replace("l1", "l1 [mm]") + "\n" + ROW, "column 'l1' is in 'mm', plant 'tanks' has it in 'm'"),
+        (HEADER.replace("l2", "l1") + "\n" + ROW, "the column 'l1' stands twice"),
+        (HEADER + "\n" + ROW + "\n2,1.0,high,1,1", r"row 3, column l2: 'high'; wanted a finite number, or nothing"),
+        (HEADER + "\n1,1.0,inf,1,1", "row 2, column l2: 'inf'"),
+        (HEADER + "\n1,1.0,1,1", "row 2: 4 cells under a header of 5"),
+        (HEADER + "\n,1.0,1,1,1", "row 2, column time: ''; wanted a finite number"),
+        (HEADER + "\n" + ROW + "\n\n" + ROW, "row 4, column time: .* must increase"),
+        (HEADER + ",inflow\n1,1,1,1,1,", "row 2, column inflow: ''; wanted a finite number"),
+        (HEADER + '\n1,"1.0,1,1,1', "not a CSV text file"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, text, message):
+    path = log(tmp_path, text)
+    with pytest.raises(ValueError, match=message) as caught:
+        read_log(path, tanks())
+    assert str(path) in str(caught.value)
+
+
+def test_bytes_that_are_no_text(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(ValueError, match="not a CSV text file"):
+        read_log(path, tanks())
+
+
+def test_a_batch_is_no_log(tmp_path):
+    with pytest.raises(ValueError, match="one run, without a batch"):
+        write_log(tmp_path / "log.csv", tanks(), np.arange(3.0), np.zeros((3, 2, 4)))
+    with pytest.raises(ValueError, match="do not fit"):
+        write_log(tmp_path / "log.csv", tanks(), np.arange(3.0), np.zeros((3, 4)), np.zeros((3, 2)))
+    assert not list(tmp_path.iterdir())
