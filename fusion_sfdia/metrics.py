@@ -70,7 +70,7 @@ def rate_over_runs(hits: Array, samples: Array) -> Estimate:
     if runs > 1 and between > 0:
         n = min(p * (1 - p) / between, total) * (z / float(stats.t.ppf((1 + LEVEL) / 2, runs - 1))) ** 2
     centre, half = (p + z**2 / (2 * n)) / (1 + z**2 / n), z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    return Estimate(p, min(max(centre - half, 0.0), p), max(min(centre + half, 1.0), p), runs)
+    return Estimate(p, float(min(max(centre - half, 0.0), p)), float(max(min(centre + half, 1.0), p)), runs)
 
 
 def mean_over_runs(totals: Array, counts: Array, rng: np.random.Generator | int = 0) -> Estimate:
