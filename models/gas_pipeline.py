@@ -8,10 +8,10 @@ gas_pipeline(nodes=81, stations=21) has the sensors of gas_pipeline(), and `coar
 What the paper misprints or leaves out, and what stands here instead:
 - (6), A_21: see gas_pipeline_equations. theta = pi is a horizontal pipe, as here. "log" in Colebrook-White is log10 and
   f the Darcy factor; R is the specific gas constant. D in (8) needs one block for each of p, m, T, and boundary rows.
-- Boundary rows by plain one-sided differences are unstable on finer grids (41 nodes do, 81 nodes do not settle):
+- Boundary rows by plain one-sided differences are stable with 41 nodes and unstable with 81 (an eigenvalue of +0.007/s):
   characteristic conditions stand instead.
-- Fits, composition and viscosity of the gas are not given: natural_gas.py, and mu below. Neither is the demand f(t) in
-  numbers: smooth ramps of the range of Fig. 4 stand in `demand`.
+- The fits, composition and viscosity of the gas are not given: natural_gas.py, and 1.25e-5 Pa s. Neither is the demand
+  f(t) in numbers: `demand` is ours, with ramps slow enough (300 s and more) not to ring on 21 nodes.
 - Table III gives noise in MPa, kg/s, K. "Standard deviation of the process noise 10 % lower than that of the measurement
   noise" can be read as 0.9 sigma or as 0.1 sigma (a misprint of "10 % of"); both are named, "tenth" is the default
   because its errors are nearer to the published ones. P = I in the paper's units is named "identity".
