@@ -1,0 +1,91 @@
+"""The folder of a run: who may write into it, and the manifest that says what it holds."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fusion_sfdia.benchmarks.parts import PART_NAME
+from fusion_sfdia.storage import atomic_write
+
+MANIFEST = "manifest.json"
+OWN_FILE = re.compile(r"metrics\.csv|report\.html|figures/[a-z0-9-]+\.(svg|png)")
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a run computes. Two runs of the same command may share a folder: the second takes up what the first finished."""
+
+    scenarios: tuple[str, ...]
+    seeds: int | None = None
+    full: bool = False
+    changes: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def text(self) -> str:
+        """The command line, without the folder and the number of workers."""
+        options = ["--full"] if self.full else [] if self.seeds is None else ["--seeds", str(self.seeds)]
+        for key, value in self.changes:
+            options += ["--set", f"{key}={value}"]
+        return shlex.join(["fusion-sfdia", "run", *self.scenarios, *options])
+
+
+def open_output(out: Path, command: Command, *, force: bool = False) -> None:
+    """Make the folder ready for a run, or raise ValueError where it is in use for something else.
+
+    Free to use: an absent or empty folder, and one of an earlier or interrupted run of the same command. force: also one
+    of another run, whose files are removed, and one of anything else, whose files stay unless they have our names.
+    """
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"{out} is a file; name a folder for the results")
+    found = [p.name for p in out.iterdir() if not p.name.startswith(f".{MANIFEST}.")] if out.exists() else []
+    earlier = read_manifest(out)
+    same = earlier is not None and earlier.get("command") == command.text
+    if found and not same and not force:
+        what = "files that are no run of fusion-sfdia" if earlier is None else f"another run ({earlier.get('command')})"
+        raise ValueError(f"{out} is already used: it holds {what}; name another folder with --out, or overwrite with --force")
+    if earlier is not None and not same:
+        remove(out, own_files(earlier))
+    try:
+        write_manifest(out, {**(earlier if same and earlier else {}), "command": command.text, "finished": False})
+    except OSError as error:
+        raise ValueError(f"cannot write into {out} ({error.strerror}); name another folder with --out") from error
+
+
+def read_manifest(out: Path) -> dict[str, Any] | None:
+    """Return the manifest of a folder; None where there is none of ours."""
+    try:
+        manifest = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return manifest if isinstance(manifest, dict) and manifest.get("program") == "fusion-sfdia" else None
+
+
+def write_manifest(out: Path, manifest: dict[str, Any]) -> None:
+    """Write the manifest, whole or not at all."""
+    with atomic_write(out / MANIFEST) as file:
+        json.dump({"program": "fusion-sfdia", **manifest}, file, indent=2, ensure_ascii=False)
+        file.write("\n")
+
+
+def own_files(manifest: dict[str, Any]) -> list[str]:
+    """Return the files a manifest lists, those alone that bear names of ours."""
+    return [name for name in manifest.get("files", ()) if isinstance(name, str) and OWN_FILE.fullmatch(name)]
+
+
+def remove(out: Path, names: Iterable[str]) -> None:
+    """Remove files of a run."""
+    for name in names:
+        (out / name).unlink(missing_ok=True)
+
+
+def remove_other_parts(out: Path, keep: set[str]) -> None:
+    """Remove parts that do not belong to the run, and what killed processes left of unfinished ones."""
+    for path in (out / "parts").glob("*"):
+        if path.name not in keep and PART_NAME.fullmatch(path.name):
+            path.unlink(missing_ok=True)

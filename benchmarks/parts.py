@@ -1,0 +1,64 @@
+"""Finished pieces of work on disk, named by everything that decides their bits, so that a run can be taken up again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import re
+import zlib
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fusion_sfdia
+from fusion_sfdia.benchmarks.provenance import sources_digest, versions
+from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Task
+from fusion_sfdia.storage import atomic_write
+
+Array = NDArray[Any]
+
+DECISIVE = ("numpy", "scipy", "numba")  # those whose version may change the bits of a piece of work
+PART_NAME = re.compile(r"\.?[0-9a-f]{64}\.npz(\..*)?")  # a part, or what a killed process left of one
+
+
+def part_name(scenario: str, settings: Settings, task: Task) -> str:
+    """Return the file name of a piece of work; ValueError where the task is not made of JSON values."""
+    found = versions()
+    about = {
+        "scenario": scenario,
+        "settings": dict(settings),
+        "task": dict(task),
+        "version": fusion_sfdia.__version__,
+        "sources": sources_digest(),
+        "libraries": {name: found[name] for name in ("python", *DECISIVE)},
+        "machine": platform.machine(),
+    }
+    try:
+        text = json.dumps(about, sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"a task of scenario {scenario} is not made of JSON values ({error}): {task!r}") from error
+    return f"{hashlib.sha256(text.encode()).hexdigest()}.npz"
+
+
+def write_part(path: Path, arrays: Arrays) -> None:
+    """Write a piece's arrays, whole or not at all; TypeError for anything but arrays of numbers, booleans and text."""
+    plain: dict[str, Array] = {}
+    for name, array in arrays.items():
+        plain[name] = np.asarray(array)
+        if plain[name].dtype.hasobject:
+            raise TypeError(f"work returned {name!r} of type {type(array).__name__}; wanted arrays of numbers")
+    with atomic_write(path, "wb") as file:
+        np.savez_compressed(file, **plain)  # type: ignore[arg-type]  # the stubs take the names for its options
+
+
+def read_part(path: Path) -> Arrays | None:
+    """Return a piece's arrays; None where it is absent or damaged, so that it is done again."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error):
+        return None

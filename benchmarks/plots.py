@@ -1,0 +1,167 @@
+"""Figures that the scenarios share. Colours that colour-blind readers can tell apart; files with the same bytes each time."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from fusion_sfdia.storage import atomic_write
+
+Array = NDArray[Any]
+
+# Okabe and Ito, Color Universal Design (2008)
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+DASHES = ("-", "--", "-.", ":")
+
+STYLE: dict[Any, Any] = {
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "figure.dpi": 100,
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+    "lines.linewidth": 1.5,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "path",
+}
+
+
+class Bars(NamedTuple):
+    """A group of bars: values with intervals (NaN for none), and published values beside them (NaN for none)."""
+
+    label: str
+    value: Sequence[float]
+    low: Sequence[float]
+    high: Sequence[float]
+    published: Sequence[float]
+
+
+@contextmanager
+def style(salt: str = "fusion-sfdia") -> Iterator[None]:
+    """Within the block, figures have the project's style, whatever the user's own; salt fixes the names inside an SVG."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update({**STYLE, "svg.hashsalt": salt})
+        yield
+
+
+def write_figure(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
+    """Draw a figure, write folder/name.svg and folder/name.png, and return the SVG's text."""
+    svg, png = io.BytesIO(), io.BytesIO()
+    with style(name):
+        figure = draw()
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+        figure.savefig(png, format="png", dpi=160)
+    for kind, content in (("svg", svg), ("png", png)):
+        with atomic_write(folder / f"{name}.{kind}", "wb") as file:
+            file.write(content.getvalue())
+    return svg.getvalue().decode()
+
+
+def panels(titles: Sequence[str], *, columns: int = 2, width: float = 7.2, height: float = 2.8) -> tuple[Figure, list[Axes]]:
+    """Return a figure of titled panels, left to right and down; width of the figure and height of a panel in inches."""
+    columns = min(columns, len(titles))
+    rows = -(-len(titles) // columns)
+    figure = Figure(figsize=(width if columns > 1 else width * 0.75, height * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, title in zip(grid, titles, strict=False):
+        axes.set_title(title, fontsize=10, loc="left")
+    for spare in grid[len(titles) :]:
+        spare.remove()
+    return figure, list(grid[: len(titles)])
+
+
+def roc_curves(axes: Axes, curves: Mapping[str, tuple[Array, Array]]) -> None:
+    """Detection against false-alarm probability: {label: (false alarms (n,), detections (n,))}, with the diagonal of chance."""
+    for i, (label, (false_alarm, detection)) in enumerate(curves.items()):
+        axes.plot(
+            false_alarm, detection, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=label
+        )  # fmt: skip
+    axes.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
+    axes.set(xlabel="false-alarm probability", ylabel="detection probability", xlim=(-0.01, 1.01), ylim=(-0.01, 1.01))
+    axes.set_aspect("equal")
+    axes.legend(loc="lower right")
+
+
+def isolation_matrix(axes: Axes, counts: Array, *, boundaries: Mapping[str, int] | None = None) -> None:
+    """What was named (columns) against what was true (rows), each row in shares of its sum; index 0 is no fault.
+
+    counts (N + 1, N + 1); boundaries: {quantity: first index of it}, drawn as lines with names.
+    """
+    total = counts.sum(axis=1, keepdims=True)
+    share = np.divide(counts, total, out=np.zeros(counts.shape), where=total > 0)
+    image = axes.imshow(share, cmap="viridis", vmin=0, vmax=1, interpolation="nearest")
+    for first in (boundaries or {}).values():
+        axes.axhline(first - 0.5, color="white", linewidth=0.6)
+        axes.axvline(first - 0.5, color="white", linewidth=0.6)
+    if boundaries:
+        starts = [*boundaries.values(), counts.shape[0]]
+        middles = [(a + b - 1) / 2 for a, b in pairwise(starts)]
+        axes.set_xticks(middles, list(boundaries), fontsize=7)
+        axes.set_yticks(middles, list(boundaries), fontsize=7, rotation=90, va="center")
+        axes.tick_params(length=0)
+    axes.grid(visible=False)
+    axes.set(xlabel="named", ylabel="true")
+    axes.figure.colorbar(image, ax=axes, shrink=0.8, label="share of the row")
+
+
+def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: str, log: bool = False) -> None:
+    """Bars of several series over groups, their 95 % intervals, and the published values as hollow diamonds."""
+    width = 0.8 / max(len(series), 1)
+    told = False
+    for i, one in enumerate(series):
+        x = np.arange(len(groups)) + (i - (len(series) - 1) / 2) * width
+        value = np.asarray(one.value, dtype=float)
+        spread = np.stack([value - np.asarray(one.low, dtype=float), np.asarray(one.high, dtype=float) - value])
+        axes.bar(x, np.nan_to_num(value), width * 0.9, color=COLOURS[i % len(COLOURS)], label=one.label)
+        known = np.all(np.isfinite(spread), axis=0)
+        if known.any():
+            axes.errorbar(
+                x[known], value[known], np.maximum(spread[:, known], 0), fmt="none", ecolor="0.25", elinewidth=1, capsize=2
+            )  # fmt: skip
+        published = np.asarray(one.published, dtype=float)
+        if np.isfinite(published).any():
+            label = None if told else "published"
+            told = True
+            axes.plot(x, published, linestyle="none", marker="D", markersize=4.5, mfc="white", mec="black", label=label)
+    axes.set_xticks(np.arange(len(groups)), list(groups))
+    axes.set_ylabel(ylabel)
+    if log:
+        axes.set_yscale("log")
+    axes.grid(visible=False, axis="x")
+    axes.legend(fontsize=8)
+
+
+def time_series(
+    axes: Axes,
+    t: Array,
+    series: Mapping[str, Array],
+    *,
+    ylabel: str,
+    spans: Sequence[tuple[float, float]] = (),
+    levels: Mapping[str, float] | None = None,
+) -> None:
+    """Signals (K,) over t (K,) in s, drawn in minutes; spans (s): when a fault acts; levels: horizontal lines by name."""
+    for i, (label, values) in enumerate(series.items()):
+        axes.plot(t / 60, values, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=label)
+    for i, (name, level) in enumerate((levels or {}).items()):
+        axes.axhline(level, color="black", linestyle=DASHES[-1 - i % len(DASHES)], linewidth=1, label=name)
+    for i, (start, end) in enumerate(spans):
+        axes.axvspan(start / 60, end / 60, color="0.85", zorder=0, label="fault acts" if i == 0 else None)
+    axes.set(xlabel="time (min)", ylabel=ylabel)
+    axes.legend(fontsize=8)

@@ -1,0 +1,53 @@
+"""Where numbers come from: code, versions, commit, machine."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import platform
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import fusion_sfdia
+from fusion_sfdia import benchmarks, models
+
+LIBRARIES = ("numpy", "scipy", "scikit-learn", "numba", "filterpy", "joblib", "matplotlib")
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the main libraries."""
+    return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in LIBRARIES}}
+
+
+@cache
+def sources_digest() -> str:
+    """A digest of the package's sources and data: parts of an older code are not taken up."""
+    digest = hashlib.sha256()
+    for package in (fusion_sfdia, models, benchmarks):
+        folder = Path(package.__path__[0])
+        for path in sorted(p for p in folder.iterdir() if p.suffix in (".py", ".json", ".toml") and p.is_file()):
+            digest.update(f"{package.__name__}/{path.name}\0".encode())
+            digest.update(path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def cores() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def git_commit() -> str | None:
+    """Return the commit of the checkout that the package is run from, with "+" where it was edited; None outside one."""
+    folder = str(Path(fusion_sfdia.__path__[0]))
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(("git", "-C", folder, *arguments), capture_output=True, text=True, check=True).stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", "__init__.py")  # an installed copy may lie within another project's checkout
+        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return None

@@ -1,0 +1,90 @@
+"""What can be named on the command line: scenarios, plants, detectors and faults. Nothing heavy is imported to list names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fusion_sfdia.benchmarks.scenario import Scenario
+    from fusion_sfdia.detector import Detector
+    from fusion_sfdia.plant import Plant
+
+# name: "module:attribute", the attribute being a Scenario
+SCENARIOS: dict[str, str] = {}
+
+# name: what it is, and "module:function" that returns the Plant with its usual settings
+PLANTS: dict[str, tuple[str, str]] = {
+    "gas-pipeline": (
+        "150 km of high-pressure natural gas under transient flow, 21 nodes, 63 sensors (Shaheen 2024)",
+        "fusion_sfdia.models.gas_pipeline:gas_pipeline",
+    ),
+}
+
+
+def require_known(what: str, name: str, known: Iterable[str]) -> str:
+    """Return the name; ValueError with the nearest known one where it is unknown."""
+    names = list(known)
+    if name not in names:
+        near = get_close_matches(name, names, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise ValueError(f"unknown {what} {name!r}; {hint}known: {', '.join(names) or 'none'}")
+    return name
+
+
+def load(reference: str) -> Any:
+    """Return what "module:attribute" names."""
+    module, attribute = reference.split(":")
+    return getattr(import_module(module), attribute)
+
+
+def match_scenarios(patterns: Iterable[str]) -> list[str]:
+    """Return the scenarios whose names match names or globs such as pipeline/*, each once, in the order of the registry."""
+    wanted: set[str] = set()
+    for pattern in patterns:
+        found = [name for name in SCENARIOS if fnmatchcase(name, pattern)]
+        wanted.update(found or [require_known("scenario", pattern, SCENARIOS)])
+    return [name for name in SCENARIOS if name in wanted]
+
+
+def scenario(name: str) -> Scenario:
+    """Return a scenario by its name; ValueError for an unknown one."""
+    found: Scenario = load(SCENARIOS[require_known("scenario", name, SCENARIOS)])
+    return found
+
+
+def plant(name: str) -> Plant:
+    """Return a plant with its usual settings by its name; ValueError for an unknown one."""
+    factory: Callable[[], Plant] = load(PLANTS[require_known("plant", name, PLANTS)][1])
+    return factory()
+
+
+def detector(name: str, of: Plant) -> Detector:
+    """Return a detector with its usual settings on a plant; ValueError for an unknown name."""
+    from fusion_sfdia.benchmarks.detectors import DETECTORS
+
+    return DETECTORS[require_known("detector", name, DETECTORS)][1](of)
+
+
+def listing() -> dict[str, list[dict[str, str]]]:
+    """Return names and descriptions of everything, by kind: plants, detectors, faults, scenarios."""
+    from fusion_sfdia.benchmarks.detectors import DETECTORS
+    from fusion_sfdia.fault_draws import PRESETS
+    from fusion_sfdia.faults import FAULT_KINDS
+
+    return {
+        "plants": [_entry(name, about) for name, (about, _) in PLANTS.items()],
+        "detectors": [_entry(name, about) for name, (about, _) in DETECTORS.items()],
+        "faults": [
+            *(_entry(name, about) for name, about in FAULT_KINDS.items()),
+            *(_entry(name, preset.description) for name, preset in PRESETS.items()),
+        ],
+        "scenarios": [_entry(name, scenario(name).title) for name in SCENARIOS],
+    }
+
+
+def _entry(name: str, about: str) -> dict[str, str]:
+    return {"name": name, "about": about}

@@ -1,0 +1,96 @@
+"""report.html: one file that needs nothing else, with what a scenario measured beside what was published."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from fusion_sfdia.benchmarks.output import Command
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary
+from fusion_sfdia.storage import atomic_write
+
+OPEN_ROWS = 40  # a longer table is folded
+
+
+@dataclass(frozen=True)
+class Section:
+    """A scenario as it was run: settings, number of seeds, summary, {figure's file name: SVG}, a line for each failure."""
+
+    scenario: Scenario
+    settings: Settings
+    seeds: int
+    summary: Summary
+    figures: dict[str, str]
+    failures: list[str]
+
+    @property
+    def drawn(self) -> list[tuple[Figure, Markup]]:
+        """Figures that could be drawn, with their SVG for the page."""
+        names = {f"{self.scenario.name.replace('/', '-')}-{f.name}": f for f in self.summary.figures}
+        return [(names[name], inline(svg, name, names[name].alt)) for name, svg in self.figures.items()]
+
+    @property
+    def comparison(self) -> str:
+        """How many published values lie within our intervals, in a sentence; empty where none is published."""
+        stated = [r for r in self.summary.rows if r.published is not None]
+        judged = [r.agrees for r in stated if r.agrees is not None]
+        if not stated:
+            return ""
+        inside = f"{sum(judged)} of {len(judged)} lie within the 95 % interval of ours" if judged else "ours have no interval"
+        return f"{len(stated)} published values: {inside}."
+
+
+def write_report(path: Path, command: Command, sections: list[Section], manifest: dict[str, Any]) -> None:
+    """Write report.html, whole or not at all; every name and text is escaped."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters.update(number=number, interval=interval, setting=_setting)
+    source = resources.files("fusion_sfdia.benchmarks").joinpath("report.html.j2").read_text(encoding="utf-8")
+    page = environment.from_string(source).render(
+        command=command.text,
+        sections=sections,
+        manifest=manifest,
+        failures=[line for section in sections for line in section.failures],
+        open_rows=OPEN_ROWS,
+    )
+    with atomic_write(path) as file:
+        file.write(page)
+
+
+def number(value: Any) -> str:
+    """Return a number with 4 digits, "undefined" for NaN; anything else as text."""
+    if isinstance(value, bool) or not isinstance(value, float):
+        return str(value)
+    if math.isnan(value):
+        return "undefined"
+    text = f"{value:.4g}"
+    mantissa, _, exponent = text.partition("e")
+    return f"{mantissa}e{int(exponent)}" if exponent else text
+
+
+def interval(row: Row) -> str:
+    """Return the 95 % interval of a row as text; empty where none is stated."""
+    if math.isnan(row.low) or math.isnan(row.high):
+        return ""
+    return f"{number(float(row.low))} to {number(float(row.high))}"
+
+
+def _setting(value: Any) -> str:
+    return ", ".join(map(_setting, value)) if isinstance(value, tuple | list) else str(value)
+
+
+def inline(svg: str, name: str, alt: str) -> Markup:
+    """Return an SVG file of matplotlib as an element of a page: scaled to its width, described, its names its own."""
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", body)
+    head, rest = body.split(">", 1)
+    head = re.sub(r'\s(width|height)="[^"]*"', "", head)
+    described = Markup('{} role="img" aria-label="{}">{}').format(Markup(head), alt, Markup(rest))
+    return described

@@ -1,0 +1,116 @@
+"""One number a row: metrics.csv, and the same rows as JSON."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fusion_sfdia.storage import atomic_write
+
+COLUMNS = (
+    "scenario", "plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n", "published", "source",
+)  # fmt: skip
+NUMBERS = ("value", "low", "high", "published")
+
+
+@dataclass(frozen=True)
+class Published:
+    """A number as its authors state it, in the unit of the row beside which it stands; source names paper, table and page."""
+
+    value: float
+    source: str
+
+    def __post_init__(self) -> None:
+        if not self.source.strip():
+            raise ValueError(f"published value {self.value} has no source; name the paper, the table and the page")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured number: its 95 % interval [low, high] (NaN where none is stated) and the n runs or trials behind it.
+
+    published, source: the number that a paper states for the same thing, in the same unit, and where; both or neither.
+    """
+
+    scenario: str
+    plant: str
+    detector: str
+    fault: str
+    quantity: str
+    metric: str
+    value: float
+    low: float = math.nan
+    high: float = math.nan
+    n: int = 0
+    published: float | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.published is None) != (not self.source.strip()):
+            raise ValueError(
+                f"row {self.scenario}, {self.metric}: published is {self.published}, source {self.source!r}; give both or neither"
+            )
+
+    @property
+    def columns(self) -> dict[str, str | float | int | None]:
+        """The columns of metrics.csv; a number that is not stated or undefined is None."""
+        named = {c: str(getattr(self, c)) for c in COLUMNS[:6]}
+        numbers = {
+            "value": _number(self.value),
+            "low": _number(self.low),
+            "high": _number(self.high),
+            "n": int(self.n),
+            "published": None if self.published is None else _number(self.published),
+        }
+        return {**named, **numbers, "source": self.source}
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether the published value lies within the interval; None where there is no published value or no interval."""
+        if self.published is None or not (math.isfinite(self.low) and math.isfinite(self.high)):
+            return None
+        return self.low <= self.published <= self.high
+
+
+def _number(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
+
+
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Write metrics.csv: numbers by their shortest exact text, an empty cell for what is not stated or undefined."""
+    with atomic_write(path) as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for row in rows:
+            cells = row.columns
+            table.writerow(["" if cells[c] is None else repr(cells[c]) if c in NUMBERS else cells[c] for c in COLUMNS])
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read a metrics.csv; ValueError naming file and row where it is none."""
+    with path.open(encoding="utf-8", newline="") as file:
+        lines = list(csv.reader(file))
+    if not lines or tuple(lines[0]) != COLUMNS:
+        raise ValueError(f"{path} is no metrics file; wanted the columns {', '.join(COLUMNS)}")
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            cells = dict(zip(COLUMNS, line, strict=True))
+            scenario, plant, detector, fault, quantity, metric = line[:6]
+            value, low, high = (float(cells[c] or "nan") for c in ("value", "low", "high"))
+            published = float(cells["published"]) if cells["published"] else None
+            n, source = int(cells["n"]), cells["source"]
+            rows.append(Row(scenario, plant, detector, fault, quantity, metric, value, low, high, n, published, source))
+        except ValueError as error:
+            raise ValueError(f"{path}, row {number}: {error}; write it with write_rows") from error
+    return rows
+
+
+def as_json(rows: Sequence[Row]) -> str:
+    """Return the rows as a JSON array of objects; null for what is not stated or undefined, "inf" and "-inf" as text."""
+    table = [{c: str(v) if isinstance(v, float) and math.isinf(v) else v for c, v in row.columns.items()} for row in rows]
+    return json.dumps(table, indent=2, ensure_ascii=False, allow_nan=False)

@@ -1,0 +1,250 @@
+"""Run scenarios on all cores: finished pieces are kept, so an interrupted run goes on where it stood, with the same bits.
+
+Every piece of work runs with one thread for linear algebra, in this process or in another, so that its bits, and those of
+metrics.csv, do not depend on the number of workers.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import signal
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from joblib import Parallel, delayed
+from joblib.externals.loky.process_executor import BrokenProcessPool
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from scipy import linalg  # noqa: F401  # its linear algebra is limited to one thread too, once it is loaded
+from threadpoolctl import threadpool_limits
+
+import fusion_sfdia
+from fusion_sfdia.benchmarks.output import (
+    Command,
+    open_output,
+    own_files,
+    read_manifest,
+    remove,
+    remove_other_parts,
+    write_manifest,
+)
+from fusion_sfdia.benchmarks.parts import part_name, read_part, write_part
+from fusion_sfdia.benchmarks.plots import write_figure
+from fusion_sfdia.benchmarks.provenance import cores, git_commit, sources_digest, versions
+from fusion_sfdia.benchmarks.report import Section, write_report
+from fusion_sfdia.benchmarks.results import Row, write_rows
+from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Task, adjust
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Rows of metrics.csv, a line for each failure, and the report's path."""
+
+    rows: list[Row]
+    failures: list[str]
+    report: Path
+
+
+@dataclass
+class _Plan:
+    """A scenario with its settings, its size and its tasks by the names of their parts; what failed and how long it took."""
+
+    scenario: Scenario
+    settings: Settings
+    seeds: int
+    parts: dict[str, Task]
+    resumed: int = 0
+    seconds: float = 0.0
+    errors: dict[str, str] = field(default_factory=dict)
+
+
+class _Done(NamedTuple):
+    plan: int
+    part: str
+    seconds: float
+    error: str | None
+
+
+def run_scenarios(
+    scenarios: Sequence[Scenario],
+    out: str | Path,
+    *,
+    seeds: int | None = None,
+    full: bool = False,
+    changes: Mapping[str, str] | None = None,
+    workers: int | None = None,
+    force: bool = False,
+) -> Outcome:
+    """Run scenarios and write metrics.csv, figures, report.html and manifest.json into the folder `out`.
+
+    seeds: runs of each scenario (None: its default, or with full the paper's size). changes: settings as text, each known
+    to at least one of the scenarios. workers: processes, None for one a core. force: see open_output. Raises ValueError
+    for arguments that do not fit; a piece of work that fails is told in the outcome and does not stop the others.
+    """
+    if workers is not None and workers < 1:
+        raise ValueError(f"{workers} workers; wanted at least 1")
+    out, workers, changes = Path(out), workers or cores(), dict(changes or {})
+    plans = _plans(scenarios, seeds, full, changes)
+    command = Command(tuple(s.name for s in scenarios), seeds, full, tuple(sorted(changes.items())))
+    open_output(out, command, force=force)
+    earlier = own_files(read_manifest(out) or {})
+    begun = time.time()
+    _work_off(plans, out, workers)
+    rows: list[Row] = []
+    sections: list[Section] = []
+    files: list[str] = []
+    for plan in plans:
+        section = _summarise(plan, out)
+        rows += section.summary.rows
+        sections.append(section)
+        files += [f"figures/{name}.{kind}" for name in section.figures for kind in ("svg", "png")]
+    write_rows(out / "metrics.csv", rows)
+    files += ["metrics.csv", "report.html"]
+    manifest = {
+        "command": command.text,
+        "finished": True,
+        "version": fusion_sfdia.__version__,
+        "sources": sources_digest(),
+        "git_commit": git_commit(),
+        "libraries": versions(),
+        "platform": platform.platform(),
+        "workers": workers,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(begun)),
+        "seconds": round(time.time() - begun, 3),
+        "scenarios": [
+            {
+                "name": plan.scenario.name,
+                "settings": dict(plan.settings),
+                "seeds": plan.seeds,
+                "tasks": len(plan.parts),
+                "resumed": plan.resumed,
+                "failed": {_label(plan.parts.get(part, {})): error for part, error in plan.errors.items()},
+                "seconds": round(plan.seconds, 3),
+            }
+            for plan in plans
+        ],
+        "files": files,
+    }
+    write_report(out / "report.html", command, sections, manifest)
+    remove(out, set(earlier) - set(files))
+    remove_other_parts(out, {part for plan in plans for part in plan.parts})
+    write_manifest(out, manifest)
+    return Outcome(rows, [line for section in sections for line in section.failures], out / "report.html")
+
+
+def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes: Mapping[str, str]) -> list[_Plan]:
+    if not scenarios:
+        raise ValueError("no scenario to run; name at least one")
+    if seeds is not None and (full or seeds < 1):
+        raise ValueError(f"{seeds} seeds{' and full' if full else ''}; wanted at least 1 seed, or the paper's size with full")
+    for key in changes:
+        if not any(key in s.settings for s in scenarios):
+            known = sorted({k for s in scenarios for k in s.settings})
+            names = ", ".join(s.name for s in scenarios)
+            raise ValueError(f"no setting {key!r} in {names}; known: {', '.join(known) or 'none'}")
+    plans = []
+    for scenario in scenarios:
+        settings = adjust(scenario, {k: v for k, v in changes.items() if k in scenario.settings})
+        size = seeds or (scenario.full_seeds if full else scenario.seeds)
+        tasks = scenario.tasks(settings, size)
+        parts = {part_name(scenario.name, settings, task): task for task in tasks}
+        if len(parts) < len(tasks):
+            raise ValueError(f"scenario {scenario.name} gives the same task twice; tasks must differ")
+        plans.append(_Plan(scenario, settings, size, parts))
+    return plans
+
+
+def _work_off(plans: list[_Plan], out: Path, workers: int) -> None:
+    """Do what is not there yet."""
+    calls = []
+    for number, plan in enumerate(plans):
+        for part, task in plan.parts.items():
+            path = out / "parts" / part
+            if read_part(path) is not None:
+                plan.resumed += 1
+            else:
+                calls.append(delayed(_do)(number, path, plan.scenario.work, plan.settings, task, os.getpid()))
+    parallel = Parallel(n_jobs=min(workers, max(len(calls), 1)), return_as="generator_unordered", batch_size=1, max_nbytes=None)
+    with _progress(sum(len(p.parts) for p in plans), sum(p.resumed for p in plans)) as bar:
+        try:
+            for done in parallel(calls):
+                plans[done.plan].seconds += done.seconds
+                if done.error is not None:
+                    plans[done.plan].errors[done.part] = done.error
+                bar.advance(bar.task_ids[0])
+        except BrokenProcessPool as error:
+            raise RuntimeError(
+                "a worker process was killed, most often for want of memory; what it finished is kept: run the same command "
+                f"again with fewer workers than {workers}"
+            ) from error
+
+
+def _do(plan: int, path: Path, work: Any, settings: Settings, task: Task, parent: int) -> _Done:
+    """One piece of work, where it is run; its arrays go to disk and an error is told, not raised."""
+    if os.getpid() != parent:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent alone answers Ctrl-C
+    start = time.perf_counter()
+    error = None
+    try:
+        with threadpool_limits(1):
+            write_part(path, work(settings, task))
+    except Exception as problem:
+        error = f"{type(problem).__name__}: {problem}"
+    return _Done(plan, path.name, time.perf_counter() - start, error)
+
+
+def _summarise(plan: _Plan, out: Path) -> Section:
+    """Turn a scenario's parts into rows and figures; failures become rows too."""
+    results = []
+    for part, task in plan.parts.items():
+        arrays = None if part in plan.errors else read_part(out / "parts" / part)
+        if arrays is None:
+            plan.errors.setdefault(part, "the part cannot be read back")
+        else:
+            results.append((task, arrays))
+    name = plan.scenario.name
+    errors = {part: plan.errors[part] for part in plan.parts if part in plan.errors}  # in the order of the tasks
+    failures = [f"{name}, {_label(plan.parts[part])}: {error}" for part, error in errors.items()]
+    summary = Summary(())
+    try:
+        with threadpool_limits(1):
+            summary = plan.scenario.summarise(plan.settings, results)
+    except Exception as problem:
+        failures.append(f"{name}, summary: {type(problem).__name__}: {problem}")
+    rows = list(summary.rows)
+    figures: dict[str, str] = {}
+    for figure in summary.figures:
+        slug = f"{name.replace('/', '-')}-{figure.name}"
+        try:
+            figures[slug] = write_figure(out / "figures", slug, figure.draw)
+        except Exception as problem:
+            failures.append(f"{name}, figure {figure.name}: {type(problem).__name__}: {problem}")
+    failed = Counter(tuple(str(task.get(k) or usual) for k, usual in _USUAL) for task in map(plan.parts.__getitem__, errors))
+    for (plant, detector, fault, quantity), count in failed.items():
+        rows.append(Row(name, plant, detector, fault, quantity, "failed_tasks", float(count), n=count))
+    return Section(plan.scenario, plan.settings, plan.seeds, replace(summary, rows=rows), figures, failures)
+
+
+_USUAL = (("plant", ""), ("detector", ""), ("fault", "none"), ("quantity", "all"))  # columns, where a task does not name them
+
+
+def _label(task: Task) -> str:
+    """A task in a few words."""
+    shown = {k: f"{v[0]}..{v[-1]}" if isinstance(v, list) and len(v) > 3 else v for k, v in task.items()}
+    return ", ".join(f"{k} {v}" for k, v in shown.items()) or "the only task"
+
+
+@contextmanager
+def _progress(total: int, done: int) -> Iterator[Progress]:
+    """A bar on a terminal, nothing elsewhere."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        bar.add_task("running", total=total, completed=done)
+        yield bar

@@ -1,0 +1,136 @@
+"""A scenario: an experiment as data, the independent pieces of its Monte Carlo, and how they become numbers and figures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.results import Published, Row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+__all__ = ["Arrays", "Figure", "Published", "Row", "Scenario", "Settings", "Summary", "Table", "Task", "adjust", "seed_blocks"]
+
+Array = NDArray[Any]
+Arrays = dict[str, Array]
+Setting = bool | int | float | str | tuple[Any, ...]
+Settings = Mapping[str, Setting]
+Task = Mapping[str, Any]
+
+NAME = "[a-z0-9]+(-[a-z0-9]+)*"
+YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the report: draw() returns it, alt says in words what it shows. name: letters, digits, hyphens."""
+
+    name: str
+    title: str
+    caption: str
+    draw: Callable[[], Drawing]
+    alt: str
+
+    def __post_init__(self) -> None:
+        require_name("figure", self.name, NAME)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table laid out as in a paper; cells are text or numbers (shown with 4 digits)."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str | float, ...], ...]
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a scenario says: rows of metrics.csv, figures, tables, a few sentences for the top of the report, remarks."""
+
+    rows: Sequence[Row]
+    figures: Sequence[Figure] = ()
+    tables: Sequence[Table] = ()
+    highlights: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """An experiment on simulated or recorded data.
+
+    settings: names and defaults, which `--set name=value` overrides; a value has the type of its default, a tuple the
+    type of its first entry. seeds: runs by default; full_seeds: the size of the paper, with `--full`.
+    tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values.
+    work(settings, task): one piece, in a process of its own: arrays only, and the same bits for the same arguments.
+    summarise(settings, results): from the (task, arrays) that succeeded, in the order of tasks.
+    """
+
+    name: str
+    title: str
+    about: str
+    settings: Settings
+    seeds: int
+    full_seeds: int
+    tasks: Callable[[Settings, int], list[Task]]
+    work: Callable[[Settings, Task], Arrays]
+    summarise: Callable[[Settings, list[tuple[Task, Arrays]]], Summary]
+
+    def __post_init__(self) -> None:
+        require_name("scenario", self.name, f"{NAME}(/{NAME})*")
+        if not 1 <= self.seeds <= self.full_seeds:
+            raise ValueError(f"scenario {self.name}: {self.seeds} seeds, {self.full_seeds} in full; wanted 1 <= seeds <= full")
+
+
+def require_name(what: str, name: str, pattern: str) -> None:
+    """Raise ValueError for a name that cannot be part of a file name."""
+    if not re.fullmatch(pattern, name):
+        raise ValueError(f"{what} {name!r}: wanted a name of lower-case letters, digits and hyphens")
+
+
+def adjust(scenario: Scenario, changes: Mapping[str, str]) -> dict[str, Setting]:
+    """Return the scenario's settings with some changed, given as text; ValueError for unknown names and wrong types."""
+    unknown = [k for k in changes if k not in scenario.settings]
+    if unknown:
+        known = ", ".join(f"{k}={_text(v)}" for k, v in scenario.settings.items()) or "none"
+        raise ValueError(f"scenario {scenario.name} has no setting {', '.join(unknown)}; its settings: {known}")
+    return {k: _typed(k, changes[k], v) if k in changes else v for k, v in scenario.settings.items()}
+
+
+def _typed(key: str, text: str, default: Setting) -> Setting:
+    if isinstance(default, tuple):
+        like = default[0] if default else ""
+        return tuple(_typed(key, part.strip(), like) for part in text.split(",") if part.strip())
+    if isinstance(default, bool):
+        if text.lower() not in YES + NO:
+            raise ValueError(f"setting {key} is {text!r}; wanted true or false")
+        return text.lower() in YES
+    if isinstance(default, str):
+        return text
+    kind = "a whole number" if isinstance(default, int) else "a finite number"
+    try:
+        value = type(default)(text)
+    except ValueError as error:
+        raise ValueError(f"setting {key} is {text!r}; wanted {kind} such as {_text(default)}") from error
+    if not np.isfinite(value):
+        raise ValueError(f"setting {key} is {text!r}; wanted {kind} such as {_text(default)}")
+    return value
+
+
+def _text(value: Setting) -> str:
+    if isinstance(value, tuple):
+        return ",".join(map(_text, value))
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def seed_blocks(seeds: int, size: int, first: int = 0) -> list[list[int]]:
+    """Return the seeds first .. first + seeds - 1 in blocks of at most `size`, each the work of one task."""
+    everyone = list(range(first, first + seeds))
+    return [everyone[i : i + size] for i in range(0, seeds, size)]
