@@ -52,7 +52,7 @@ class Row:
     def __post_init__(self) -> None:
         if (self.published is None) != (not self.source.strip()):
             raise ValueError(
-                f"row {self.scenario}, {self.metric}: published is {self.published}, source {self.source!r}; give both or neither"
+                f"row {self.scenario}, {self.metric}: published {self.published}, source {self.source!r}; give both or neither"
             )
 
     @property

@@ -44,9 +44,10 @@ from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Task, 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Rows of metrics.csv, a line for each failure, and the report's path."""
+    """Rows of metrics.csv, the scenarios' highlights, a line for each failure, and the report's path."""
 
     rows: list[Row]
+    highlights: list[str]
     failures: list[str]
     report: Path
 
@@ -135,7 +136,8 @@ def run_scenarios(
     remove(out, set(earlier) - set(files))
     remove_other_parts(out, {part for plan in plans for part in plan.parts})
     write_manifest(out, manifest)
-    return Outcome(rows, [line for section in sections for line in section.failures], out / "report.html")
+    highlights = [line for section in sections for line in section.summary.highlights]
+    return Outcome(rows, highlights, [line for section in sections for line in section.failures], out / "report.html")
 
 
 def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes: Mapping[str, str]) -> list[_Plan]:

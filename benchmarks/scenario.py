@@ -20,7 +20,7 @@ __all__ = ["Arrays", "Figure", "Published", "Row", "Scenario", "Settings", "Summ
 Array = NDArray[Any]
 Arrays = dict[str, Array]
 Setting = bool | int | float | str | tuple[Any, ...]
-Settings = Mapping[str, Setting]
+Settings = Mapping[str, Any]  # of Setting
 Task = Mapping[str, Any]
 
 NAME = "[a-z0-9]+(-[a-z0-9]+)*"

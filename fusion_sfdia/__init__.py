@@ -1,3 +1,100 @@
-"""Sensor-fault detection, isolation and accommodation: three schools on one state-space interface."""
+"""Sensor-fault detection, isolation and accommodation: three schools on one state-space interface.
+
+The names below are loaded when they are first used, so that importing the package is cheap. Where a name is that of a
+module too (simulate, discretise, diagnose), `fusion_sfdia.simulate` is always the function; the module's other names come by
+`from fusion_sfdia.simulate import ...`.
+"""
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from fusion_sfdia.calibration import calibrate as calibrate
+    from fusion_sfdia.central_filter import CentralFilter as CentralFilter
+    from fusion_sfdia.detector import Decision as Decision
+    from fusion_sfdia.detector import Detector as Detector
+    from fusion_sfdia.detector import run as run
+    from fusion_sfdia.diagnose import Diagnosis as Diagnosis
+    from fusion_sfdia.diagnose import Event as Event
+    from fusion_sfdia.diagnose import diagnose as diagnose
+    from fusion_sfdia.discretise import discretise as discretise
+    from fusion_sfdia.discretise import linear_plant as linear_plant
+    from fusion_sfdia.equation import equation as equation
+    from fusion_sfdia.estimators import Ensemble as Ensemble
+    from fusion_sfdia.estimators import Extended as Extended
+    from fusion_sfdia.estimators import Unscented as Unscented
+    from fusion_sfdia.fault_draws import FaultRange as FaultRange
+    from fusion_sfdia.fault_draws import draw as draw_faults  # noqa: F401
+    from fusion_sfdia.faults import Fault as Fault
+    from fusion_sfdia.faults import apply as apply_faults  # noqa: F401
+    from fusion_sfdia.faults import load_faults as load_faults
+    from fusion_sfdia.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
+    from fusion_sfdia.fusing_bank import FusingBank as FusingBank
+    from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
+    from fusion_sfdia.logs import Log as Log
+    from fusion_sfdia.logs import read_log as read_log
+    from fusion_sfdia.logs import write_log as write_log
+    from fusion_sfdia.models.gas_pipeline import gas_pipeline as gas_pipeline
+    from fusion_sfdia.plant import Block as Block
+    from fusion_sfdia.plant import Physics as Physics
+    from fusion_sfdia.plant import Plant as Plant
+    from fusion_sfdia.plant import Sensor as Sensor
+    from fusion_sfdia.plant import Signal as Signal
+    from fusion_sfdia.simulate import Recording as Recording
+    from fusion_sfdia.simulate import simulate as simulate
+    from fusion_sfdia.storage import load_state as load_state
+    from fusion_sfdia.storage import save_state as save_state
+
+_MODULES = {
+    "calibration": ("calibrate",),
+    "central_filter": ("CentralFilter",),
+    "detector": ("Decision", "Detector", "run"),
+    "diagnose": ("Diagnosis", "Event", "diagnose"),
+    "discretise": ("discretise", "linear_plant"),
+    "equation": ("equation",),
+    "estimators": ("Ensemble", "Extended", "Unscented"),
+    "fault_draws": ("FaultRange", "draw_faults:draw"),
+    "faults": ("Fault", "apply_faults:apply", "load_faults"),
+    "filterpy_adapter": ("plant_from_filterpy",),
+    "fusing_bank": ("FusingBank",),
+    "leave_one_out_bank": ("LeaveOneOutBank",),
+    "logs": ("Log", "read_log", "write_log"),
+    "models.gas_pipeline": ("gas_pipeline",),
+    "plant": ("Block", "Physics", "Plant", "Sensor", "Signal"),
+    "simulate": ("Recording", "simulate"),
+    "storage": ("load_state", "save_state"),
+}
+_PUBLIC = {
+    public: (f"{__name__}.{module}", name or public)
+    for module, names in _MODULES.items()
+    for public, _, name in (n.partition(":") for n in names)
+}
+__all__ = ["__version__", *_PUBLIC]  # all of them are strings
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; public names: {', '.join(_PUBLIC)}")
+    module, attribute = _PUBLIC[name]
+    value = getattr(import_module(module), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PUBLIC})
+
+
+class _Package(ModuleType):
+    """Keeps a public function from being replaced by the module of the same name, whichever is imported first."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _PUBLIC and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -1,0 +1,5 @@
+"""python -m fusion_sfdia: the command line."""
+
+from fusion_sfdia.cli import main
+
+raise SystemExit(main())
