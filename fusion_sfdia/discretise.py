@@ -30,17 +30,20 @@ def runge_kutta_4(slope: Callable[[float, Array], Array], t: float, x: Array, dt
 def solve_algebraic(physics: Physics, t: float, x: Array, u: Array) -> Array:
     """Return z (..., k) with z = phi(t, x, z, u, c), by fixed-point sweeps from the nominal values.
 
-    Real and imaginary parts must both have settled, or a Jacobian by the complex step would be that of a sweep and not
-    of the solution. Raises ArithmeticError naming the variables that do not settle.
+    A variable has settled when a sweep changes it by at most 1e-13 of its value or its nominal value, whichever is larger:
+    one that is zero by cancellation never settles relative to itself. Real and imaginary parts must both have settled, or
+    a Jacobian by the complex step would be that of a sweep and not of the solution. Raises ArithmeticError naming the
+    variables that do not settle.
     """
-    nominal = np.array([s.nominal for s in physics.algebraic])
+    nominal = np.array([s.nominal for s in physics.algebraic], dtype=float)
+    scale = np.maximum(np.abs(nominal), 1e-300)
     batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
     z = np.broadcast_to(nominal, (*batch, nominal.size)).astype(np.result_type(x, u, float))
     if physics.phi is None:
         return z
     for _ in range(MAX_SWEEPS):
         new = physics.phi(t, x, z, u, physics.parameters)
-        unsettled = np.abs(new.real - z.real) > ALGEBRAIC_TOLERANCE * np.maximum(np.abs(new.real), 1e-300)
+        unsettled = np.abs(new.real - z.real) > ALGEBRAIC_TOLERANCE * np.maximum(np.abs(new.real), scale)
         if np.iscomplexobj(new):
             largest = np.max(np.abs(new.imag), axis=-1, keepdims=True)
             unsettled |= np.abs(new.imag - z.imag) > ALGEBRAIC_TOLERANCE * largest
@@ -69,8 +72,10 @@ def discretise(
     """Return the plant that integrates physics by RK4 with inputs held, each sensor reading a state or algebraic variable.
 
     x0 (n,), covariances (n,) or (n, n) in SI; dt in seconds, divided into `substeps`. Raises ValueError for a sensor of
-    an unknown variable.
+    an unknown variable or less than one substep.
     """
+    if substeps < 1:
+        raise ValueError(f"substeps is {substeps}; a step of {physics.name!r} takes at least 1")
     names = [s.name for s in (*physics.states, *physics.algebraic)]
     unknown = [s.name for s in sensors if s.measures not in names]
     if unknown:
@@ -128,12 +133,14 @@ def linear_plant(
 ) -> Plant:
     """Return the plant x+ = F x + G u, y = H x, with F (n, n), G (n, m), H (N, n); its dt is fixed."""
     f, h = np.asarray(transition, dtype=float), np.asarray(readout, dtype=float)
-    n = f.shape[0]
+    n = f.shape[0] if f.ndim else 0
     g = np.zeros((n, len(inputs))) if input_matrix is None else np.asarray(input_matrix, dtype=float)
     if f.shape != (n, n) or h.shape != (len(sensors), n) or g.shape != (n, len(inputs)):
         raise ValueError(
             f"F {f.shape}, G {g.shape}, H {h.shape} do not fit {n} states, {len(inputs)} inputs and {len(sensors)} sensors"
         )
+    if not all(np.all(np.isfinite(a)) for a in (f, g, h)):
+        raise ValueError(f"F, G or H of plant {name!r} has entries that are not finite; give numbers")
     return Plant(
         name=name,
         states=tuple(states or (Signal(f"x{i}") for i in range(n))),
@@ -152,7 +159,14 @@ def linear_plant(
 
 
 def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
-    """Return F = exp(A dt) and G = integral of exp(A s) B over a step: dx/dt = A x + B u with u held, exactly."""
+    """Return F = exp(A dt) and G = integral of exp(A s) B over a step: dx/dt = A x + B u with u held, exactly.
+
+    A (n, n), B (n, m); ValueError for other shapes or a dt that is not positive and finite.
+    """
+    if np.ndim(a) != 2 or np.ndim(b) != 2 or not a.shape[0] == a.shape[1] == b.shape[0]:
+        raise ValueError(f"A {np.shape(a)} and B {np.shape(b)} do not fit; wanted (n, n) and (n, m)")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt is {dt} s; it must be positive and finite")
     n, m = b.shape
     both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
     return both[:n, :n], both[:n, n:]

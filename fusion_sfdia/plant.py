@@ -31,9 +31,10 @@ class Signal:
     high: float = np.inf
 
     def __post_init__(self) -> None:
-        if not self.low <= self.nominal <= self.high:
+        if not (self.low <= self.nominal <= self.high and np.isfinite(self.nominal)):
             raise ValueError(
-                f"signal {self.name!r}: nominal {self.nominal} is not within [{self.low}, {self.high}]; correct the limits"
+                f"signal {self.name!r}: nominal {self.nominal} is not finite and within [{self.low}, {self.high}]; "
+                "correct it or the limits"
             )
 
 
@@ -56,8 +57,8 @@ class Sensor:
 
     def __post_init__(self) -> None:
         for what, value in (("sigma", self.sigma), ("bound", self.bound)):
-            if value is not None and not value > 0:
-                raise ValueError(f"sensor {self.name!r}: {what} is {value}; it must be positive")
+            if value is not None and not (value > 0 and np.isfinite(value)):
+                raise ValueError(f"sensor {self.name!r}: {what} is {value}; it must be positive and finite, or left out")
         if self.sigma is None and self.bound is None:
             raise ValueError(f"sensor {self.name!r} states no noise; give sigma, bound or both")
 
@@ -150,6 +151,8 @@ class Plant:
 
     def __post_init__(self) -> None:
         n = len(self.states)
+        if not self.states or not self.sensors:
+            raise ValueError(f"plant {self.name!r} has {n} states and {len(self.sensors)} sensors; give at least one of each")
         require_unique(f"plant {self.name!r}", [s.name for s in (*self.states, *self.inputs)])
         require_unique(f"sensors of plant {self.name!r}", [s.name for s in self.sensors])
         if not (np.isfinite(self.dt) and self.dt > 0):
@@ -158,6 +161,11 @@ class Plant:
             raise ValueError(f"plant {self.name!r}: x0 has shape {np.shape(self.x0)}; wanted {n} finite values, one a state")
         for what in ("initial_cov", "process_cov"):
             require_covariance(f"plant {self.name!r}: {what}", getattr(self, what), n)
+        bound = self.process_bound
+        if bound is not None and (np.shape(bound) not in {(), (n,)} or not np.all(np.asarray(bound) >= 0)):
+            raise ValueError(
+                f"plant {self.name!r}: process_bound has shape {np.shape(bound)}; wanted ({n},) numbers of at least 0"
+            )
 
     @cached_property
     def sensor_names(self) -> tuple[str, ...]:

@@ -1,0 +1,259 @@
+"""From physics to a plant: order of integration, exact hold, and the algebraic part with its derivative."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.signal import cont2discrete
+from toy_plants import tank_physics, tanks
+
+from fusion_sfdia.discretise import discretise, linear_plant, runge_kutta_4, solve_algebraic, zero_order_hold
+from fusion_sfdia.equation import complex_step_jacobian
+from fusion_sfdia.plant import Physics, Plant, Sensor, Signal
+
+EPS = np.finfo(float).eps
+NONE = np.zeros(0)
+
+
+def implicit(phi: Callable[..., Any], nominal: tuple[float, ...] = (1.0,)) -> Physics:
+    """x' = -z with z = phi; as many states as algebraic variables."""
+    return Physics(
+        name="implicit",
+        states=tuple(Signal(f"x{i}") for i in range(len(nominal))),
+        f=lambda t, x, z, u, c: -z,
+        algebraic=tuple(Signal(f"z{i}", nominal=v) for i, v in enumerate(nominal)),
+        phi=phi,
+    )
+
+
+def test_runge_kutta_4_is_of_order_4() -> None:
+    def slope(t: float, x: np.ndarray) -> np.ndarray:
+        return np.stack([x[..., 1], -np.sin(x[..., 0]) + np.cos(t)], axis=-1)
+
+    start = np.array([0.5, 0.0])
+    exact = solve_ivp(slope, (0, 2), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    counts = np.array([10, 20, 40, 80])
+    errors = []
+    for count in counts:
+        x, dt = start, 2 / count
+        for k in range(count):
+            x = runge_kutta_4(slope, k * dt, x, dt)
+        errors.append(np.abs(x - exact).max())
+    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert order == pytest.approx(4.0, abs=0.15)  # the next term of the error tilts the line by its share at 10 steps
+
+
+def test_substeps_divide_the_step_and_see_the_right_times() -> None:
+    physics = Physics("clock", (Signal("x"),), lambda t, x, z, u, c: np.full_like(x, t**2))
+    plant = discretise(
+        physics,
+        [Sensor("s", "x", sigma=1.0)],
+        dt=6.0,
+        x0=np.zeros(1),
+        initial_cov=np.ones(1),
+        process_cov=np.ones(1),
+        substeps=3,
+    )
+    # the rule is Simpson's, exact for a cubic: any misplaced substep would show
+    assert plant.step(1.0, np.zeros(1), NONE, 6.0)[0] == pytest.approx((7**3 - 1) / 3, rel=4 * EPS)
+    tank = tank_physics()
+    one, three = (
+        discretise(
+            tank,
+            tanks().sensors,
+            dt=9.0,
+            x0=np.ones(2),
+            initial_cov=np.ones(2),
+            process_cov=np.ones(2),
+            substeps=count,
+        )
+        for count in (1, 3)
+    )
+    x, u = np.array([1.5, 0.5]), np.array([6e-4])
+    by_hand = one.step(6.0, one.step(3.0, one.step(0.0, x, u, 3.0), u, 3.0), u, 3.0)
+    np.testing.assert_array_equal(three.step(0.0, x, u, 9.0), by_hand)
+    with pytest.raises(ValueError, match="substeps is 0; a step of 'tanks' takes at least 1"):
+        discretise(tank, tanks().sensors, dt=9.0, x0=np.ones(2), initial_cov=np.ones(2), process_cov=np.ones(2), substeps=0)
+
+
+def test_sensors_read_states_and_algebraic_variables() -> None:
+    plant = tanks()
+    x = np.array([[1.0, 0.25], [4.0, 1.0]])
+    flows = 6e-4 * np.sqrt(x)
+    u = plant.input_at(0.0)
+    np.testing.assert_allclose(plant.output(0.0, x, u), np.concatenate([x, flows], axis=-1), rtol=4 * EPS)
+    jacobian = plant.output_jacobian_at(0.0, x, u)
+    assert jacobian.shape == (2, 4, 2)
+    np.testing.assert_allclose(jacobian[:, 2:], [np.diag(d) for d in 6e-4 / (2 * np.sqrt(x))], rtol=4 * EPS)
+    with pytest.raises(ValueError, match="sensors s, r measure no variable of 'tanks'; variables: level_1, level_2, flow_12"):
+        discretise(
+            tank_physics(),
+            [Sensor("s", "depth", sigma=1.0), Sensor("r", "inflow", sigma=1.0)],
+            dt=1.0,
+            x0=np.ones(2),
+            initial_cov=np.ones(2),
+            process_cov=np.ones(2),
+        )
+
+
+def test_sensors_of_states_alone_have_a_constant_jacobian() -> None:
+    def build(measured: list[str]) -> Plant:
+        return discretise(
+            tank_physics(),
+            [Sensor(f"s{i}", name, sigma=1.0) for i, name in enumerate(measured)],
+            dt=1.0,
+            x0=np.ones(2),
+            initial_cov=np.ones(2),
+            process_cov=np.ones(2),
+        )
+
+    plant = build(["level_2", "level_1", "level_2"])
+    x = np.array([1.0, 2.0])
+    np.testing.assert_array_equal(plant.output(0.0, x, NONE), [2.0, 1.0, 2.0])
+    np.testing.assert_array_equal(plant.output_jacobian_at(0.0, x, NONE), [[0, 1], [1, 0], [0, 1]])
+    stated = replace(plant, output_jacobian=None)
+    np.testing.assert_array_equal(stated.output_jacobian_at(0.0, x, NONE), plant.output_jacobian_at(0.0, x, NONE))
+
+
+# z = cos(a z) + x: dz/dx = 1 / (1 + a sin(a z)), the implicit function theorem
+@pytest.mark.parametrize("batch", [(), (5,), (2, 3)])
+def test_the_fixed_point_and_its_derivative_are_settled(batch: tuple[int, ...]) -> None:
+    physics = implicit(lambda t, x, z, u, c: np.cos(0.5 * z) + x)
+    x = np.random.default_rng(0).uniform(0.0, 2.0, (*batch, 1))
+    z = solve_algebraic(physics, 0.0, x, NONE)
+    np.testing.assert_allclose(z, np.cos(0.5 * z) + x, atol=4e-13)
+    jacobian = complex_step_jacobian(lambda p: solve_algebraic(physics, 0.0, p, NONE), x)
+    # a sweep shrinks errors by at most .5, so the last change, 1e-13, bounds what is left
+    np.testing.assert_allclose(jacobian[..., 0], 1 / (1 + 0.5 * np.sin(0.5 * z)), rtol=1e-12)
+
+
+def test_the_derivative_settles_also_from_the_solution_itself() -> None:
+    # the real part starts settled; one sweep would give the imaginary part of one sweep, 1 instead of 1 / (1 - .5)
+    start = 1.0
+    physics = implicit(lambda t, x, z, u, c: 0.5 * z + x, nominal=(start,))
+    x = np.array([0.5 * start])
+    assert solve_algebraic(physics, 0.0, x, NONE)[0] == pytest.approx(start, rel=1e-15)
+    jacobian = complex_step_jacobian(lambda p: solve_algebraic(physics, 0.0, p, NONE), x)
+    # of this geometric series the rest is as large as the last term
+    assert jacobian[0, 0] == pytest.approx(2.0, rel=1e-13 + 50 * EPS)
+
+
+def test_a_jacobian_through_an_implicit_plant_equals_that_of_its_explicit_twin() -> None:
+    def build(physics: Physics) -> Plant:
+        return discretise(
+            physics, [Sensor("s", "z0", sigma=1.0)], dt=0.1, x0=np.ones(1), initial_cov=np.ones(1), process_cov=np.ones(1)
+        )
+
+    twin = build(implicit(lambda t, x, z, u, c: 2 * np.sin(x)))
+    plant = build(implicit(lambda t, x, z, u, c: 0.5 * z + np.sin(x)))
+    x = np.array([0.7])
+    np.testing.assert_allclose(plant.step(0.0, x, NONE, 0.1), twin.step(0.0, x, NONE, 0.1), rtol=1e-12)
+    np.testing.assert_allclose(plant.step_jacobian_at(0.0, x, NONE, 0.1), twin.step_jacobian_at(0.0, x, NONE, 0.1), rtol=1e-12)
+    np.testing.assert_allclose(plant.output_jacobian_at(0.0, x, NONE), [[2 * np.cos(0.7)]], rtol=1e-12)
+
+
+def test_algebraic_variables_in_a_chain_settle_exactly() -> None:
+    physics = implicit(lambda t, x, z, u, c: np.stack([x[..., 0] ** 2, z[..., 0] + x[..., 1]], axis=-1), nominal=(1.0, 1.0))
+    np.testing.assert_array_equal(solve_algebraic(physics, 0.0, np.array([3.0, 4.0]), NONE), [9.0, 13.0])
+
+
+def test_a_variable_that_is_zero_by_cancellation_settles() -> None:
+    # two branches in balance: their difference is rounding noise, never settled relative to itself
+    def phi(t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, c: Any) -> np.ndarray:
+        return np.stack([np.cos(0.5 * z[..., 0]) + x[..., 0], 0.5 * z[..., 1] + z[..., 0] - np.cos(0.5 * z[..., 0])], axis=-1)
+
+    z = solve_algebraic(implicit(phi, nominal=(1.0, 1.0)), 0.0, np.zeros(2), NONE)
+    assert abs(z[1]) < 1e-12
+
+
+def test_sweeps_that_do_not_contract_name_the_variable() -> None:
+    def phi(t: float, x: np.ndarray, z: np.ndarray, u: np.ndarray, c: Any) -> np.ndarray:
+        return np.stack([0.5 * z[..., 0] + x[..., 0], 3.0 - 1.0 * z[..., 1]], axis=-1)
+
+    with pytest.raises(ArithmeticError, match="the algebraic variables z1 of 'implicit' did not settle in 200 sweeps"):
+        solve_algebraic(implicit(phi, nominal=(1.0, 1.0)), 0.0, np.ones(2), NONE)
+
+
+def test_one_element_of_a_batch_that_does_not_settle_is_not_hidden_by_the_others() -> None:
+    physics = implicit(lambda t, x, z, u, c: x * z * (1 - z) + 0.1)
+    solve_algebraic(physics, 0.0, np.array([[0.5], [1.0]]), NONE)
+    with pytest.raises(ArithmeticError, match="z0"):
+        solve_algebraic(physics, 0.0, np.array([[0.5], [3.6]]), NONE)
+
+
+def test_inputs_broadcast_over_a_batch_of_algebraic_variables() -> None:
+    physics = replace(implicit(lambda t, x, z, u, c: 0.5 * z + x + u), inputs=(Signal("u0"),))
+    z = solve_algebraic(physics, 0.0, np.zeros(1), np.array([[1.0], [2.0], [3.0]]))
+    np.testing.assert_allclose(z, [[2.0], [4.0], [6.0]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.5, 20.0])
+def test_zero_order_hold_is_exact(dt: float) -> None:
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(4, 4)) - 2 * np.eye(4), rng.normal(size=(4, 2))
+    f, g = zero_order_hold(a, b, dt)
+    np.testing.assert_allclose(f, expm(a * dt), rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(g, np.linalg.solve(a, (expm(a * dt) - np.eye(4)) @ b), rtol=1e-11, atol=1e-12)
+    wanted_f, wanted_g, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 2))), dt)
+    np.testing.assert_allclose(f, wanted_f, rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(g, wanted_g, rtol=1e-11, atol=1e-12)
+
+
+def test_zero_order_hold_of_an_integrator_and_without_inputs() -> None:
+    f, g = zero_order_hold(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 3.0)
+    np.testing.assert_allclose(f, [[1.0, 3.0], [0.0, 1.0]], atol=1e-14)
+    np.testing.assert_allclose(g, [[4.5], [3.0]], atol=1e-13)  # dt^2 / 2 and dt
+    f, g = zero_order_hold(-np.eye(2), np.zeros((2, 0)), 1.0)
+    assert g.shape == (2, 0) and f[0, 0] == pytest.approx(np.exp(-1.0), rel=1e-14)
+    for a, b in ((np.eye(3), np.ones((2, 1))), (np.ones((2, 3)), np.ones((2, 1))), (np.eye(2), np.ones(2))):
+        with pytest.raises(ValueError, match=r"do not fit; wanted \(n, n\) and \(n, m\)"):
+            zero_order_hold(a, b, 1.0)
+    with pytest.raises(ValueError, match="dt is nan s"):
+        zero_order_hold(np.eye(2), np.ones((2, 1)), np.nan)
+
+
+def build_linear(f: Any, h: Any, **more: Any) -> Plant:
+    return linear_plant(
+        "line",
+        f,
+        h,
+        [Sensor("a", "x0", sigma=1.0), Sensor("b", "x1", sigma=1.0)],
+        dt=1.0,
+        x0=np.zeros(2),
+        initial_cov=np.ones(2),
+        process_cov=np.ones(2),
+        **more,
+    )
+
+
+def test_a_linear_plant_is_its_matrices() -> None:
+    f, g, h = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.0], [2.0]]), np.array([[1.0, 1.0], [0.0, 1.0]])
+    plant = build_linear(f, h, input_matrix=g, inputs=[Signal("u")])
+    x, u = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0], [-1.0]])
+    np.testing.assert_allclose(plant.step(0.0, x, u, 1.0), [f @ x[0] + g @ u[0], f @ x[1] + g @ u[1]], rtol=4 * EPS)
+    np.testing.assert_allclose(plant.output(0.0, x, u), x @ h.T, rtol=4 * EPS)
+    assert plant.fixed_dt and [s.name for s in plant.states] == ["x0", "x1"]
+
+
+@pytest.mark.parametrize(
+    ("f", "h", "more"),
+    [
+        (np.ones((2, 3)), np.eye(2), {}),
+        (np.float64(1.0), np.eye(2), {}),
+        (np.eye(2), np.ones((3, 2)), {}),
+        (np.eye(2), np.eye(2), {"input_matrix": np.ones((2, 2)), "inputs": [Signal("u")]}),
+        (np.eye(2), np.eye(2), {"input_matrix": np.ones((2, 1))}),
+    ],
+)
+def test_matrices_that_do_not_fit_are_refused(f: Any, h: Any, more: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="do not fit"):
+        build_linear(f, h, **more)
+
+
+def test_matrices_that_are_not_finite_are_refused() -> None:
+    with pytest.raises(ValueError, match="F, G or H of plant 'line' has entries that are not finite"):
+        build_linear(np.array([[1.0, np.nan], [0.0, 1.0]]), np.eye(2))
