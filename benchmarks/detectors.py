@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -43,7 +42,10 @@ DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
         "extended Kalman filters, one without each sensor, with information mixture: statistics (19), (20) of Shaheen 2024",
         lambda plant: fusing_bank(plant, "ekf"),
     ),
-    "fusing-ukf": ("the same of unscented filters as printed, without redrawn sigma points", lambda plant: fusing_bank(plant, "ukf")),
+    "fusing-ukf": (
+        "the same of unscented filters as printed, without redrawn sigma points",
+        lambda plant: fusing_bank(plant, "ukf"),
+    ),
     "fusing-enkf": ("the same of ensemble filters, 40 members", lambda plant: fusing_bank(plant, "enkf")),
     "loo-chi2": (
         "one extended Kalman filter with exact leave-one-out chi-square statistics and sequential elimination",
@@ -72,11 +74,3 @@ def watching(detector: Detector) -> Detector:
     if isinstance(detector, FusingBank | LeaveOneOutBank):
         return replace(detector, accommodate=False)
     return detector
-
-
-@cache
-def on_pipeline(name: str, snr: str, process_noise: str, initial: str) -> Detector:
-    """A detector on the paper's pipeline, built (and calibrated) once for all tasks of a process."""
-    from fusion_sfdia.models.gas_pipeline import gas_pipeline
-
-    return build(name, gas_pipeline(snr=snr, process_noise=process_noise, initial=initial))

@@ -14,7 +14,20 @@ if TYPE_CHECKING:
     from fusion_sfdia.plant import Plant
 
 # name: "module:attribute", the attribute being a Scenario
-SCENARIOS: dict[str, str] = {}
+SCENARIOS: dict[str, str] = {
+    f"pipeline/{name}": f"fusion_sfdia.benchmarks.pipeline_{name}:SCENARIO"
+    for name in (
+        "estimation",
+        "roc",
+        "isolation",
+        "accuracy",
+        "accommodation",
+        "units",
+        "weak",
+        "mismatch",
+        "consistency",
+    )
+}
 
 # name: what it is, and "module:function" that returns the Plant with its usual settings
 PLANTS: dict[str, tuple[str, str]] = {

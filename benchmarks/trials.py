@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.detector import Decision, Detector, run
+from fusion_sfdia.estimation_metrics import measured_states
 from fusion_sfdia.fault_draws import FaultRange, draw
 from fusion_sfdia.faults import apply
 from fusion_sfdia.plant import Plant
@@ -83,8 +84,9 @@ def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
     error = np.full((*scores.shape[:2], len(groups)), np.nan)
     if data.recording.x is not None:
         square = (decision.estimate - data.recording.x) ** 2
-        for q, members in enumerate(groups):
-            error[..., q] = square[..., [measured_state(plant, i) for i in members]].mean(axis=-1)
+        read = measured_states(plant)
+        for q, quantity in enumerate(plant.quantities):
+            error[..., q] = square[..., read[quantity]].mean(axis=-1)
     named = data.active & decision.isolated[..., : len(plant.sensors)] & np.isfinite(data.size) & (data.size != 0)
     off = np.where(named, np.abs(decision.fault_size / np.where(named, data.size, 1.0) - 1), 0.0)
     count = named.sum(axis=-1)
@@ -99,11 +101,6 @@ def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
         "diverged": decision.diverged.any(axis=0),
         "guarded": decision.guarded.mean(axis=0),
     }
-
-
-def measured_state(plant: Plant, sensor: int) -> int:
-    """Index of the state that a sensor reads directly."""
-    return [s.name for s in plant.states].index(plant.sensors[sensor].measures)
 
 
 def unpack(arrays: Arrays, what: str, sensors: int) -> Array:

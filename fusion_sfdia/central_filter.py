@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.detector import Decision, State, check_reading
-from fusion_sfdia.estimators import Estimator, Extended, Reading, stream
+from fusion_sfdia.estimators import Estimator, Extended, Reading, step_stream
 from fusion_sfdia.health import broken, keep_broken_out, without_broken
 from fusion_sfdia.leave_one_out import normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.plant import Plant
@@ -38,7 +38,7 @@ class CentralFilter:
 
     def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
         """State at time t: seed, step count, time, diverged (*batch), and the filter's core."""
-        core = self.estimator.start(self.plant, batch, stream(seed, 0))
+        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         return np.array(seed, np.uint64), np.array(0), np.array(float(t)), np.zeros(batch, bool), *core
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
@@ -48,12 +48,12 @@ class CentralFilter:
         self.plant.check_dt(dt := t - float(last))
         k = k + 1
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            prior = self.estimator.predict(self.plant, tuple(core), float(last), u, dt, stream(seed, k))
+            prior = self.estimator.predict(self.plant, tuple(core), float(last), u, dt, step_stream(seed, k))
             joint = self.estimator.joint(self.plant, prior, t, u)
             found = statistics(joint, y, np.isfinite(y))
             x, p = posterior(joint, found)
             reading = Reading(t, y, u)
-            after = self.estimator.assimilate(self.plant, prior, reading, x, p, stream(seed, k + np.int64(2**32)))
+            after = self.estimator.assimilate(self.plant, prior, reading, x, p, step_stream(seed, k + np.int64(2**32)))
             expected = self.plant.output(t, x, u)
         diverged = diverged | broken(x, p)
         after = keep_broken_out(diverged, after, self.init(diverged.shape, t, int(seed))[4:])

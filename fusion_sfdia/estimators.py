@@ -180,6 +180,6 @@ class Ensemble:
 ESTIMATORS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(), "enkf": Ensemble()}
 
 
-def stream(seed: Array | int, step: Array | int) -> np.random.Generator:
+def step_stream(seed: Array | int, step: Array | int) -> np.random.Generator:
     """The generator of one step of one seed (Philox, the step in the highest counter word): no step repeats another's."""
     return np.random.Generator(np.random.Philox(key=int(seed), counter=[0, 0, 0, int(step)]))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import mixing
 from fusion_sfdia.detector import Decision, State, check_reading
-from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, stream
+from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, step_stream
 from fusion_sfdia.health import broken, keep_broken_out, without_broken
 from fusion_sfdia.leave_one_out import local_estimates, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.plant import Plant
@@ -77,7 +77,7 @@ class FusingBank:
 
     def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
         """State at time t: seed, step count, time, diverged (*batch), and the filter's core (with an axis N when literal)."""
-        core = self.estimator.start(self.plant, batch, stream(seed, 0))
+        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         if self.runs_literally:
             axis, count = len(batch), len(self.plant.sensors)
             core = tuple(np.repeat(np.expand_dims(a, axis), count, axis=axis) for a in core)
@@ -125,11 +125,11 @@ class FusingBank:
     def _predict(self, core: Core, t: float, u: Array, dt: float, seed: Array, k: Array) -> list[Prior]:
         """The prior of each local filter, or the one they share."""
         if not self.runs_literally:
-            return [self.estimator.predict(self.plant, core, t, u, dt, stream(seed, k))]
+            return [self.estimator.predict(self.plant, core, t, u, dt, step_stream(seed, k))]
         axis = u.ndim - 1
         count = len(self.plant.sensors)
         one_by_one = (tuple(np.take(a, i, axis=axis) for a in core) for i in range(count))
-        return [self.estimator.predict(self.plant, c, t, u, dt, stream(seed, k)) for c in one_by_one]
+        return [self.estimator.predict(self.plant, c, t, u, dt, step_stream(seed, k)) for c in one_by_one]
 
     def _mix(self, priors: list[Prior], t: float, y: Array, u: Array, used: Array, seed: Array, k: Array) -> Mixed:
         """Steps 2 to 4: local updates, mixture, feedback."""
@@ -150,7 +150,7 @@ class FusingBank:
             else:
                 x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
         cores = [
-            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, stream(seed, k + np.int64(2**32)))
+            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(seed, k + np.int64(2**32)))
             for prior, b in zip(priors, beta, strict=False)
         ]
         core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))

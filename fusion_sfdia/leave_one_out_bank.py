@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.detector import Decision, State, check_reading
-from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Prior, stream
+from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Prior, step_stream
 from fusion_sfdia.exclusion import Exclusion, exclude, nobody, watch
 from fusion_sfdia.health import broken, keep_broken_out, without_broken
 from fusion_sfdia.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
@@ -78,7 +78,7 @@ class LeaveOneOutBank:
     def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
         """State at time t: step count, time, diverged (*batch), x, P, the exclusions, and the window's eta, a, b."""
         n, count, lags = len(self.plant.states), len(self.plant.sensors), self.window - 1
-        core = self.estimator.start(self.plant, batch, stream(seed, 0))
+        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         window = empty(batch, lags, n, count)
         return np.array(float(t)), np.zeros(batch, bool), *core, *nobody(batch, count), *window
 
@@ -108,7 +108,7 @@ class LeaveOneOutBank:
     ) -> tuple[tuple[Array, ...], Exclusion, Window, Decision]:
         plant, est = self.plant, self.estimator
         one_limit, window_limit = self.limits
-        prior = est.predict(plant, core, last, u, dt, stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, core, last, u, dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)

@@ -1,0 +1,111 @@
+"""pipeline/estimation: errors without faults, beside Table IV of Shaheen 2024."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from matplotlib.figure import Figure as Drawing
+
+from fusion_sfdia.benchmarks import pipeline_published as published
+from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
+from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
+from fusion_sfdia.benchmarks.pipeline_trials import (
+    COMMON,
+    PAPER,
+    Results,
+    bar_series,
+    gather,
+    initial,
+    row,
+    run_rmse,
+    tasks,
+    trial,
+)
+from fusion_sfdia.benchmarks.plots import bars, panels
+from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
+from fusion_sfdia.central_filter import CentralFilter
+from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
+
+LEVELS = ("high", "moderate", "low")
+
+
+def estimation_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """Table IV: banks and basic filters at three levels of noise."""
+    return tasks(
+        ({"detector": d, "snr": s, "fault": "none", "quantity": "all"} for s in LEVELS for d in (*PAPER, *PAPER_FILTERS)), seeds
+    )
+
+
+@cache
+def _basic(kind: str, snr: str, process_noise: str) -> CentralFilter:
+    plant = gas_pipeline(snr=snr, process_noise=process_noise, initial=initial(f"fusing-{kind}"))
+    return CentralFilter(plant, PAPER_FILTERS[kind])
+
+
+def estimation_work(settings: Settings, task: Task) -> Arrays:
+    """A healthy run through a bank or a single filter."""
+    if task["detector"] not in PAPER_FILTERS:
+        return trial(settings, task)
+    return trial(settings, task, _basic(task["detector"], task["snr"], str(settings["process_noise"])))
+
+
+def estimation_summary(settings: Settings, results: Results) -> Summary:
+    """RMSE beside Table IV."""
+    rows: list[Row] = []
+    shown: dict[tuple[Any, ...], Estimate] = {}
+    for (detector, snr), cell in gather(results, "detector", "snr").items():
+        for i, quantity in enumerate(QUANTITIES):
+            estimate = run_rmse(cell, i)
+            theirs = published.rmse(snr, detector, quantity)
+            rows.append(row("pipeline/estimation", detector, "none", f"{quantity}, {snr} SNR", "rmse", estimate, theirs))
+            shown[detector, snr, quantity] = estimate
+
+    def draw() -> Drawing:
+        figure, axes = panels(
+            [f"{q}, {u}" for q, u in zip(QUANTITIES, ("Pa", "kg/s", "K"), strict=True)], columns=3, width=13.0, height=3.6
+        )
+        names = (*PAPER, *PAPER_FILTERS)
+        for axis, quantity in zip(axes, QUANTITIES, strict=True):
+            of = {(d, s): shown.get((d, s, quantity)) for d in names for s in LEVELS}
+            theirs = {(d, s): published.rmse(s, d, quantity) for d in names for s in LEVELS}
+            bars(axis, list(LEVELS), bar_series(of, names, list(LEVELS), theirs), ylabel="RMSE", log=True)
+            axis.set_xlabel("signal-to-noise ratio")
+        return figure
+
+    figure = Figure(
+        "rmse",
+        "Error of the state estimate beside Table IV",
+        "Bars: ours with 95 % intervals; diamonds: published. Logarithmic scale. The banks stand first, "
+        "then the single filters.",
+        draw,
+        "Three panels of bars, one a quantity: root mean square errors of six filters at three noise levels, "
+        "published as diamonds",
+    )
+    remarks = [
+        "Table IV does not reproduce as a whole, and cannot: its fusing filters beat their basic ones in every "
+        "row of the text but "
+        "not of the table, its fusing EKF errs more at high than at low SNR, and one entry (1.8683) stands twice.",
+        "With P_i = beta P_m and beta = 1/N a bank divides its covariance by N^2 each step and all but ignores "
+        "its readings: it "
+        "keeps the error of its first sample. One central filter (the basic ones) has a fraction of that error.",
+        "Of the readings of the noise that we tried, a process noise of 10 % of the sensors' sigma comes nearest "
+        "for the unscented "
+        "filter at moderate and low SNR; `--set process_noise=nine-tenths` gives the other.",
+    ]
+    return Summary(rows=rows, figures=[figure], remarks=remarks)
+
+
+SCENARIO = Scenario(
+    name="pipeline/estimation",
+    title="Estimation without faults (Table IV)",
+    about="Root mean square error over nodes and time of the three fusing filters and their basic counterparts at three noise "
+    "levels; truth without process noise and with the filter's own model, as in the paper.",
+    settings=COMMON,
+    seeds=3,
+    full_seeds=10,
+    tasks=estimation_tasks,
+    work=estimation_work,
+    summarise=estimation_summary,
+)

@@ -1,0 +1,168 @@
+"""What the pipeline scenarios share: their tasks, the work of a task, and its arrays gathered by cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia import detection_metrics as metrics
+from fusion_sfdia.benchmarks.detectors import build, watching
+from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
+from fusion_sfdia.benchmarks.plots import Bars
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.benchmarks.trials import faulted, join, outcome, unpack
+from fusion_sfdia.detector import Detector
+from fusion_sfdia.fault_draws import FaultRange
+from fusion_sfdia.metrics import NOTHING, Estimate, mean_over_runs
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.plant import Plant
+
+Array = NDArray[Any]
+Results = Sequence[tuple[Task, Arrays]]
+Shown = Mapping[tuple[str, str], Estimate | None]
+
+PLANT = "gas-pipeline"
+PAPER = ("fusing-ekf", "fusing-ukf", "fusing-enkf")
+OURS = ("loo-chi2", "loo-glr")
+SENSORS = 63
+SETTLE = 30  # samples that are not judged: the filters forget their initial covariance
+CHUNK = 10  # runs in one task
+COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "tenth"}
+
+NEAR_NOISE = {  # faults of a few sigma: name, range, how many at once
+    "bias-3-sigma": (FaultRange("bias", (3, 3), "sigmas"), 1),
+    "bias-5-sigma": (FaultRange("bias", (5, 5), "sigmas"), 1),
+    "drift-3-sigma": (FaultRange("drift", (3, 3), "sigmas", hold=(10, 20)), 1),
+    "three-8-sigma": (FaultRange("bias", (8, 8), "sigmas", length=(20, 20)), 3),
+    "bias-30-percent": (FaultRange("bias", (0.3, 0.3), "relative"), 1),
+}
+
+
+def initial(detector: str) -> str:
+    """P0 of a detector: the paper's identity for its Kalman filters; its ensemble leaves the gas model with +-1 MPa."""
+    return "identity" if detector in ("fusing-ekf", "fusing-ukf") else "noise"
+
+
+@cache
+def detector_on_pipeline(name: str, snr: str, process_noise: str) -> Detector:
+    """A named detector on the paper's pipeline, built (and calibrated) once for all tasks of a process."""
+    return build(name, gas_pipeline(snr=snr, process_noise=process_noise, initial=initial(name)))
+
+
+def steps(settings: Settings) -> int:
+    """The length of a run in samples."""
+    return int(str(settings["steps"]))
+
+
+def tasks(cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
+    """One task a cell and CHUNK runs."""
+    return [cell | {"seeds": block} for cell in cells for block in seed_blocks(seeds, CHUNK)]
+
+
+def trial(settings: Settings, task: Task, detector: Detector | None = None, truth: Plant | None = None) -> Arrays:
+    """The runs of a task: recordings with its fault ("none" for healthy), through its detector; arrays as in `outcome`."""
+    snr = task.get("snr", settings["snr"])
+    detector = detector or detector_on_pipeline(task["detector"], snr, settings["process_noise"])
+    if not task.get("accommodate", True):
+        detector = watching(detector)
+    name: str = task["fault"]
+    fault: str | FaultRange = name
+    count = 1
+    if name in NEAR_NOISE:
+        fault, count = NEAR_NOISE[name]
+    to_states = None
+    if truth is not None:
+        from fusion_sfdia.models.gas_pipeline import coarse_state
+
+        stations = len(detector.plant.states) // 3
+
+        def to_states(x: Array) -> Array:  # fmt: skip
+            return coarse_state(x, stations)
+
+    data = faulted(
+        detector.plant,
+        steps(settings),
+        task["seeds"],
+        None if name == "none" else fault,
+        None if task["quantity"] == "all" else task["quantity"],
+        count=count,
+        settle=SETTLE,
+        truth=truth,
+        to_states=to_states,
+    )
+    return outcome(detector, data, seed=task["seeds"][0])
+
+
+class Cell:
+    """The joined arrays of one cell without its diverged runs, after the settling time, unpacked where asked."""
+
+    def __init__(self, arrays: Arrays) -> None:
+        sound = ~arrays["diverged"]
+        self.runs, self.diverged = arrays["diverged"].size, int(arrays["diverged"].sum())
+        self._arrays = {k: v[SETTLE:][:, sound] if v.ndim > 1 else v[sound] for k, v in arrays.items()}
+        self.active = unpack(self._arrays, "active", SENSORS)
+        self.isolated = unpack(self._arrays, "isolated", SENSORS)
+
+    def __getitem__(self, name: str) -> Array:
+        return self._arrays[name]
+
+
+def gather(results: Sequence[tuple[Task, Arrays]], *keys: str) -> dict[tuple[Any, ...], Cell]:
+    """Join the results of the tasks that agree on keys."""
+    parts: dict[tuple[Any, ...], list[Arrays]] = {}
+    for task, arrays in results:
+        parts.setdefault(tuple(task[k] for k in keys), []).append(arrays)
+    return {key: Cell(join(found)) for key, found in parts.items()}
+
+
+def row(
+    scenario: str, detector: str, fault: str, quantity: str, metric: str, estimate: Estimate, published: Published | None = None
+) -> Row:
+    """A row of metrics.csv on this plant."""
+    value, source = (None, "") if published is None else (published.value, published.source)
+    return Row(scenario, PLANT, detector, fault, quantity, metric, *estimate, published=value, source=source)
+
+
+def run_rmse(cell: Cell, quantity: int, where: Array | None = None) -> Estimate:
+    """Mean over runs of the root mean square error of a quantity (Shaheen 2024, sec. V-A), with a bootstrap over runs."""
+    square = cell["square_error"][..., quantity]
+    counted = np.ones(square.shape, bool) if where is None else where
+    n = counted.sum(axis=0)
+    root = np.sqrt(np.where(n > 0, (square * counted).sum(axis=0) / np.maximum(n, 1), 0.0))
+    return mean_over_runs(root, (n > 0).astype(float))
+
+
+def detection_rows(scenario: str, cells: Mapping[tuple[Any, ...], Cell]) -> list[Row]:
+    """Area under the ROC of the faulty quantity's score, and both probabilities at the detector's own threshold."""
+    rows = []
+    for (detector, fault, quantity), cell in cells.items():
+        score = cell["score"][..., QUANTITIES.index(quantity)]
+        at = partial(row, scenario, detector, fault, quantity)
+        rows += [
+            at("auc", metrics.auc(score, cell.active)),
+            at("detection_probability", metrics.detection_probability(score > 1, cell.active)),
+            at("false_alarm_probability", metrics.false_alarm_probability(score > 1, cell.active)),
+        ]
+    return rows
+
+
+def bar_series(
+    shown: Shown,
+    labels: Sequence[str],
+    groups: Sequence[str],
+    published: Mapping[tuple[str, str], Published | None] | None = None,
+) -> list[Bars]:
+    """Return the bars of plots.bars from estimates by (label, group); labels without any are left out."""
+    series = []
+    for label in labels:
+        found = [shown.get((label, g)) or NOTHING for g in groups]
+        theirs = [(published or {}).get((label, g)) for g in groups]
+        if any(e.n for e in found) or any(np.isfinite(e.value) for e in found):
+            stated = [np.nan if p is None else p.value for p in theirs]
+            series.append(Bars(label, [e.value for e in found], [e.low for e in found], [e.high for e in found], stated))
+    return series
