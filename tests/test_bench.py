@@ -1,0 +1,91 @@
+"""The benchmark: what is compared computes the same, and the rows are there. No word on how fast."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion_sfdia import ekf, ukf
+from fusion_sfdia.benchmarks import bench, bench_lorenz
+from fusion_sfdia.benchmarks.bench_filterpy import compiled_model, numpy_model, step_call
+from fusion_sfdia.benchmarks.results import read_rows
+from fusion_sfdia.benchmarks.timing import best_times
+from fusion_sfdia.gaussian import condition, dense
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
+
+SHORT = 1e-3  # s
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "numpy"])
+def test_filterpy_on_the_pipeline_estimates_what_ours_does(kind: str, compiled: bool) -> None:
+    plant = gas_pipeline(nodes=9)
+    u = plant.input_at(0.0)
+    y = plant.x0 + 2 * plant.sensor_sigma * np.sin(np.arange(27))
+    model = (compiled_model if compiled else numpy_model)(plant, u)
+    theirs = step_call(kind, plant, model, y, without=4)
+    x, P, Q, R = plant.x0, dense(plant.initial_cov), plant.process_cov, plant.sensor_cov
+    if kind == "ekf":
+        x, P = ekf.predict(x, P, model.step, model.jacobian(x), Q)
+        joint = ekf.joint(x, P, lambda s: s, np.eye(27), R)
+    else:
+        points = ukf.SigmaPoints()
+        x, P, _ = ukf.predict(points, x, P, lambda s: np.array([model.step(p) for p in s]), Q)
+        joint = ukf.joint(points, x, P, lambda s: s, R)
+    ours = condition(joint, np.where(np.arange(27) == 4, np.nan, y)).x
+    # weights of 1e6 magnify the rounding of 8.4 MPa beside 500 Pa: eps 1e6 (8.4e6 / 500) = 4e-6 sigma, 50 operations of it
+    tolerance = 50 * 4e-6 if kind == "ukf" else 1e-9
+    np.testing.assert_allclose(theirs() / plant.state_scale, ours / plant.state_scale, rtol=0, atol=tolerance)
+    np.testing.assert_array_equal(theirs(), theirs())  # each call repeats the same step
+    assert np.abs(ours - plant.x0).max() > 0
+
+
+@pytest.mark.parametrize("kind", ["kf", "ukf"])
+def test_filterpy_on_lorenz_96_estimates_what_ours_does(kind: str) -> None:
+    ours, theirs = bench_lorenz.pairs(kind, "np.roll")
+    theirs()
+    # weights of 1e6 magnify rounding of values near 8, over 127 points
+    np.testing.assert_allclose(ours(), theirs(), rtol=0, atol=1e6 * 8 * np.finfo(float).eps * 127 if kind == "ukf" else 1e-11)
+
+
+def test_the_two_sources_of_lorenz_96_are_one_equation() -> None:
+    x = np.random.default_rng(1).standard_normal((3, 63))
+    nothing = np.empty(0)
+    a, b = (f(0.0, x, nothing, nothing, 8.0) for f in bench_lorenz.MODELS.values())
+    np.testing.assert_array_equal(a, b)
+    i = 5
+    assert a[0, i] == pytest.approx((x[0, i + 1] - x[0, i - 2]) * x[0, i - 1] - x[0, i] + 8.0, rel=1e-14)
+
+
+def test_each_part_has_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = lambda nodes=9: gas_pipeline(nodes=nodes)  # noqa: E731
+    monkeypatch.setattr(bench, "gas_pipeline", small)
+    monkeypatch.setattr(bench, "NODES", (9, 13))
+    monkeypatch.setattr(bench, "BANK_NODES", (13,))
+    rows = bench.run([], tmp_path, seconds=SHORT)
+    assert {r.scenario for r in rows} == {f"bench/{part}" for part in bench.PARTS}
+    assert all(np.isfinite(r.value) and r.value > 0 and r.n > 0 and r.published is None for r in rows)
+    keys = [(r.scenario, r.detector, r.quantity, r.metric) for r in rows]
+    assert len(set(keys)) == len(keys)
+    for kind in ("ekf", "ukf", "enkf"):
+        for quantity in ("single", "filterpy", "filterpy, compiled model"):
+            assert ("bench/bank", f"fusing-{kind}", quantity, "speedup") in keys
+    memory = {r.quantity: r.value for r in rows if r.metric == "peak_memory" and r.detector == "fusing-enkf"}
+    # an ensemble of 40 members with 27 states is 8640 bytes: a handful of copies, never a thousand
+    assert 8640 < memory["9 nodes"] < 100 * 8640
+    assert [r.value for r in read_rows(tmp_path / "metrics.csv")] == [r.value for r in rows]
+
+
+def test_the_least_time_of_calls_that_take_turns() -> None:
+    order: list[str] = []
+    times = best_times({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, SHORT)
+    assert order[:2] == ["a", "b"]
+    assert {name: t.calls for name, t in times.items()} == {name: order.count(name) - 1 for name in "ab"}
+    assert all(t.best > 0 and t.calls >= 2 for t in times.values())
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(ValueError, match="unknown part bnak of the benchmark; known: bank, model, scaling, lorenz"):
+        bench.run(["bnak"])
+    with pytest.raises(ValueError, match="positive time"):
+        best_times({}, 0.0)
