@@ -1,0 +1,263 @@
+"""One contract for every registered detector on every registered plant: a new one joins by registering."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_plants import Array, chain, tanks
+
+from fusion_sfdia.benchmarks import registry
+from fusion_sfdia.benchmarks.detectors import DETECTORS, FALSE_ALARM, build
+from fusion_sfdia.detector import Decision, Detector, State, run
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.simulate import simulate
+from fusion_sfdia.storage import load_state, save_state
+
+TOYS = ("chain", "tanks")
+SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
+
+# Faults of 30 sigma that a method misses, by quantity. Shaheen 2024, (20), adds MPa to kg/s, so the extended filter's bank
+# sees a pressure fault but blames another sensor; the printed unscented update leaves the process noise out of its gain,
+# which dies away with the covariance that the mixture divides by the number of sensors: it follows no reading any more.
+MISSED = {
+    ("gas-pipeline", "fusing-ekf"): {"pressure"},
+    ("gas-pipeline", "fusing-ukf"): {"pressure", "mass flow", "temperature"},
+}
+SETTLED = 20  # samples in which the filters forget their initial covariance
+
+
+def plants() -> tuple[str, ...]:
+    return (*TOYS, *registry.PLANTS)
+
+
+@cache
+def plant_of(name: str) -> Plant:
+    if name == "tanks":
+        return tanks()
+    if name == "chain":
+        plant = chain(6)
+        return replace(plant, sensors=tuple(replace(s, quantity="level") for s in plant.sensors))
+    return registry.plant(name)
+
+
+@cache
+def detector_of(plant: str, name: str) -> Detector:
+    return build(name, plant_of(plant))
+
+
+def pairs() -> Iterator[object]:
+    for plant in plants():
+        for name in DETECTORS:
+            marks = [pytest.mark.slow] if (plant, name) in SLOW else []
+            yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)
+
+
+every_pair = pytest.mark.parametrize("pair", list(pairs()))
+
+
+@cache
+def healthy(plant: str, steps: int, runs: int) -> tuple[Array, Array, Array]:
+    """Times (K,), healthy readings (K, B, N), inputs (K, B, m); not to be written to."""
+    recording = simulate(plant_of(plant), steps, range(50, 50 + runs))
+    u = np.broadcast_to(recording.u[:, None], (steps, runs, recording.u.shape[-1]))
+    recording.y.flags.writeable = False
+    return recording.t, recording.y, u
+
+
+def assert_same_bits(a: Decision, b: Decision) -> None:
+    for f in fields(Decision):
+        np.testing.assert_array_equal(getattr(a, f.name), getattr(b, f.name), err_msg=f.name)
+
+
+def assert_same_state(a: State, b: State) -> None:
+    assert len(a) == len(b)
+    for one, other in zip(a, b, strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+
+
+@every_pair
+@pytest.mark.parametrize("batch", [(), (2,)], ids=["single", "batch"])
+def test_shapes_and_types(pair: tuple[str, str], batch: tuple[int, ...]) -> None:
+    detector, plant = detector_of(*pair), plant_of(pair[0])
+    n, count, names = len(plant.states), len(plant.sensors), detector.hypotheses
+    assert isinstance(detector, Detector) and names[:count] == plant.sensor_names and len(set(names)) == len(names)
+    t, y, u = healthy(pair[0], 3, 2)
+    state = detector.init(batch)
+    assert isinstance(state, tuple) and all(isinstance(a, np.ndarray) and a.dtype != object for a in state)
+    for k in range(3):
+        state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
+    wanted = {
+        "estimate": (n,), "measured": (count,), "residual": (count,), "threshold": (count,), "isolated": (len(names),),
+        "fault_size": (len(names),), "diverged": (), "guarded": (), "nis": (),
+    }  # fmt: skip
+    for name, shape in wanted.items():
+        value = np.asarray(getattr(d, name))
+        assert value.shape == (*batch, *shape), name
+        assert value.dtype == (bool if name in ("isolated", "diverged", "guarded") else float), name
+    assert d.covariance is None or d.covariance.shape == (*batch, n, n)
+    assert d.scores.shape == (*batch, count) and d.score.shape == d.alarm.shape == batch and d.alarm.dtype == bool
+    assert np.all(d.threshold > 0) and np.all(np.isfinite(d.estimate))
+    np.testing.assert_array_equal(np.isnan(d.fault_size), ~d.isolated)
+
+
+@every_pair
+def test_the_same_seed_gives_the_same_bits_and_a_state_is_left_as_it_was(pair: tuple[str, str]) -> None:
+    detector = detector_of(*pair)
+    t, y, u = healthy(pair[0], 8, 2)
+    first = detector.init((2,), seed=11)
+    before = tuple(np.array(a) for a in first)
+    end, decisions = run(detector, first, t, y, u)
+    assert_same_state(first, before)
+    again, repeated = run(detector, detector.init((2,), seed=11), t, y, u)
+    assert_same_bits(decisions, repeated)
+    assert_same_state(end, again)
+
+
+@every_pair
+def test_step_by_step_is_a_run_is_a_batch_of_one(pair: tuple[str, str]) -> None:
+    detector = detector_of(*pair)
+    t, y, u = healthy(pair[0], 10, 1)
+    y = y.copy()
+    y[6:, 0, 0] += 30 * plant_of(pair[0]).sensor_sigma[0]
+    y[8, 0, 1] = np.nan
+    _, batch_of_one = run(detector, detector.init((1,)), t, y, u, covariance=True)
+    _, whole = run(detector, detector.init(), t, y[:, 0], u[:, 0], covariance=True)
+    state = detector.init()
+    for k in range(10):
+        state, d = detector.step(state, float(t[k]), y[k, 0], u[k, 0])
+        for f in fields(Decision):
+            value = getattr(d, f.name)
+            if value is None:
+                continue
+            np.testing.assert_array_equal(getattr(whole, f.name)[k], value, err_msg=f.name)
+            np.testing.assert_array_equal(getattr(batch_of_one, f.name)[k, 0], value, err_msg=f.name)
+
+
+@every_pair
+def test_an_input_may_be_shared_by_the_batch(pair: tuple[str, str]) -> None:
+    detector = detector_of(*pair)
+    t, y, u = healthy(pair[0], 5, 3)
+    _, shared = run(detector, detector.init((3,)), t, y, u[:, 0])
+    _, each = run(detector, detector.init((3,)), t, y, u)
+    assert_same_bits(shared, each)
+
+
+@every_pair
+def test_silence_when_healthy(pair: tuple[str, str]) -> None:
+    detector = detector_of(*pair)
+    t, y, u = healthy(pair[0], 120, 3)
+    _, d = run(detector, detector.init((3,)), t, y, u)
+    assert not d.diverged.any()
+    alarm = d.alarm[SETTLED:]
+    begun = np.sum(alarm[1:] & ~alarm[:-1]) + np.sum(alarm[0])  # an alarm is held until readmission: its beginnings count
+    # three standard errors of a count; the calibration adds as much variance as the test, neighbours correlate (factor 2)
+    expected = FALSE_ALARM * alarm.size
+    assert begun <= expected + 3 * 2 * np.sqrt(2 * expected)
+
+
+@every_pair
+def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, str]) -> None:
+    detector, plant = detector_of(*pair), plant_of(pair[0])
+    chosen = {quantity: int(members[members.size // 2]) for quantity, members in plant.quantities.items()}
+    t, y, u = healthy(pair[0], 60, len(chosen))
+    y = y.copy()
+    for run_index, i in enumerate(chosen.values()):  # one run for each quantity
+        y[35:55, run_index, i] += 30 * plant.sensor_sigma[i]
+    _, d = run(detector, detector.init((len(chosen),)), t, y, u)
+    missed = set()
+    for run_index, (quantity, i) in enumerate(chosen.items()):
+        during = d.isolated[35:55, run_index]
+        if np.mean(during[:, i]) < 0.5:
+            missed.add(quantity)
+            continue
+        assert np.mean(during[:, i]) >= 0.9 and during[0, i] and np.all(d.alarm[35:55, run_index][during[:, i]])
+        # at most two of the twenty samples name another sensor, too
+        assert np.sum(np.any(np.delete(during, i, axis=-1), axis=-1)) <= 2
+        size = d.fault_size[35, run_index, i] / plant.sensor_sigma[i]
+        # reading less what the others say: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
+        assert size == pytest.approx(30.0, abs=4 * np.sqrt(2))
+    assert missed == MISSED.get(pair, set())
+
+
+@every_pair
+def test_missing_readings_neither_raise_nor_alarm_nor_poison(pair: tuple[str, str]) -> None:
+    detector, plant = detector_of(*pair), plant_of(pair[0])
+    t, y, u = healthy(pair[0], 40, 2)
+    gone = np.random.default_rng(1).random(y.shape) < 0.3
+    gone[0] = True  # before anything was read
+    gone[20:24] = True
+    gone[30:34, 0, 1:] = True  # one sensor left
+    gone[30:34, 1, next(iter(plant.quantities.values()))] = True  # a whole quantity
+    y = np.where(gone, np.nan, y)
+    _, d = run(detector, detector.init((2,)), t, y, u)
+    assert not d.diverged.any() and np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.measured))
+    assert not d.isolated[..., : gone.shape[-1]][gone].any()
+    assert np.all(np.isnan(d.residual[gone])) and np.all(d.scores[gone] == 0)
+    assert not d.alarm[np.all(gone, axis=-1)].any()
+    np.testing.assert_array_equal(
+        d.measured[~gone & ~d.isolated[..., : gone.shape[-1]]], y[~gone & ~d.isolated[..., : gone.shape[-1]]]
+    )
+
+
+@every_pair
+def test_a_sensor_that_was_silent_comes_back_trusted(pair: tuple[str, str]) -> None:
+    detector, plant = detector_of(*pair), plant_of(pair[0])
+    t, y, u = healthy(pair[0], 50, 2)
+    y = y.copy()
+    i = len(plant.sensors) // 2
+    y[SETTLED:40, :, i] = np.nan
+    _, d = run(detector, detector.init((2,)), t, y, u)
+    assert np.all(np.isfinite(d.estimate)) and not d.isolated[SETTLED:, :, i].any()
+    assert np.all(np.isfinite(d.residual[40:, :, i]))
+    np.testing.assert_array_equal(d.measured[40:, :, i], y[40:, :, i])
+
+
+@every_pair
+@pytest.mark.parametrize("batch", [(), (2,)], ids=["single", "batch"])
+def test_a_saved_state_goes_on_with_the_same_bits(pair: tuple[str, str], batch: tuple[int, ...], tmp_path: Path) -> None:
+    detector, plant = detector_of(*pair), plant_of(pair[0])
+    t, y, u = healthy(pair[0], 14, 2)
+    y = y.copy()
+    y[6:, 0, 1] += 30 * plant.sensor_sigma[1]  # saved with a sensor left out
+    y[7, :, 0] = np.nan
+    y, u = (y, u) if batch else (y[:, 0], u[:, 0])
+    middle, _ = run(detector, detector.init(batch, seed=5), t[:8], y[:8], u[:8])
+    save_state(tmp_path / "state.npz", detector, middle)
+    loaded = load_state(tmp_path / "state.npz", detector)
+    assert_same_state(loaded, middle)
+    end, went_on = run(detector, middle, t[8:], y[8:], u[8:], covariance=True)
+    resumed_end, resumed = run(detector, loaded, t[8:], y[8:], u[8:], covariance=True)
+    assert_same_bits(went_on, resumed)
+    assert_same_state(end, resumed_end)
+
+
+@every_pair
+def test_wrong_readings_inputs_and_times_are_named(pair: tuple[str, str]) -> None:
+    detector, plant = detector_of(*pair), plant_of(pair[0])
+    times, ys, us = healthy(pair[0], 2, 1)
+    t, y, u = float(times[0]), ys[0, 0], us[0, 0]
+    state = detector.init()
+    inf = np.where(np.arange(y.size) == 0, np.inf, y)
+    for bad_y, message in (
+        (y[:-1], f"wanted .{y.size},."), (np.append(y, 0.0), "y has shape"), (y[None], "y has shape"), (inf, "infinite"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=message):
+            detector.step(state, t, bad_y, u)
+    with pytest.raises(ValueError, match=f"has {len(plant.inputs)} inputs"):
+        detector.step(state, t, y, np.append(u, 0.0))
+    with pytest.raises(ValueError, match="does not broadcast"):
+        detector.step(state, t, y, np.stack([u, u]))
+    if u.size:
+        with pytest.raises(ValueError, match="an input must be known"):
+            detector.step(state, t, y, np.full_like(u, np.nan))
+    for bad_t in (0.0, -plant.dt, np.nan, np.inf):
+        with pytest.raises(ValueError, match="times must be finite and increase"):
+            detector.step(state, bad_t, y, u)
+    with pytest.raises(ValueError, match="y has shape"):
+        detector.step(detector.init((2,)), t, y, u)
