@@ -21,13 +21,13 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
     largest residual after the first `warm_up` samples, in which the filter settles; the quantities share the budget
     equally. ValueError where the data are too few for the rate: less than one sample expected above the threshold.
     """
+    if not 0 < false_alarm < 1:
+        raise ValueError(f"false_alarm is {false_alarm}; a probability strictly between 0 and 1 is wanted")
     groups = bank.plant.quantities
     state = bank.init(y.shape[1:-1], float(t[0]) - bank.plant.dt)
     _, decisions = run(replace(bank, thresholds=None), state, t, y, u)
     residual = np.abs(decisions.residual[warm_up:]).reshape(-1, y.shape[-1])
     share = false_alarm / len(groups)
-    if not 0 < false_alarm < 1:
-        raise ValueError(f"false_alarm is {false_alarm}; a probability strictly between 0 and 1 is wanted")
     if share * residual.shape[0] < 1:
         raise ValueError(
             f"{residual.shape[0]} healthy samples cannot set a false-alarm rate of {false_alarm:g} over {len(groups)} "

@@ -84,6 +84,8 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> N
         raise ValueError(
             f"u has shape {u.shape}; plant {plant.name!r} has {m} inputs ({', '.join(s.name for s in plant.inputs)})"
         )
+    if len(u.shape) > len(batch) + 1 or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], batch[::-1], strict=False)):
+        raise ValueError(f"u has shape {u.shape}; it does not broadcast to {(*batch, m)}: give ({m},) or one row for each run")
     if np.any(np.isinf(y)):
         raise ValueError("y has infinite readings; pass NaN for a missing one")
     if not np.all(np.isfinite(u)):

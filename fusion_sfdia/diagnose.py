@@ -43,8 +43,10 @@ def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) 
     Events of one hypothesis less than `gap` samples apart are one. ValueError where shapes or times do not fit.
     """
     t, y, u = np.asarray(t, dtype=float), np.asarray(y, dtype=float), np.asarray(u, dtype=float)
-    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2:
+    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2 or u.ndim != 2:
         raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, sensors), (K, inputs)")
+    if not t.size:
+        raise ValueError("there are no readings: t is empty; pass at least one time")
     first = float(t[0]) - (
         detector.plant.dt if len(t) < 2 or detector.plant.fixed_dt else min(detector.plant.dt, float(t[1] - t[0]))
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
@@ -67,12 +69,12 @@ def save_state(path: str | Path, detector: Detector, state: State) -> None:
 
 
 def load_state(path: str | Path, detector: Detector) -> State:
-    """Read a state written by save_state; ValueError where it is of another detector, settings or plant."""
+    """Read a state written by save_state; ValueError where it is none, damaged, or of another detector, settings or plant."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:  # a single .npy array is no zip file
             found = str(file["fingerprint"])
             state = tuple(file[k] for k in sorted(k for k in file.files if k.startswith("state_")))
-    except (KeyError, ValueError, EOFError) as error:
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path} is not a saved detector state ({error}); write one with save_state") from error
     if found != fingerprint(detector):
         raise ValueError(
