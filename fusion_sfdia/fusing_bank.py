@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fusion_sfdia import mixing
 from fusion_sfdia.detector import Decision, State, check_reading
 from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, step_stream
+from fusion_sfdia.gaussian import Joint
 from fusion_sfdia.health import broken, keep_broken_out, without_broken
 from fusion_sfdia.leave_one_out import local_estimates, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.plant import Plant
@@ -92,8 +93,9 @@ class FusingBank:
         k = k + 1
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             prior = self._predict(state[4:], float(last), u, dt, seed, k)
+            joints = [self.estimator.joint(plant, p, t, u) for p in prior]
             used = np.isfinite(y)
-            mixed = self._mix(prior, t, y, u, used, seed, k)
+            mixed = self._mix(prior, joints, t, y, u, used, seed, k)
             seen = plant.output(t, mixed.local, u[..., None, :])
             state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
             residual = np.where(used, np.sqrt(state_variance), np.nan)
@@ -103,7 +105,7 @@ class FusingBank:
             suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
             isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
             if self.accommodate and np.any(isolated):
-                mixed = self._mix(prior, t, y, u, used & ~isolated, seed, k)
+                mixed = self._mix(prior, joints, t, y, u, used & ~isolated, seed, k)
             without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
             expected = plant.output(t, mixed.x, u)
         diverged = diverged | broken(mixed.x, mixed.p)
@@ -131,12 +133,13 @@ class FusingBank:
         one_by_one = (tuple(np.take(a, i, axis=axis) for a in core) for i in range(count))
         return [self.estimator.predict(self.plant, c, t, u, dt, step_stream(seed, k)) for c in one_by_one]
 
-    def _mix(self, priors: list[Prior], t: float, y: Array, u: Array, used: Array, seed: Array, k: Array) -> Mixed:
+    def _mix(
+        self, priors: list[Prior], joints: list[Joint], t: float, y: Array, u: Array, used: Array, seed: Array, k: Array
+    ) -> Mixed:
         """Steps 2 to 4: local updates, mixture, feedback."""
         plant, est, count = self.plant, self.estimator, len(self.plant.sensors)
         beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
         reading = Reading(t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
-        joints = [est.joint(plant, prior, t, u) for prior in priors]
         founds = [statistics(joints[0], y, used)]
         if self.runs_literally:
             founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
