@@ -172,11 +172,13 @@ PARTS: dict[str, Callable[[float], list[Row]]] = {"bank": bank, "model": model, 
 def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS) -> list[Row]:
     """Return the rows of some parts (none: all), each call timed for about `seconds`; into out/metrics.csv where out is given.
 
-    Raises ValueError for an unknown part.
+    Raises ValueError for an unknown part, and where out/metrics.csv exists.
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
         raise ValueError(f"unknown part {', '.join(unknown)} of the benchmark; known: {', '.join(PARTS)}")
+    if out is not None and (out / "metrics.csv").exists():
+        raise ValueError(f"{out / 'metrics.csv'} exists; name another folder, or move it away")
     with threadpool_limits(1):
         rows = [row for part in parts or PARTS for row in PARTS[part](seconds)]
     if out is not None:
@@ -209,3 +211,10 @@ def peak_memory(call: Call) -> float:
 
 def _row(part: str, plant: Plant, detector: str, quantity: str, metric: str, time: Timing, factor: float = 1.0) -> Row:
     return Row(f"bench/{part}", plant.name, detector, "none", quantity, metric, time.best * factor, n=time.calls)
+
+
+def as_text(row: Row) -> str:
+    """A row for people: times in ms, memory in MB."""
+    factor, unit = {"step_time": (1e3, " ms"), "peak_memory": (1e-6, " MB")}.get(row.metric, (1.0, ""))
+    part = row.scenario.removeprefix("bench/")
+    return f"{part:<8} {row.detector:<12} {row.quantity:<32} {row.metric:<12} {row.value * factor:10.4g}{unit}"

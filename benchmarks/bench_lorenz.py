@@ -99,6 +99,7 @@ def pairs(kind: str, model: str) -> tuple[Call, Call]:
     members = x + rng.standard_normal((MEMBERS, SIZE))
 
     def ensemble() -> Array:
-        return np.mean(enkf.update(settings, enkf.predict(members, step, Q, rng), lambda s: s, y, R, rng), axis=0)
+        members_after = enkf.update(settings, enkf.predict(members, step, Q, rng), lambda s: s, y, R, rng)
+        return np.asarray(np.mean(members_after, axis=0))
 
     return ensemble, filterpy

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from time import perf_counter
 from typing import NamedTuple
 
 TURN = 0.02  # s of consecutive calls in one turn, so that caches are as in a loop
-FEWEST = 2  # turns of each, however slow
+FEWEST = 3  # turns of each, however slow
 
 
 class Timing(NamedTuple):
@@ -18,12 +19,12 @@ class Timing(NamedTuple):
 
 
 def best_times(calls: Mapping[str, Callable[[], object]], seconds: float = 2.0) -> dict[str, Timing]:
-    """Return the least time of each call; each is called for about `seconds` (at least twice).
+    """Return the least time of each call; each is called for about `seconds` (at least three times).
 
     They take turns, so that a busy machine hits all that are compared; the first call of each (compiling, first pages) is
     not counted. The least is the time without disturbance: everything else that runs only ever adds.
     """
-    if not seconds > 0:
+    if not 0 < seconds < math.inf:
         raise ValueError(f"seconds is {seconds}; a positive time is wanted")
     for call in calls.values():
         call()

@@ -1,4 +1,4 @@
-"""The command line: list what there is, run scenarios, simulate a log, diagnose a log."""
+"""The command line: list what there is, run scenarios, simulate a log, diagnose a log, measure the speed."""
 
 from __future__ import annotations
 
@@ -74,6 +74,13 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
     one.add_argument("--json", action="store_true", help="print the events as JSON")
     one.set_defaults(work=_diagnose)
+
+    one = commands.add_parser("bench", help="measure the speed on this machine, on one thread", allow_abbrev=False)
+    one.add_argument("part", nargs="*", help="bank, model, scaling, lorenz (default: all)")
+    one.add_argument("--seconds", type=float, default=2.0, metavar="S", help="for each thing that is timed (default: 2)")
+    one.add_argument("--out", type=Path, metavar="DIR", help="folder for metrics.csv")
+    one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")
+    one.set_defaults(work=_bench)
     return top
 
 
@@ -208,6 +215,15 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     for e in found.events:
         end = "end of the log" if e.open else f"{e.end:g} s"
         print(f"  {e.hypothesis}: {e.start:g} s to {end}, size {e.size:.4g} {e.unit}")
+    return 0
+
+
+def _bench(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.benchmarks import bench
+    from fusion_sfdia.benchmarks.results import as_json
+
+    rows = bench.run(chosen.part, chosen.out, chosen.seconds)
+    print(as_json(rows) if chosen.json else "\n".join(bench.as_text(row) for row in rows))
     return 0
 
 

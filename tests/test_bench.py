@@ -1,5 +1,6 @@
 """The benchmark: what is compared computes the same, and the rows are there. No word on how fast."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from fusion_sfdia.benchmarks import bench, bench_lorenz
 from fusion_sfdia.benchmarks.bench_filterpy import compiled_model, numpy_model, step_call
 from fusion_sfdia.benchmarks.results import read_rows
 from fusion_sfdia.benchmarks.timing import best_times
+from fusion_sfdia.cli import main
 from fusion_sfdia.gaussian import condition, dense
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
@@ -76,16 +78,32 @@ def test_each_part_has_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert [r.value for r in read_rows(tmp_path / "metrics.csv")] == [r.value for r in rows]
 
 
+def test_the_command_prints_what_it_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "model", "--seconds", "0.001", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert {r["scenario"] for r in printed} == {"bench/model"} and all(r["value"] > 0 for r in printed)
+    assert main(["bench", "model", "--seconds", "0.001"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(printed) and lines[0].split()[:3] == ["model", "none", "step"]
+    assert main(["bench", "bnak"]) == 2 and "unknown part bnak" in capsys.readouterr().err
+
+
 def test_the_least_time_of_calls_that_take_turns() -> None:
     order: list[str] = []
     times = best_times({"a": lambda: order.append("a"), "b": lambda: order.append("b")}, SHORT)
     assert order[:2] == ["a", "b"]
     assert {name: t.calls for name, t in times.items()} == {name: order.count(name) - 1 for name in "ab"}
-    assert all(t.best > 0 and t.calls >= 2 for t in times.values())
+    assert all(t.best > 0 and t.calls >= 3 for t in times.values())
 
 
-def test_bad_input_is_named() -> None:
+def test_bad_input_is_named_before_anything_is_timed(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="unknown part bnak of the benchmark; known: bank, model, scaling, lorenz"):
         bench.run(["bnak"])
     with pytest.raises(ValueError, match="positive time"):
         best_times({}, 0.0)
+    with pytest.raises(ValueError, match="seconds is nan; a positive time"):
+        best_times({}, float("nan"))
+    (tmp_path / "metrics.csv").write_text("mine")
+    with pytest.raises(ValueError, match=r"metrics.csv exists; name another folder"):
+        bench.run(["model"], tmp_path, SHORT)
+    assert (tmp_path / "metrics.csv").read_text() == "mine"
