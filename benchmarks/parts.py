@@ -58,7 +58,7 @@ def write_part(path: Path, arrays: Arrays) -> None:
 def read_part(path: Path) -> Arrays | None:
     """Return a piece's arrays; None where it is absent or damaged, so that it is done again."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error):
         return None

@@ -1,0 +1,150 @@
+"""The command line: what it prints, its exit codes, one line for an error."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion_sfdia import __version__
+from fusion_sfdia.benchmarks import registry
+from fusion_sfdia.cli import main
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
+
+PLANT = gas_pipeline()
+
+
+@pytest.fixture(autouse=True)
+def toys(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(registry, "SCENARIOS", {"toy/mean": "toy_scenario:TOY"})
+    monkeypatch.chdir(tmp_path)
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = main(arguments)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_list(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = call(capsys, "list", "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert list(found) == ["plants", "detectors", "faults", "scenarios"]
+    names = {kind: [e["name"] for e in entries] for kind, entries in found.items()}
+    assert names["plants"] == ["gas-pipeline"]
+    assert {"fusing-ekf", "fusing-ukf", "fusing-enkf", "loo-chi2", "loo-glr"} <= set(names["detectors"])
+    assert {"bias", "drift", "strong-bias", "weak-drift"} <= set(names["faults"])
+    assert names["scenarios"] == ["toy/mean"]
+    assert all(e["about"] for entries in found.values() for e in entries)
+    code, out, _ = call(capsys, "list", "detectors")
+    assert [line.split()[0] for line in out.splitlines()] == names["detectors"]
+    code, out, _ = call(capsys, "list")
+    assert [line for line in out.splitlines() if not line.startswith(" ")] == ["plants:", "detectors:", "faults:", "scenarios:"]
+
+
+def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    once = ("run", "toy/*", "--seeds", "2", "--workers", "1", "--set", "size=5", "--set", "figure=no")
+    code, out, err = call(capsys, *once, "--json")
+    assert (code, err) == (0, "")
+    assert [r["detector"] for r in json.loads(out)] == ["a", "b", "a"]
+    folder = tmp_path / "results" / "toy-all"
+    assert {"metrics.csv", "report.html", "manifest.json"} <= {p.name for p in folder.iterdir()}
+    settings = json.loads((folder / "manifest.json").read_text())["scenarios"][0]["settings"]
+    assert (settings["size"], settings["figure"]) == (5, False)
+    code, out, _ = call(capsys, *once)
+    assert out.splitlines() == ["3 rows.", "3 numbers in results/toy-all/metrics.csv; report: results/toy-all/report.html"]
+
+
+def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    trap = tmp_path / "trap"
+    once = ("run", "toy/mean", "--seeds", "2", "--workers", "1", "--set", f"trap={trap}", "--set", "figure=no", "--out", "x")
+    trap.write_text("interrupt")
+    assert call(capsys, *once) == (130, "", "fusion-sfdia: interrupted; the same command goes on where it stood\n")
+    trap.write_text("fail")
+    code, _, err = call(capsys, *once)
+    assert code == 1
+    assert err.startswith("fusion-sfdia: failed: toy/mean, detector b, quantity pressure, seeds [0, 1]: ArithmeticError: ")
+    assert err.count("\n") == 1
+    trap.unlink()
+    assert call(capsys, *once)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("run", "toy/meen"), "unknown scenario 'toy/meen'; did you mean 'toy/mean'? known: toy/mean"),
+        (("run", "nothing/*"), "unknown scenario 'nothing/*'; known: toy/mean"),
+        (("run", "toy/mean", "--set", "size"), "--set size: wanted KEY=VALUE"),
+        (("run", "toy/mean", "--set", "sise=1"), "no setting 'sise'"),
+        (("run", "toy/mean", "--seeds", "0"), "0 seeds; wanted at least 1"),
+        (("run", "toy/mean", "--out", "file/deeper"), "file/deeper"),
+        (("simulate", "--out", "file"), "file exists; name another file with --out, or replace it with --force"),
+        (("simulate", "--out", "x.csv", "--plant", "gas-pipelin"), "did you mean 'gas-pipeline'?"),
+        (("simulate", "--out", "x.csv", "--steps", "0"), "0 steps; wanted at least 1"),
+        (("simulate", "--out", "x.csv", "--seed", "-1"), "wanted an integer of at least 0"),
+        (("simulate", "--out", "x.csv", "--fault", "week-bias"), "did you mean 'weak-bias'?"),
+        (("simulate", "--out", "x.csv", "--fault", "weak-bias:presure"), "unknown quantity 'presure'"),
+        (("simulate", "--out", "x.csv", "--faults", "absent.toml"), "absent.toml: No such file or directory"),
+        (("simulate", "--out", "x.csv", "--faults", "file"), "file"),
+        (("diagnose", "absent.csv"), "absent.csv: No such file or directory"),
+        (("diagnose", "file"), "no column 'time'"),
+        (("diagnose", "file", "--detector", "loo-gl"), ""),
+    ],
+)
+def test_an_error_is_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    (tmp_path / "file").write_text("mine\n")
+    code, out, err = call(capsys, *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("fusion-sfdia: ")
+    assert err.count("\n") == 1
+    assert message in err
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    "arguments", [(), ("paint",), ("run",), ("run", "toy/mean", "--seeds", "2", "--full"), ("list", "cats")]
+)
+def test_a_wrong_command_line_shows_its_use(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+    assert "usage: fusion-sfdia" in capsys.readouterr().err
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"fusion-sfdia {__version__}\n"
+
+
+def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The strong and the weak fault of Shaheen 2024 are hundreds of sigma: the bank names their sensors and nothing else."""
+    faults = ("--fault", "strong-bias:mass flow", "--fault", "weak-bias:pressure")
+    code, out, err = call(capsys, "simulate", "--steps", "120", "--seed", "3", *faults, "--out", "log.csv", "--json")
+    drawn = json.loads(out)
+    assert (code, err, len(drawn)) == (0, "", 2)
+    assert drawn[0]["sensor"].startswith("m_") and drawn[1]["sensor"].startswith("p_")
+    code, out, _ = call(capsys, "diagnose", "log.csv", "--detector", "loo-chi2", "--json")
+    events = json.loads(out)
+    assert code == 0
+    assert {e["hypothesis"]: e["start"] for e in events} == {f["sensor"]: f["onset"] for f in drawn}
+    code, out, _ = call(capsys, "diagnose", "log.csv", "--detector", "loo-chi2")
+    assert out.splitlines()[0] == "120 readings, 2 events by loo-chi2"
+
+
+def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "faults.toml").write_text('[[fault]]\nsensor = "p_3"\nkind = "bias"\nonset = 50.0\nmagnitude = 2e5\n')
+    for name, more in (("healthy.csv", ()), ("faulty.csv", ("--faults", "faults.toml"))):
+        code, out, _ = call(capsys, "simulate", "--steps", "10", "--out", name, *more)
+        assert code == 0
+    assert out.splitlines()[1] == "  p_3: bias from 50 s for inf s, magnitude 2e+05"
+    healthy, faulty = (np.genfromtxt(tmp_path / n, delimiter=",", skip_header=1) for n in ("healthy.csv", "faulty.csv"))
+    column = 1 + PLANT.sensor_index("p_3")
+    assert np.allclose((faulty - healthy)[:, column], np.where(healthy[:, 0] >= 50, 2e5, 0), rtol=0, atol=1e-8)
+    assert np.array_equal(np.delete(faulty, column, 1), np.delete(healthy, column, 1))

@@ -1,0 +1,121 @@
+"""What is installed, and that importing it is cheap."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import fusion_sfdia
+
+HEAVY = {"scipy", "matplotlib", "sklearn", "numba", "numpy", "joblib", "filterpy", "rich", "jinja2"}
+
+
+def python(code: str, cwd: Path, *options: str) -> str:
+    """Run code in another process and return what it prints; the checkout is on its path."""
+    root = Path(__file__).resolve().parent.parent
+    begin = f"import sys; sys.path.insert(0, {str(root)!r}); "
+    done = subprocess.run([sys.executable, *options, "-c", begin + code], capture_output=True, text=True, cwd=cwd, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import fusion_sfdia",
+        "from fusion_sfdia.cli import parser; parser().format_help()",
+        "import fusion_sfdia; fusion_sfdia.__version__; dir(fusion_sfdia)",
+    ],
+)
+def test_importing_loads_nothing_heavy(tmp_path: Path, code: str) -> None:
+    loaded = python(f"{code}; print(*{{name.split('.')[0] for name in sys.modules}})", tmp_path).split()
+    assert not HEAVY & set(loaded)
+
+
+def test_every_public_name_is_there() -> None:
+    for name in fusion_sfdia.__all__:
+        assert getattr(fusion_sfdia, name) is not None
+    assert set(fusion_sfdia.__all__) <= set(dir(fusion_sfdia))
+    with pytest.raises(AttributeError, match=r"no attribute 'simulat'; public names: .*simulate"):
+        fusion_sfdia.simulat  # noqa: B018
+
+
+def test_type_checkers_see_the_same_names(root: Path) -> None:
+    tree = ast.parse((root / "fusion_sfdia" / "__init__.py").read_text(encoding="utf-8"))
+    block = next(n for n in tree.body if isinstance(n, ast.If))
+    seen = {
+        alias.asname: (node.module, alias.name)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert seen == fusion_sfdia._PUBLIC
+
+
+@pytest.mark.parametrize("first", ["import fusion_sfdia.simulate", "from fusion_sfdia.simulate import Recording", "pass"])
+def test_a_function_is_not_replaced_by_its_module(tmp_path: Path, first: str) -> None:
+    code = f"{first}; import fusion_sfdia; from fusion_sfdia import simulate, discretise, diagnose; "
+    code += "import fusion_sfdia.discretise; "
+    code += "print(*(callable(f) for f in (simulate, discretise, diagnose, fusion_sfdia.simulate, fusion_sfdia.discretise)))"
+    assert python(code, tmp_path).split() == ["True"] * 5
+
+
+def test_the_command_runs_as_a_module(tmp_path: Path) -> None:
+    shown = python(
+        "import runpy; sys.argv[1:] = ['--version']; runpy.run_module('fusion_sfdia', run_name='__main__')", tmp_path
+    )
+    assert shown == f"fusion-sfdia {fusion_sfdia.__version__}\n"
+
+
+def test_every_folder_is_mapped(root: Path) -> None:
+    setup = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    assert set(setup["packages"]) == set(setup["package-dir"])
+    assert setup["package-dir"] == {
+        "fusion_sfdia": "fusion_sfdia",
+        "fusion_sfdia.models": "models",
+        "fusion_sfdia.benchmarks": "benchmarks",
+    }
+    for package, folder in setup["package-dir"].items():
+        below = [p for p in (root / folder).iterdir() if p.is_dir() and not p.is_symlink() and any(p.glob("*.py"))]
+        assert not below, f"{package} has subpackages that pyproject.toml does not name: {below}"
+
+
+@pytest.mark.slow
+def test_the_wheel_from_the_sdist_holds_the_package_and_nothing_else(root: Path, tmp_path: Path) -> None:
+    """Built from a copy of what is tracked, without the links, as some checkouts and archives come."""
+    pytest.importorskip("build")
+    listed = subprocess.run(["git", "-C", str(root), "ls-files", "-z"], capture_output=True, text=True, check=False)
+    if listed.returncode != 0:
+        pytest.skip("needs a git checkout, to tell what is tracked")
+    copy = tmp_path / "copy"
+    for name in filter(None, listed.stdout.split("\0")):
+        source = root / name
+        if source.is_file() and not source.is_symlink():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            (copy / name).write_bytes(source.read_bytes())
+    built = subprocess.run(
+        [sys.executable, "-m", "build", "--outdir", str(tmp_path / "dist"), str(copy)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stderr[-2000:]
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        archive.extractall(tmp_path / "site")
+    assert {name.split("/")[0] for name in names} == {"fusion_sfdia", f"fusion_sfdia-{fusion_sfdia.__version__}.dist-info"}
+    wanted = {"fusion_sfdia/py.typed", "fusion_sfdia/benchmarks/report.html.j2"}
+    folders = {"fusion_sfdia": "fusion_sfdia", "models": "fusion_sfdia/models", "benchmarks": "fusion_sfdia/benchmarks"}
+    for folder, package in folders.items():
+        wanted |= {f"{package}/{p.name}" for p in (copy / folder).iterdir() if p.suffix in (".py", ".json", ".toml")}
+    assert {n for n in names if ".dist-info/" not in n} == wanted
+    code = f"sys.path[0] = {str(tmp_path / 'site')!r}; "
+    code += "import fusion_sfdia.models.gas_pipeline as m, fusion_sfdia.benchmarks.runner as r; print(m.__file__, r.__file__)"
+    assert all(path.startswith(str(tmp_path / "site")) for path in python(code, tmp_path).split())

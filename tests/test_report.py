@@ -1,0 +1,148 @@
+"""The report: self-contained, escaped, with every number; figures with the same bytes each time and of colours apart."""
+
+from __future__ import annotations
+
+import math
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure as Drawing
+from toy_scenario import NASTY, TOY
+
+from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, isolation_matrix, panels, roc_curves, write_figure
+from fusion_sfdia.benchmarks.report import inline, number
+from fusion_sfdia.benchmarks.runner import run_scenarios
+
+VOID = {"meta", "link", "br", "img", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """Checks that elements nest, and collects what the tests ask for."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.tags: set[str] = set()
+        self.text = ""
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        self.ids += [v for k, v in attrs if k == "id" and v]
+        self.links += [v for k, v in attrs if k in ("href", "src", "xlink:href") and v]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    out = tmp_path_factory.mktemp("report")
+    outcome = run_scenarios([TOY], out, workers=1)
+    assert not outcome.failures
+    return outcome.report.read_text(encoding="utf-8")
+
+
+def test_nothing_is_fetched_and_names_are_escaped(page: str) -> None:
+    read = Page(page)
+    assert "script" not in read.tags
+    assert not {"link", "iframe", "object", "img"} & read.tags
+    assert read.links and all(link.startswith("#") for link in read.links)
+    assert len(set(read.ids)) == len(read.ids)
+    assert {link[1:] for link in read.links} <= set(read.ids)
+    assert not re.search(r"url\((?!#)|@import", page)
+    assert read.text.count(NASTY) >= 6  # title, about, fault, figure's title and caption, remark: as text
+    assert 'aria-label="&lt;script&gt;' in page
+
+
+def test_what_a_reader_looks_for(page: str) -> None:
+    read = Page(page)
+    assert "6 seeds of 50 in the full size" in page
+    assert "2 published values" not in page
+    assert re.search(r"1 published values?: 1 of 1 lies? within the 95 % interval", " ".join(read.text.split()))
+    assert "Nobody 1999, Table I, p. 1" in read.text
+    assert "(within)" in read.text
+    assert "undefined" in read.text
+    assert "fusion-sfdia run toy/mean" in read.text
+    for wanted in ('name="viewport"', "prefers-color-scheme: dark", "<svg", 'role="img"', 'lang="en"', "overflow-x: auto"):
+        assert wanted in page
+
+
+def test_numbers() -> None:
+    wanted = {0.123456: "0.1235", 1e-7: "1e-7", 123456.0: "1.235e5", 2.0: "2", math.nan: "undefined", math.inf: "inf"}
+    assert {number(v) for v in wanted} == set(wanted.values())
+    assert number(12345) == "12345"
+    assert number("text") == "text"
+
+
+def test_two_figures_in_a_page_share_no_names() -> None:
+    svg = '<?xml?><svg width="1pt" height="2pt" viewBox="0 0 1 2"><g id="a"/><use href="#a" clip-path="url(#a)"/></svg>'
+    page = str(inline(svg, "one", 'says "so"'))
+    assert page == (
+        '<svg viewBox="0 0 1 2" role="img" aria-label="says &#34;so&#34;">'
+        '<g id="one-a"/><use href="#one-a" clip-path="url(#one-a)"/></svg>'
+    )
+
+
+def draw_everything() -> Drawing:
+    figure, (first, second, third) = panels(["ROC", "isolation", "bars"])
+    grid = np.linspace(0, 1, 20)
+    roc_curves(first, {"ours": (grid, np.sqrt(grid)), "chance": (grid, grid)})
+    isolation_matrix(second, np.diag([4.0, 3.0, 0.0, 5.0]), boundaries={"none": 0, "p": 1, "T": 3})
+    nan = math.nan
+    bars(
+        third,
+        ["a", "b"],
+        [Bars("x", [1, nan], [0.5, nan], [2, nan], [1.5, nan]), Bars("y", [2, 3], [1, 2], [3, 4], [nan, nan])],
+        ylabel="m",
+    )
+    return figure
+
+
+def test_figures_have_the_same_bytes_whatever_the_style(tmp_path: Path) -> None:
+    text = write_figure(tmp_path, "one", draw_everything)
+    first = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    assert first.keys() == {"one.svg", "one.png"}
+    assert text.encode() == first["one.svg"]
+    assert b"<dc:date>" not in first["one.svg"]
+    with matplotlib.rc_context({"font.size": 20, "axes.facecolor": "red"}):
+        write_figure(tmp_path, "one", draw_everything)
+        assert matplotlib.rcParams["font.size"] == 20  # the user's style is left as it was
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == first
+
+
+def test_isolation_matrix_shows_shares_of_rows() -> None:
+    figure, (axes,) = panels(["isolation"])
+    isolation_matrix(axes, np.array([[3.0, 1.0], [0.0, 0.0]]))
+    assert np.array_equal(axes.images[0].get_array(), [[0.75, 0.25], [0.0, 0.0]])
+    assert figure.axes
+
+
+def test_curves_differ_in_published_colours_and_in_their_lines() -> None:
+    """RGB of Okabe and Ito's table (Color Universal Design, 2008); curves do not rest on colour alone."""
+    blue, vermilion, green, purple = (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167)
+    orange, sky, black, yellow = (230, 159, 0), (86, 180, 233), (0, 0, 0), (240, 228, 66)
+    found = [tuple(round(255 * part) for part in to_rgb(c)) for c in COLOURS]
+    assert found == [blue, vermilion, green, purple, orange, sky, black, yellow]
+    _, (axes,) = panels(["ROC"])
+    grid = np.linspace(0, 1, 3)
+    roc_curves(axes, {name: (grid, grid) for name in "abcd"})
+    assert len({line.get_linestyle() for line in axes.lines[:4]}) == 4

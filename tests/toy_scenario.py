@@ -1,0 +1,94 @@
+"""A scenario for tests: means of random numbers, with traps that break off the work."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure as Drawing
+
+from fusion_sfdia.benchmarks.plots import panels, time_series
+from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task, seed_blocks
+from fusion_sfdia.random_streams import stream
+
+NASTY = '<script>alert(1)</script> & "quotes" -->'
+
+
+def tasks(settings: Settings, seeds: int) -> list[Task]:
+    if settings["size"] < 1:
+        raise ValueError(f"size is {settings['size']}; wanted at least 1")
+    return [
+        {"detector": detector, "quantity": "pressure", "seeds": block}
+        for detector in ("a", "b")
+        for block in seed_blocks(seeds, 2)
+    ]
+
+
+def work(settings: Settings, task: Task) -> Arrays:
+    """Products of matrices, so that the number of threads of the linear algebra could matter."""
+    trap = Path(str(settings["trap"]))
+    if settings["trap"] and trap.exists() and task["detector"] == "b":
+        what = trap.read_text()
+        if what == "interrupt":
+            raise KeyboardInterrupt
+        if what == "die":
+            os._exit(9)
+        raise ArithmeticError(f"{NASTY} in seeds {task['seeds']}")
+    size = int(settings["size"])
+    draws = np.stack([stream(s, "toy").standard_normal((size, size)) for s in task["seeds"]])
+    return {"mean": (draws @ draws.mT).mean(axis=(1, 2)) + len(task["detector"])}
+
+
+def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    rows, by_detector = [], {}
+    for detector in ("a", "b"):
+        found = [arrays["mean"] for task, arrays in results if task["detector"] == detector]
+        if found:
+            by_detector[detector] = values = np.concatenate(found)
+            half = 1.96 * float(values.std()) / math.sqrt(values.size)
+            mean = float(values.mean())
+            published = {"published": mean + half / 2, "source": "Nobody 1999, Table I, p. 1"} if detector == "a" else {}
+            rows.append(
+                Row(
+                    "toy/mean",
+                    "none",
+                    detector,
+                    NASTY,
+                    "pressure",
+                    "mean",
+                    mean,
+                    mean - half,
+                    mean + half,
+                    values.size,
+                    **published,
+                )
+            )
+    rows.append(Row("toy/mean", "none", "a", "none", "all", "undefined", math.nan))
+
+    def draw() -> Drawing:
+        figure, (axes,) = panels(["means"])
+        time_series(axes, np.arange(len(by_detector["a"])), by_detector, ylabel="mean", spans=[(0, 1)], levels={"one": 1.0})
+        return figure
+
+    return Summary(
+        rows,
+        figures=[Figure("means", f"Means {NASTY}", NASTY, draw, NASTY)] if settings["figure"] else [],
+        tables=[Table("As printed", ("detector", "mean"), tuple((r.detector, r.value) for r in rows))],
+        highlights=[f"{len(rows)} rows."],
+        remarks=[f"Nothing is published. {NASTY}"],
+    )
+
+
+def toy(**changes: Any) -> Scenario:
+    usual: dict[str, Any] = {
+        "name": "toy/mean", "title": f"Means {NASTY}", "about": f"Means of products. {NASTY}",
+        "settings": {"size": 40, "trap": "", "figure": True, "levels": ("high", "low"), "rate": 0.5},
+        "seeds": 6, "full_seeds": 50, "tasks": tasks, "work": work, "summarise": summarise,
+    }  # fmt: skip
+    return Scenario(**{**usual, **changes})
+
+
+TOY = toy()
