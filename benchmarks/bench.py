@@ -44,7 +44,7 @@ Call = Callable[[], object]
 SECONDS = 2.0  # of each call
 SETTLED = 16  # steps before the one that is timed: the window of the likelihood ratios is full
 QUIET, ALARMING = 10.0, 1e-9  # thresholds in sigma of the sensors: never crossed and always crossed
-SLOW = {"ekf": 3, "ukf": 1, "enkf": 1}  # filterpy filters timed with the NumPy model, and scaled to all: each costs the same
+FILTERPY_TIMED = 3  # of its filters, scaled to all of them: each costs the same
 BATCHES = (40, 127)  # members, and sigma points of 63 states
 NODES = (21, 201, 2001)
 BANK_NODES = (201,)
@@ -78,18 +78,18 @@ def bank(seconds: float) -> list[Row]:
 
 
 def filterpy_banks(kind: str, plant: Plant) -> dict[str, tuple[Call, float]]:
-    """Calls of filterpy filters, each without one sensor, and the factor from those timed to as many as there are sensors."""
+    """Calls of filterpy filters, each without one sensor, and the factor from the few timed to one for each sensor."""
     u, y = plant.input_at(0.0), plant.output(0.0, plant.x0, plant.input_at(0.0)) + 0.5 * plant.sensor_sigma
-    count = len(plant.sensors)
-
-    def some(model: bench_filterpy.Model, filters: int) -> tuple[Call, float]:
-        calls = [bench_filterpy.step_call(kind, plant, model, y, without=i) for i in range(filters)]
-        return lambda: [call() for call in calls], count / filters
-
-    return {
-        "filterpy": some(bench_filterpy.numpy_model(plant, u), min(SLOW[kind], count)),
-        "filterpy, compiled model": some(bench_filterpy.compiled_model(plant, u), count),
+    models = {
+        "filterpy": bench_filterpy.numpy_model(plant, u),
+        "filterpy, compiled model": bench_filterpy.compiled_model(plant, u),
     }
+
+    def some(model: bench_filterpy.Model) -> Call:
+        filters = [bench_filterpy.step_call(kind, plant, model, y, without=i) for i in range(FILTERPY_TIMED)]
+        return lambda: [call() for call in filters]
+
+    return {name: (some(model), len(plant.sensors) / FILTERPY_TIMED) for name, model in models.items()}
 
 
 def model(seconds: float) -> list[Row]:
