@@ -1,0 +1,131 @@
+"""From a log to events."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toy_plants import chain, readings, tanks
+
+from fusion_sfdia.central_filter import CentralFilter
+from fusion_sfdia.detector import run
+from fusion_sfdia.diagnose import diagnose, spans
+from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.simulate import simulate
+
+
+@pytest.mark.parametrize("window", [1, 15], ids=["chi2", "glr"])
+def test_two_faults_and_missing_data_on_the_pipeline(window: int) -> None:
+    plant = gas_pipeline()
+    recording = simulate(plant, 110, [7])
+    y = recording.y[:, 0].copy()
+    p, m = plant.sensor_index("p_7"), plant.sensor_index("m_12")
+    y[40:70, p] += 10_000.0  # Pa, 20 sigma
+    y[90:, m] -= 50.0  # kg/s, 20 sigma, to the end
+    y[30:34] = np.nan  # nothing at all
+    y[50:53, p] = np.nan  # the faulty sensor is silent
+    y[np.random.default_rng(0).random(y.shape) < 0.02] = np.nan  # here and there
+    y[[40, 69, 70, 71], p] = recording.y[[40, 69, 70, 71], 0, p] + [
+        1e4,
+        1e4,
+        0.0,
+        0.0,
+    ]  # but not where the fault begins and ends
+    y[90, m] = recording.y[90, 0, m] - 50.0
+    found = diagnose(LeaveOneOutBank(plant, window=window), recording.t, y, recording.u)
+    assert [e.hypothesis for e in found.events] == ["p_7", "m_12"]
+    first, second = found.events
+    dt = plant.dt
+    assert first.start == recording.t[40] and second.start == recording.t[90]
+    # readmission asks for two samples within the threshold, and no more with evidence of 20 sigma
+    assert recording.t[69] <= first.end <= recording.t[69] + 3 * dt
+    assert second.end == recording.t[-1] and second.open and not first.open
+    # each size is the reading less its estimate from the others: one sigma, less by the median over the event
+    assert first.size == pytest.approx(10_000.0, abs=2 * 500.0) and first.unit == "Pa"
+    assert second.size == pytest.approx(-50.0, abs=2 * 2.5) and second.unit == "kg/s"
+    assert found.decisions.estimate.shape == (110, 63) and found.t is not None
+    np.testing.assert_array_equal(found.t, recording.t)
+
+
+def test_a_healthy_log_has_no_events() -> None:
+    plant = tanks()
+    recording = simulate(plant, 100, [3])
+    found = diagnose(LeaveOneOutBank(plant, false_alarm=1e-6), recording.t, recording.y[:, 0], recording.u)
+    assert found.events == () and not found.decisions.alarm.any()
+
+
+def test_the_decisions_are_those_of_a_run() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 20, 1, seed=0)
+    detector = CentralFilter(plant)
+    found = diagnose(detector, t, y[:, 0], u[:, 0])
+    _, wanted = run(detector, detector.init(), t, y[:, 0], u[:, 0])
+    np.testing.assert_array_equal(found.decisions.estimate, wanted.estimate)
+
+
+def test_a_log_may_start_at_any_time_and_step_unevenly_or_be_one_sample() -> None:
+    plant = tanks()
+    recording = simulate(plant, np.array([1002.0, 1004.0, 1012.0, 1013.0]), [0], t0=1000.0)
+    found = diagnose(CentralFilter(plant), recording.t, recording.y[:, 0], recording.u)
+    assert np.all(np.isfinite(found.decisions.estimate))
+    shifted = diagnose(CentralFilter(plant), recording.t - 1000.0, recording.y[:, 0], recording.u)
+    np.testing.assert_allclose(found.decisions.estimate, shifted.decisions.estimate, rtol=1e-9)
+    one = diagnose(CentralFilter(plant), recording.t[:1], recording.y[:1, 0], recording.u[:1])
+    assert one.decisions.estimate.shape == (1, 2)
+
+
+def test_events_of_one_sensor_close_together_are_one() -> None:
+    plant = chain(3)
+    detector = CentralFilter(replace(plant, process_cov=np.full(3, 1e-12), initial_cov=np.full(3, 1e-12)))
+    y = np.zeros((20, 3))
+    y[[5, 7, 14], 1] = [10.0, 20.0, -30.0]  # hardly moves an estimate that is known to 1e-6
+    t, u = np.arange(1.0, 21.0), np.zeros((20, 0))
+    apart = diagnose(detector, t, y, u, gap=1).events
+    assert [(e.start, e.end) for e in apart] == [(6.0, 6.0), (8.0, 8.0), (15.0, 15.0)]
+    np.testing.assert_allclose([e.size for e in apart], [10.0, 20.0, -30.0], atol=1e-6)
+    joined = diagnose(detector, t, y, u).events
+    assert [(e.start, e.end) for e in joined] == [(6.0, 8.0), (15.0, 15.0)]
+    assert joined[0].size == pytest.approx(15.0, abs=1e-6)  # the median of what is known
+
+
+def test_shapes_and_times_that_do_not_fit_are_named() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 6, 2, seed=0)
+    detector, y, u, batch = CentralFilter(plant), y[:, 0], u[:, 0], y
+    for args in (
+        (t[:5], y, u),
+        (t, y[:5], u),
+        (t, y, u[:5]),
+        (t[:, None], y, u),
+        (t, batch, u),
+        (t, y[:, 0], u),
+        (t, y, u[:, 0]),
+    ):
+        with pytest.raises(ValueError, match=r"do not fit; wanted \(K,\), \(K, sensors\), \(K, inputs\)"):
+            diagnose(detector, *args)
+    with pytest.raises(ValueError, match="t is empty"):
+        diagnose(detector, t[:0], y[:0], u[:0])
+    with pytest.raises(ValueError, match="4 sensors; pass NaN"):
+        diagnose(detector, t, y[:, :3], u)
+    with pytest.raises(ValueError, match="1 inputs"):
+        diagnose(detector, t, y, np.repeat(u, 2, axis=1))
+    for times in (t[::-1], np.array([5.0, 10, 10, 15, 20, 25]), np.array([5.0, 10, np.nan, 20, 25, 30])):
+        with pytest.raises(ValueError, match="times must be finite and increase"):
+            diagnose(detector, times, y, u)
+
+
+@pytest.mark.parametrize(
+    ("held", "gap", "wanted"),
+    [
+        ("", 1, []),
+        ("....", 3, []),
+        ("####", 1, [(0, 3)]),
+        ("#..#", 1, [(0, 0), (3, 3)]),
+        ("#..#", 2, [(0, 0), (3, 3)]),
+        ("#..#", 3, [(0, 3)]),
+        (".##.#...#.", 2, [(1, 4), (8, 8)]),
+        ("#.#.#", 2, [(0, 4)]),
+    ],
+)
+def test_spans(held: str, gap: int, wanted: list[tuple[int, int]]) -> None:
+    assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == wanted

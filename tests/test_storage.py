@@ -1,0 +1,144 @@
+"""Files that are whole or absent, and detector states that are matched with their detector."""
+
+import stat
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_plants import chain, readings, tanks
+
+from fusion_sfdia.central_filter import CentralFilter
+from fusion_sfdia.detector import Detector, State, run
+from fusion_sfdia.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.fusing_bank import FusingBank
+from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.storage import atomic_write, fingerprint, load_state, save_state
+
+DETECTORS: list[Detector] = [
+    FusingBank(tanks(), Extended(), thresholds=(1.0,) * 4),
+    FusingBank(tanks(), Extended(), beta=(0.4, 0.2, 0.2, 0.2)),
+    FusingBank(tanks(), Ensemble()),
+    LeaveOneOutBank(tanks(), window=5),
+    LeaveOneOutBank(tanks(), Unscented(), window=1),
+    CentralFilter(tanks()),
+    CentralFilter(tanks(), Ensemble()),
+]
+IDS = ["fusing", "fusing-literal", "fusing-ensemble", "loo-window", "loo-unscented", "central", "central-ensemble"]
+
+
+def state_of(detector: Detector) -> State:
+    t, _, y, u = readings(detector.plant, 6, 1, seed=0)
+    return run(detector, detector.init(), t, y[:, 0], u[:, 0])[0]
+
+
+@pytest.mark.parametrize("detector", DETECTORS, ids=IDS)
+@pytest.mark.parametrize("batch", [(), (3,), (3, 1)], ids=str)
+def test_a_state_comes_back_bit_by_bit_without_pickle(detector: Detector, batch: tuple[int, ...], tmp_path: Path) -> None:
+    t, _, y, u = readings(detector.plant, 6, 3, seed=1)
+    shape = {(): lambda a: a[:, 0], (3,): lambda a: a, (3, 1): lambda a: a[:, :, None]}[batch]
+    y, u = shape(y), shape(u)
+    middle, _ = run(detector, detector.init(batch, seed=2**63 + 5), t[:3], y[:3], u[:3])
+    path = tmp_path / "new folder" / "state.npz"
+    save_state(path, detector, middle)
+    with np.load(path, allow_pickle=False) as file:
+        assert all(file[name].dtype != object for name in file.files)
+    loaded = load_state(path, detector)
+    assert [(a.shape, a.dtype) for a in loaded] == [(np.shape(a), np.asarray(a).dtype) for a in middle]
+    end, decisions = run(detector, middle, t[3:], y[3:], u[3:])
+    resumed_end, resumed = run(detector, loaded, t[3:], y[3:], u[3:])
+    for a, b in zip((*end, decisions.estimate), (*resumed_end, resumed.estimate), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_another_detector_settings_or_plant_is_refused(tmp_path: Path) -> None:
+    plant = tanks()
+    detector = LeaveOneOutBank(plant, window=5)
+    path = tmp_path / "state.npz"
+    save_state(path, detector, state_of(detector))
+    noisier = replace(plant, sensors=(replace(plant.sensors[0], sigma=0.02), *plant.sensors[1:]))
+    for other in (
+        replace(detector, window=6),
+        replace(detector, false_alarm=1e-4),
+        replace(detector, accommodate=False),
+        replace(detector, estimator=Unscented()),
+        replace(detector, plant=noisier),
+        replace(detector, plant=replace(plant, name="other tanks")),
+        replace(detector, plant=replace(plant, dt=6.0)),
+        replace(detector, plant=replace(plant, x0=np.array([1.0, 1.5]))),
+        replace(detector, plant=replace(plant, process_cov=2 * plant.process_cov)),
+        LeaveOneOutBank(chain(4), window=5),
+        CentralFilter(plant),
+    ):
+        with pytest.raises(ValueError, match="was saved by another detector, other settings or another plant"):
+            load_state(path, other)
+    assert fingerprint(LeaveOneOutBank(tanks(), window=5)) == fingerprint(detector)  # built anew it is the same
+
+
+def test_a_foreign_file_is_one_clear_error(tmp_path: Path) -> None:
+    detector = CentralFilter(tanks())
+    text, array, archive = tmp_path / "notes.txt", tmp_path / "array.npy", tmp_path / "other.npz"
+    text.write_text("readings of 3 May")
+    np.save(array, np.zeros(3))
+    np.savez(archive, y=np.zeros(3))
+    pickled, empty = tmp_path / "pickled.npz", tmp_path / "empty.npz"
+    np.savez(pickled, fingerprint=np.array([{"a": 1}], dtype=object))
+    empty.touch()
+    for path in (text, array, archive, pickled, empty):
+        with pytest.raises(ValueError, match=f"{path.name} is not a saved detector state .*; write one with save_state"):
+            load_state(path, detector)
+    with pytest.raises(FileNotFoundError):
+        load_state(tmp_path / "missing.npz", detector)
+
+
+def test_a_truncated_or_damaged_file_is_one_clear_error(tmp_path: Path) -> None:
+    detector = LeaveOneOutBank(tanks(), window=5)
+    whole, broken = tmp_path / "state.npz", tmp_path / "broken.npz"
+    save_state(whole, detector, state_of(detector))
+    content = whole.read_bytes()
+    for length in range(0, len(content), len(content) // 23):
+        broken.write_bytes(content[:length])
+        with pytest.raises(ValueError, match="is not a saved detector state"):
+            load_state(broken, detector)
+    where = content.index(b"\x93NUMPY") + 130  # in the data of the first array
+    broken.write_bytes(content[:where] + bytes([content[where] ^ 0xFF]) + content[where + 1 :])
+    with pytest.raises(ValueError, match="is not a saved detector state"):
+        load_state(broken, detector)
+
+
+@pytest.mark.parametrize("mode", ["w", "wb"])
+def test_a_file_takes_its_name_when_the_block_ends_well(mode: str, tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "er" / "file"
+    content = "a,b\r\nπ\n" if mode == "w" else b"a\x00"
+    with atomic_write(path, mode) as file:  # type: ignore[arg-type]
+        file.write(content)
+        assert not path.exists()
+    assert path.read_bytes() == (content if isinstance(content, bytes) else content.encode())
+    assert [p.name for p in path.parent.iterdir()] == ["file"]
+    beside = tmp_path / "beside"
+    beside.touch()
+    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(beside.stat().st_mode)
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_nothing_is_left_behind_when_the_block_raises(error: type[BaseException], tmp_path: Path) -> None:
+    path = tmp_path / "file.csv"
+    with pytest.raises(error), atomic_write(path) as file:
+        file.write("half of it")
+        raise error
+    assert list(tmp_path.iterdir()) == []
+    path.write_text("the old one")
+    with pytest.raises(error), atomic_write(path) as file:
+        file.write("half of it")
+        raise error
+    assert [p.name for p in tmp_path.iterdir()] == ["file.csv"] and path.read_text() == "the old one"
+
+
+def test_a_state_that_cannot_be_saved_leaves_the_old_file(tmp_path: Path) -> None:
+    detector = CentralFilter(tanks())
+    path = tmp_path / "state.npz"
+    save_state(path, detector, state_of(detector))
+    content = path.read_bytes()
+    with pytest.raises(ValueError):
+        save_state(path, detector, (np.array([object()]),))
+    assert path.read_bytes() == content and len(list(tmp_path.iterdir())) == 1
