@@ -130,7 +130,7 @@ SCENARIO = Scenario(
     about="Is the claimed uncertainty true? Normalised errors on truth with process noise, and the rate of false alarms of "
     "each budget, for the consistent banks, a single filter, and the covariances of the published banks.",
     settings=COMMON,
-    seeds=4,
+    seeds=3,
     full_seeds=50,
     tasks=consistency_tasks,
     work=consistency_work,

@@ -103,7 +103,7 @@ SCENARIO = Scenario(
     "residual (20) as missing while an entry of (19) exceeds its threshold; the consistent bank leaves a sensor out until "
     "it is healthy again. Thresholds: one alarm in a thousand samples (Shaheen 2024, Fig. 6).",
     settings={**COMMON, "faults": ("weak-bias", "weak-drift")},
-    seeds=4,
+    seeds=3,
     full_seeds=50,
     tasks=isolation_tasks,
     work=trial,

@@ -101,7 +101,7 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
         "A finer grid, or ground 1 K warmer or 10 % more conductive than believed, changes little. A pipe 25 % rougher than "
         "believed shifts pressures by several kPa, many standard deviations, all along: a consistent bank then takes as many "
         "sensors for faulty as it may leave out (a quarter). Its budget of false alarms holds for a model that is true.",
-        "The published bank alarms less under a wrong model for the reason that it finds less: it misses every bias of 5 sigma.",
+        "The published bank alarms less under a wrong model because it finds less: it misses every bias of 5 sigma.",
         "Where the model is uncertain, give the filter the process noise that says so, or estimate the parameter as a state.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=remarks)

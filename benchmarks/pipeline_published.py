@@ -49,7 +49,7 @@ def rmse(snr: str, filter_name: str, quantity: str) -> Published | None:
         return None
     i = QUANTITIES.index(quantity)
     value = _TABLE_IV[snr][FILTERS.index(filter_name)][i]
-    return Published(value * 1e3 if i == 0 else value, f"Shaheen 2024, Table IV, {snr} SNR")
+    return Published(round(value * 1e3, 6) if i == 0 else value, f"Shaheen 2024, Table IV, {snr} SNR")
 
 
 def accuracy(snr: str, filter_name: str, quantity: str, fault: str) -> Published | None:

@@ -90,7 +90,7 @@ SCENARIO = Scenario(
     about="One sensor of a quantity is faulty in each run of an hour, its level 60-90 % (strong) or 20-40 % (weak) of its "
     "reading, for 10 to 20 samples (Shaheen 2024, sec. V-B, Fig. 5). Three banks as published, two as they should be.",
     settings=COMMON,
-    seeds=4,
+    seeds=3,
     full_seeds=50,
     tasks=roc_tasks,
     work=trial,

@@ -104,7 +104,7 @@ SCENARIO = Scenario(
     "states in the paper's units, and in units of the sensors' noise, for the extended filter and the unscented one with and "
     "without redrawn sigma points.",
     settings=COMMON,
-    seeds=3,
+    seeds=2,
     full_seeds=30,
     tasks=units_tasks,
     work=units_work,

@@ -87,7 +87,7 @@ SCENARIO = Scenario(
     about="Biases of 3 and 5 standard deviations of the reading and drifts to 3, for 10 to 20 samples, and three simultaneous "
     "biases of 8: the faults that the published sizes leave out.",
     settings=COMMON,
-    seeds=4,
+    seeds=3,
     full_seeds=50,
     tasks=weak_tasks,
     work=trial,

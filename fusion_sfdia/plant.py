@@ -5,6 +5,7 @@ Everything is SI inside. A batch (seeds, ensemble members, sigma points) is lead
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -270,7 +271,7 @@ def diagonal(cov: Array) -> Array:
 
 def require_unique(what: str, names: Sequence[str]) -> None:
     """Raise ValueError where a name stands twice."""
-    twice = sorted({n for n in names if names.count(n) > 1})
+    twice = sorted(n for n, count in Counter(names).items() if count > 1)
     if twice:
         raise ValueError(f"{what}: the names {', '.join(twice)} stand more than once; names must differ")
 

@@ -140,7 +140,10 @@ def test_a_change_of_step_and_several_rates_are_taken_as_they_come() -> None:
 
 
 def test_divergence_is_flagged_and_the_rest_of_the_batch_goes_on() -> None:
-    plant = replace(chain(4), step=lambda t, x, u, dt: np.where(np.abs(x) > 50, np.inf, x * 0.9))
+    def steep(t: float, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
+        return np.where(np.abs(x) > 50, 1e200, 0.9)[..., None] * np.eye(4)  # beyond 50 the covariance overflows
+
+    plant = replace(chain(4), step_jacobian=steep)
     bank = LeaveOneOutBank(plant, max_faults=1)
     t, _, y, u = readings(chain(4), 30, 3, seed=9)
     y = y.copy()
