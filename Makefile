@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 WORKERS ?= 2
-DEMO ?= pipeline/*
+DEMO ?= pipeline/estimation pipeline/roc pipeline/isolation pipeline/accuracy pipeline/accommodation pipeline/units
 DEMO_OUT ?= demo-report
 DEMO_ARGS ?=
 BENCH_ARGS ?=
@@ -23,7 +23,7 @@ $(STAMP): pyproject.toml
 	@touch $@
 
 demo: $(STAMP)
-	$(BIN)/fusion-sfdia run '$(DEMO)' --out '$(DEMO_OUT)' --force $(DEMO_ARGS)
+	$(BIN)/fusion-sfdia run $(DEMO) --out '$(DEMO_OUT)' --force $(DEMO_ARGS)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n $(WORKERS) -m 'slow or not slow'
