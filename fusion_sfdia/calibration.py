@@ -36,5 +36,7 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
     thresholds = np.empty(y.shape[-1])
     for members in groups.values():
         largest = np.nanmax(np.where(np.isfinite(residual[:, members]), residual[:, members], -np.inf), axis=1)
-        thresholds[members] = np.quantile(largest, 1 - share)
+        # the order statistic whose expected exceedance by a fresh sample is at most `share`
+        rank = min(int(np.ceil((largest.size + 1) * (1 - share))), largest.size)
+        thresholds[members] = np.partition(largest, rank - 1)[rank - 1]
     return replace(bank, thresholds=tuple(thresholds.tolist()))

@@ -97,9 +97,8 @@ class Extended(_Moments):
         start, _ = plant.guard(core[0])
         ahead, guarded = guarded_step(plant, t, core[0], u, dt)
         jacobian = plant.step_jacobian_at(t, start, u, dt)
-        if np.any(guarded):  # where there was no step, there is no slope either
-            sound = np.all(np.isfinite(jacobian), axis=(-2, -1), keepdims=True)
-            jacobian = np.where(sound, jacobian, np.eye(start.shape[-1]))
+        if np.any(guarded):  # beyond its limits the model has no slope to speak of
+            jacobian = np.where(guarded[..., None, None], np.eye(start.shape[-1]), jacobian)
         x, p = ekf.predict(start, core[1], lambda s: ahead, jacobian, plant.process_cov_over(dt))
         return Prior((x, p), guarded, tangent=jacobian)
 

@@ -92,7 +92,7 @@ class FusingBank:
         plant.check_dt(dt := t - float(last))
         k = k + 1
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            prior = self._predict(state[4:], float(last), u, dt, seed, k)
+            prior = self._predict(state[4:], diverged.ndim, float(last), u, dt, seed, k)
             joints = [self.estimator.joint(plant, p, t, u) for p in prior]
             used = np.isfinite(y)
             mixed = self._mix(prior, joints, t, y, u, used, seed, k)
@@ -124,13 +124,11 @@ class FusingBank:
         )
         return (seed, k, np.array(t), diverged, *core), without_broken(decision, diverged)
 
-    def _predict(self, core: Core, t: float, u: Array, dt: float, seed: Array, k: Array) -> list[Prior]:
-        """The prior of each local filter, or the one they share."""
+    def _predict(self, core: Core, axis: int, t: float, u: Array, dt: float, seed: Array, k: Array) -> list[Prior]:
+        """The prior of each local filter (their axis in a literal core is given), or the one they share."""
         if not self.runs_literally:
             return [self.estimator.predict(self.plant, core, t, u, dt, step_stream(seed, k))]
-        axis = u.ndim - 1
-        count = len(self.plant.sensors)
-        one_by_one = (tuple(np.take(a, i, axis=axis) for a in core) for i in range(count))
+        one_by_one = (tuple(np.take(a, i, axis=axis) for a in core) for i in range(len(self.plant.sensors)))
         return [self.estimator.predict(self.plant, c, t, u, dt, step_stream(seed, k)) for c in one_by_one]
 
     def _mix(
