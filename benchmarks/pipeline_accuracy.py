@@ -11,7 +11,6 @@ from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
-    OURS,
     PAPER,
     Results,
     bar_series,
@@ -24,6 +23,8 @@ from fusion_sfdia.benchmarks.plots import bars, panels
 from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary, Task
 from fusion_sfdia.metrics import Estimate
 
+DETECTORS = (*PAPER, "loo-glr")
+
 
 def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Tables V to VII: every detector, noise level, fault and quantity."""
@@ -35,7 +36,7 @@ def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
             for s in levels
             for f in FAULTS
             for q in QUANTITIES
-            for d in (*PAPER, *OURS)
+            for d in DETECTORS
         ),
         seeds,
     )
@@ -58,13 +59,13 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
         figure, axes = panels(QUANTITIES, columns=3, width=13.0, height=3.6)
         groups = [f.replace("-", "\n") for f in FAULTS]
         for axis, quantity in zip(axes, QUANTITIES, strict=True):
-            of = {(d, g): shown.get((d, f, quantity)) for d in (*PAPER, *OURS) for f, g in zip(FAULTS, groups, strict=True)}
+            of = {(d, g): shown.get((d, f, quantity)) for d in DETECTORS for f, g in zip(FAULTS, groups, strict=True)}
             theirs = {
                 (d, g): published.accuracy("moderate", d, quantity, f)
                 for d in PAPER
                 for f, g in zip(FAULTS, groups, strict=True)
             }
-            bars(axis, groups, bar_series(of, (*PAPER, *OURS), groups, theirs), ylabel="runs judged right")
+            bars(axis, groups, bar_series(of, DETECTORS, groups, theirs), ylabel="runs judged right")
             axis.set_ylim(0, 1.45)
             axis.legend(fontsize=7, ncols=3, loc="upper center")
         return figure

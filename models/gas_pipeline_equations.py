@@ -96,13 +96,14 @@ def wave_speed_squared(p: Any, rho: Any, T: Any, alpha_1: Any, alpha_2: Any, cp:
 def friction_factor(m: Any, c: PipelineParameters) -> Any:
     """Darcy f of Colebrook and White, 1/sqrt f = -2 log10(eps/(3.7 d) + 2.51/(Re sqrt f)), Re = 4 m / (pi d mu).
 
-    Haaland's explicit formula, then two Newton steps in 1/sqrt f: exact to 1e-12 for turbulent flow.
+    Three Newton steps in 1/sqrt f from 10 (f = 0.01): exact to 1e-12 from 10 kg/s in the paper's pipe, to 1e-10 at 1 kg/s;
+    cheaper than an explicit formula and two steps.
     """
     reynolds = 4.0 * m / (np.pi * c.diameter * c.viscosity)
     rough = c.roughness / (3.7 * c.diameter)
     b = 2.51 / reynolds
-    root = -1.8 / LN10 * np.log(6.9 / reynolds + rough**1.11)
-    for _ in range(2):
+    root = 10.0 + 0.0 * reynolds
+    for _ in range(3):
         inside = rough + b * root
         root = root - (root + 2.0 / LN10 * np.log(inside)) / (1.0 + 2.0 / LN10 * b / inside)
     return 1.0 / (root * root)
