@@ -46,8 +46,8 @@ def draw_roc(cells: Mapping[tuple[Any, ...], Cell], fault: str) -> Drawing:
         for (detector, kind, of), cell in cells.items():
             if (kind, of) == (fault, quantity):
                 score = cell["score"][..., QUANTITIES.index(quantity)]
-                curve = metrics.roc(score, cell.active)
-                curves[f"{detector}  {metrics.auc(score, cell.active).value:.3f}"] = curve[:2]
+                curve = metrics.roc(score, cell.active, cell.judged)
+                curves[f"{detector}  {metrics.auc(score, cell.active, cell.judged).value:.3f}"] = curve[:2]
         roc_curves(axis, curves)
         axis.set_aspect("auto")
         axis.set(xscale="log", xlim=(1e-4, 1.05))
@@ -65,8 +65,9 @@ def roc_summary(settings: Settings, results: Results) -> Summary:
         "pressure is the weak side.",
         "A fault of 20 % or more of the reading is 36 to 10 000 standard deviations of its noise: all curves crowd in the "
         "corner. pipeline/weak has the faults that tell detectors apart.",
-        "Thresholds are swept over runs in which nothing was accommodated; an undetected pressure fault then drives the "
-        "estimate out of the gas model, where steps are guarded (see `guarded`).",
+        "Thresholds are swept over runs in which nothing was accommodated; a pressure fault then drives the estimate out of the "
+        "gas model, where steps are guarded. The 40 samples after a fault, in which such a filter recovers, are not judged: "
+        "what a detector does when it may accommodate is in pipeline/isolation.",
     ]
     if lost:
         cases = "; ".join(f"{d} on {f}, {q}: {n}" for (d, f, q), n in lost.items())

@@ -31,6 +31,7 @@ PAPER = ("fusing-ekf", "fusing-ukf", "fusing-enkf")
 OURS = ("loo-chi2", "loo-glr")
 SENSORS = 63
 SETTLE = 30  # samples that are not judged: the filters forget their initial covariance
+AFTERMATH = 40  # samples after a fault in which a filter that trusted it recovers: left out where thresholds are swept
 CHUNK = 10  # runs in one task
 COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "tenth"}
 
@@ -107,9 +108,18 @@ class Cell:
         self._arrays = {k: v[SETTLE:][:, sound] if v.ndim > 1 else v[sound] for k, v in arrays.items()}
         self.active = unpack(self._arrays, "active", SENSORS)
         self.isolated = unpack(self._arrays, "isolated", SENSORS)
+        self.judged = ~aftermath(self.active.any(axis=-1))
 
     def __getitem__(self, name: str) -> Array:
         return self._arrays[name]
+
+
+def aftermath(faulty: Array, samples: int = AFTERMATH) -> Array:
+    """Whether a fault has ended within the last `samples` samples and none is active; faulty and result (K, B)."""
+    recent = np.zeros_like(faulty)
+    for k in range(1, samples + 1):
+        recent[k:] |= faulty[:-k]
+    return recent & ~faulty
 
 
 def gather(results: Sequence[tuple[Task, Arrays]], *keys: str) -> dict[tuple[Any, ...], Cell]:
@@ -144,9 +154,9 @@ def detection_rows(scenario: str, cells: Mapping[tuple[Any, ...], Cell]) -> list
         score = cell["score"][..., QUANTITIES.index(quantity)]
         at = partial(row, scenario, detector, fault, quantity)
         rows += [
-            at("auc", metrics.auc(score, cell.active)),
-            at("detection_probability", metrics.detection_probability(score > 1, cell.active)),
-            at("false_alarm_probability", metrics.false_alarm_probability(score > 1, cell.active)),
+            at("auc", metrics.auc(score, cell.active, cell.judged)),
+            at("detection_probability", metrics.detection_probability(score > 1, cell.active, cell.judged)),
+            at("false_alarm_probability", metrics.false_alarm_probability(score > 1, cell.active, cell.judged)),
         ]
     return rows
 
