@@ -65,7 +65,8 @@ def roc_summary(settings: Settings, results: Results) -> Summary:
         "pressure is the weak side.",
         "A fault of 20 % or more of the reading is 36 to 10 000 standard deviations of its noise: all curves crowd in the "
         "corner. pipeline/weak has the faults that tell detectors apart.",
-        "Thresholds are swept over runs in which nothing was accommodated; a pressure fault then drives the estimate out of the "
+        "Thresholds are swept over runs in which nothing was accommodated; a pressure fault then drives the "
+        "estimate out of the "
         "gas model, where steps are guarded. The 40 samples after a fault, in which such a filter recovers, are not judged: "
         "what a detector does when it may accommodate is in pipeline/isolation.",
     ]

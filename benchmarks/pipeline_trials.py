@@ -108,7 +108,7 @@ class Cell:
         self._arrays = {k: v[SETTLE:][:, sound] if v.ndim > 1 else v[sound] for k, v in arrays.items()}
         self.active = unpack(self._arrays, "active", SENSORS)
         self.isolated = unpack(self._arrays, "isolated", SENSORS)
-        self.judged = ~aftermath(self.active.any(axis=-1))
+        self.judged = ~aftermath(np.asarray(self.active.any(axis=-1)))
 
     def __getitem__(self, name: str) -> Array:
         return self._arrays[name]

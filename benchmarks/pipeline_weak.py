@@ -69,7 +69,8 @@ def weak_summary(settings: Settings, results: Results) -> Summary:
     figure = Figure(
         "weak-auc",
         "Faults near the noise: area under the ROC",
-        "A window of 15 samples finds what one sample cannot; the state variance (19) of the paper is near chance (0.5).",
+        "A window of 15 samples finds what one sample cannot. The state variance (19) lies between: its filter "
+        "hardly follows its readings, and so does not absorb the fault. 0.5 is chance.",
         draw,
         "Bars of the area under the ROC for three detectors, three faults of 3 or 5 sigma and three quantities",
     )

@@ -44,9 +44,9 @@ def faulted(
     process_noise: bool = False,
     settle: int = 30,
 ) -> Faulted:
-    """Simulate one run a seed with `count` random faults in each, none for faults=None.
+    """Simulate one run a seed with `count` random faults at once in each, none for faults=None.
 
-    The onset lies after `settle` samples and early enough for a fault of 40 samples to end within the run.
+    Their onset lies after `settle` samples and early enough for a fault of 40 samples to end within the run.
     """
     recording = simulate(
         plant, steps, seeds, truth=truth, to_states=to_states, process_noise=process_noise,
@@ -55,8 +55,11 @@ def faulted(
     if faults is None:
         nothing = np.zeros(recording.y.shape)
         return Faulted(recording, recording.y, nothing.astype(bool), nothing)
-    window = ((settle + 1) * plant.dt, max(settle + 1, steps - 40) * plant.dt)
-    lists = [draw(faults, plant, stream(s, "faults"), window=window, count=count, quantity=quantity) for s in seeds]
+    lists = []
+    for s in seeds:
+        rng = stream(s, "faults")
+        onset = int(rng.integers(settle + 1, max(settle + 1, steps - 40), endpoint=True)) * plant.dt
+        lists.append(draw(faults, plant, rng, window=(onset, onset), count=count, quantity=quantity))
     changed = apply(plant, recording.t, recording.y, lists, [int(s) for s in seeds], signal=recording.signal)
     return Faulted(recording, changed.y, changed.active, changed.size)
 
