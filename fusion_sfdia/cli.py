@@ -67,11 +67,20 @@ def parser() -> argparse.ArgumentParser:
     one.set_defaults(work=_simulate)
 
     one = commands.add_parser("diagnose", help="find the faults in a log", allow_abbrev=False)
-    one.add_argument("log", type=Path, metavar="LOG.csv")
+    one.add_argument(
+        "--data", type=Path, required=True, metavar="LOG.csv", help="the log: a column a sensor, empty for missing"
+    )
     one.add_argument("--plant", default="gas-pipeline", help="default: gas-pipeline")
     one.add_argument("--detector", default="loo-glr", help="default: loo-glr")
     one.add_argument("--absent-sensors", action="store_true", help="take sensors without a column as missing throughout")
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
+    one.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the results (default: diagnosis/ and the log's name)",
+    )
+    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
     one.add_argument("--json", action="store_true", help="print the events as JSON")
     one.set_defaults(work=_diagnose)
 
@@ -200,13 +209,17 @@ def _drawn(chosen: argparse.Namespace, model: Plant) -> list[Fault]:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.benchmarks.diagnosis import FILES, open_folder, write_diagnosis
     from fusion_sfdia.benchmarks.registry import detector, plant
     from fusion_sfdia.diagnose import diagnose
     from fusion_sfdia.logs import read_log
 
     model = plant(chosen.plant)
-    log = read_log(chosen.log, model, absent_sensors=chosen.absent_sensors, other_columns=chosen.other_columns)
+    log = read_log(chosen.data, model, absent_sensors=chosen.absent_sensors, other_columns=chosen.other_columns)
+    out = chosen.out or Path("diagnosis") / chosen.data.stem
+    open_folder(out, force=chosen.force)
     found = diagnose(detector(chosen.detector, model), *log)
+    write_diagnosis(out, model, log.y, log.u, found)
     if chosen.json:
         print(json.dumps([{k: _finite(v) for k, v in asdict(e).items()} for e in found.events], indent=2))
         return 0
@@ -215,6 +228,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     for e in found.events:
         end = "end of the log" if e.open else f"{e.end:g} s"
         print(f"  {e.hypothesis}: {e.start:g} s to {end}, size {e.size:.4g} {e.unit}")
+    print(f"{', '.join(FILES)}: in {out}")
     return 0
 
 

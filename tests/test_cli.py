@@ -89,9 +89,9 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
         (("simulate", "--out", "x.csv", "--fault", "weak-bias:presure"), "unknown quantity 'presure'"),
         (("simulate", "--out", "x.csv", "--faults", "absent.toml"), "absent.toml: No such file or directory"),
         (("simulate", "--out", "x.csv", "--faults", "file"), "file"),
-        (("diagnose", "absent.csv"), "absent.csv: No such file or directory"),
-        (("diagnose", "file"), "no column 'time'"),
-        (("diagnose", "file", "--detector", "loo-gl"), ""),
+        (("diagnose", "--data", "absent.csv"), "absent.csv: No such file or directory"),
+        (("diagnose", "--data", "file"), "no column 'time'"),
+        (("diagnose", "--data", "file", "--detector", "loo-gl"), ""),
     ],
 )
 def test_an_error_is_one_line(
@@ -130,11 +130,11 @@ def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     drawn = json.loads(out)
     assert (code, err, len(drawn)) == (0, "", 2)
     assert drawn[0]["sensor"].startswith("m_") and drawn[1]["sensor"].startswith("p_")
-    code, out, _ = call(capsys, "diagnose", "log.csv", "--detector", "loo-chi2", "--json")
+    code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2", "--json")
     events = json.loads(out)
     assert code == 0
     assert {e["hypothesis"]: e["start"] for e in events} == {f["sensor"]: f["onset"] for f in drawn}
-    code, out, _ = call(capsys, "diagnose", "log.csv", "--detector", "loo-chi2")
+    code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2")
     assert out.splitlines()[0] == "120 readings, 2 events by loo-chi2"
 
 
