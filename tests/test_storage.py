@@ -142,3 +142,22 @@ def test_a_state_that_cannot_be_saved_leaves_the_old_file(tmp_path: Path) -> Non
     with pytest.raises(ValueError):
         save_state(path, detector, (np.array([object()]),))
     assert path.read_bytes() == content and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_state_of_a_plant_with_other_parameters_or_another_taper_is_refused(tmp_path: Path) -> None:
+    from fusion_sfdia.central_filter import CentralFilter
+    from fusion_sfdia.enkf import EnKFSettings, taper
+    from fusion_sfdia.estimators import Ensemble
+    from fusion_sfdia.models.gas_pipeline import gas_pipeline
+    from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters
+
+    smooth = CentralFilter(gas_pipeline())
+    save_state(tmp_path / "state.npz", smooth, smooth.init())
+    rough = CentralFilter(gas_pipeline(parameters=pipeline_parameters(roughness=0.02e-3)))
+    with pytest.raises(ValueError, match="another plant"):
+        load_state(tmp_path / "state.npz", rough)
+    at = np.arange(63.0)
+    near, far = (CentralFilter(smooth.plant, Ensemble(EnKFSettings(localisation=taper(at, at, r)))) for r in (5.0, 5.5))
+    save_state(tmp_path / "local.npz", near, near.init())
+    with pytest.raises(ValueError, match="other settings"):
+        load_state(tmp_path / "local.npz", far)
