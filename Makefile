@@ -5,7 +5,7 @@ STAMP := .venv/.installed
 WORKERS ?= 2
 DEMO ?= pipeline/estimation pipeline/roc pipeline/isolation pipeline/accuracy pipeline/accommodation pipeline/units
 DEMO_OUT ?= demo-report
-DEMO_ARGS ?=
+DEMO_ARGS ?= --set steps=150
 BENCH_ARGS ?=
 
 # one thread for linear algebra: the work is shared out by process

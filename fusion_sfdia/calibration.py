@@ -17,7 +17,7 @@ Array = NDArray[Any]
 def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> FusingBank:
     """Return the bank with one threshold for each quantity, at the stated rate of false alarms per sample.
 
-    t (K,), y (K, ..., N) healthy readings, u (K, ..., m). The threshold of a quantity is the empirical quantile of its
+    t (K,), y (K, ..., N) healthy readings, u (K, ..., m). The threshold of a quantity is an order statistic of its
     largest residual after the first `warm_up` samples, in which the filter settles; the quantities share the budget
     equally. ValueError where the data are too few for the rate: less than one sample expected above the threshold.
     """

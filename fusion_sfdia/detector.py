@@ -19,7 +19,7 @@ class Decision:
     """What a detector says of one step; leading axes are the batch (and time, in a run).
 
     estimate: state estimate (..., n). covariance: of the estimate (..., n, n), or None where the method has none.
-    measured: readings (..., N) with those that are missing or isolated replaced by the estimate.
+    measured: readings (..., N), the missing ones and, where the method accommodates, the isolated ones from the estimate.
     residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf cannot judge yet.
     isolated: (..., hypotheses) bool, the hypotheses held to be true. fault_size: (..., hypotheses), NaN where not isolated.
     nis: normalised innovation squared per reading used (...); 1 on average for a consistent filter, NaN where there is none.
