@@ -67,7 +67,8 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
             }
             bars(axis, groups, bar_series(of, DETECTORS, groups, theirs), ylabel="runs judged right")
             axis.set_ylim(0, 1.45)
-            axis.legend(fontsize=7, ncols=3, loc="upper center")
+            if axis.get_legend():
+                axis.legend(fontsize=7, ncols=3, loc="upper center")
         return figure
 
     figure = Figure(

@@ -51,7 +51,8 @@ def draw_roc(cells: Mapping[tuple[Any, ...], Cell], fault: str) -> Drawing:
         roc_curves(axis, curves)
         axis.set_aspect("auto")
         axis.set(xscale="log", xlim=(1e-4, 1.05))
-        axis.legend(fontsize=7, title="area under curve", title_fontsize=7, loc="lower right")
+        if curves:
+            axis.legend(fontsize=7, title="area under curve", title_fontsize=7, loc="lower right")
     return figure
 
 

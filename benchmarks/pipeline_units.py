@@ -76,7 +76,8 @@ def units_summary(settings: Settings, results: Results) -> Summary:
         bars(axis, names, bar_series(shown, QUANTITIES, names), ylabel="faulty sensor named")
         axis.set_xticks(range(len(names)), [n.replace(", ", "\n") for n in names])
         axis.set_ylim(0, 1.3)
-        axis.legend(fontsize=8, ncols=3, loc="upper center")
+        if axis.get_legend():
+            axis.legend(fontsize=8, ncols=3, loc="upper center")
         return figure
 
     figure = Figure(

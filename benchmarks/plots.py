@@ -95,7 +95,8 @@ def roc_curves(axes: Axes, curves: Mapping[str, tuple[Array, Array]]) -> None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
     axes.set(xlabel="false-alarm probability", ylabel="detection probability", xlim=(-0.01, 1.01), ylim=(-0.01, 1.01))
     axes.set_aspect("equal")
-    axes.legend(loc="lower right")
+    if curves:
+        axes.legend(loc="lower right")
 
 
 def isolation_matrix(axes: Axes, counts: Array, *, boundaries: Mapping[str, int] | None = None) -> None:
@@ -144,7 +145,8 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
     if log:
         axes.set_yscale("log")
     axes.grid(visible=False, axis="x")
-    axes.legend(fontsize=8)
+    if series:
+        axes.legend(fontsize=8)
 
 
 def time_series(

@@ -1,0 +1,77 @@
+"""The pipeline scenarios end to end, and what the default banks must reach on the paper's faults."""
+
+import numpy as np
+import pytest
+
+from fusion_sfdia import detection_metrics, isolation_metrics
+from fusion_sfdia.benchmarks import pipeline_published as published
+from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
+from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, gather, tasks, trial
+from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
+
+SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth"}
+
+
+def cells(detectors: tuple[str, ...], faults: tuple[str, ...], seeds: int, accommodate: bool) -> dict[tuple[str, ...], Cell]:
+    wanted = (
+        {"detector": d, "fault": f, "quantity": q, "accommodate": accommodate}
+        for d in detectors
+        for f in faults
+        for q in QUANTITIES
+    )
+    return gather([(t, trial(SETTINGS, t)) for t in tasks(wanted, seeds)], "detector", "fault", "quantity")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_runs_to_its_rows_and_figures(name: str) -> None:
+    one = scenario(name)
+    settings = {**one.settings, "steps": 75}
+    work = one.tasks(settings, 1)
+    chosen = work if len(work) <= 20 else work[:: len(work) // 20]
+    summary = one.summarise(settings, [(t, one.work(settings, t)) for t in chosen])
+    assert summary.rows and summary.figures and summary.remarks
+    assert {r.scenario for r in summary.rows} == {name} and {r.plant for r in summary.rows} == {"gas-pipeline"}
+    for row in summary.rows:
+        assert np.isnan(row.low) or row.low <= row.value <= row.high, row
+    for figure in summary.figures:
+        assert figure.draw().axes and figure.alt and figure.caption
+
+
+@pytest.mark.slow
+def test_the_default_banks_name_the_papers_faults() -> None:
+    """At moderate SNR, by quantity: recall 0.99 of biases, 0.95 of drifts, at 0.001 false flags a sensor-sample."""
+    for (detector, fault, quantity), cell in cells(("loo-chi2", "loo-glr"), ("weak-bias", "weak-drift"), 12, True).items():
+        recall = isolation_metrics.isolation_recall(cell.isolated, cell.active)
+        assert recall.value >= (0.99 if fault == "weak-bias" else 0.95), (detector, fault, quantity)
+        assert isolation_metrics.false_flag_rate(cell.isolated, cell.active).value <= 1e-3
+        assert not cell.diverged
+
+
+@pytest.mark.slow
+def test_a_window_sees_a_pressure_bias_of_three_sigma() -> None:
+    found = cells(("loo-chi2", "loo-glr"), ("bias-3-sigma",), 12, False)
+    area = {
+        d: detection_metrics.auc(found[d, "bias-3-sigma", "pressure"]["score"][..., 0], c.active, c.judged)
+        for d in ("loo-chi2", "loo-glr")
+        if (c := found[d, "bias-3-sigma", "pressure"])
+    }
+    assert area["loo-glr"].value >= 0.93
+    assert area["loo-chi2"].high < area["loo-glr"].low  # one sample lets it in
+
+
+def test_published_numbers_are_in_si_and_say_where_they_stand() -> None:
+    moderate = published.rmse("moderate", "fusing-ukf", "pressure")
+    assert moderate is not None and moderate.value == pytest.approx(123.07) and "Table IV" in moderate.source
+    weak = published.accuracy("low", "fusing-ekf", "mass flow", "weak-bias")
+    assert weak is not None and weak.value == 0.95 and "Table V" in weak.source
+    assert (
+        published.rmse("high", "loo-glr", "pressure") is None
+        and published.accuracy("high", "ekf", "pressure", "weak-bias") is None
+    )
+
+
+def test_the_aftermath_of_a_fault_is_what_follows_its_end() -> None:
+    faulty = np.zeros((10, 1), bool)
+    faulty[2:4] = faulty[6] = True
+    assert aftermath(faulty, 2)[:, 0].tolist() == [False] * 4 + [True, True, False, True, True, False]
