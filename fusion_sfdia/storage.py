@@ -42,7 +42,8 @@ def _umask() -> int:
 
 def fingerprint(detector: Detector) -> str:
     """A digest by which a saved state is matched: a detector's class and settings, and of its plant the names, the noise,
-    and where one nominal step and its readings lead from x0 (to 9 digits), which any change of parameters moves."""
+    and where one nominal step and its readings lead from x0 (to 9 digits), which any change of parameters moves.
+    """
     plant: Plant = detector.plant
     u = plant.input_at(0.0)
     ahead = plant.step(0.0, plant.x0, u, plant.dt)
