@@ -35,7 +35,7 @@ def calibrated(bank: FusingBank) -> FusingBank:
     """The bank with thresholds from healthy simulated runs of its own plant, more of them for more quantities."""
     wanted = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
     steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * wanted)))
-    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS)
+    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model")
     u = np.broadcast_to(healthy.u[:, None], (*healthy.y.shape[:2], healthy.u.shape[-1]))
     return calibrate(bank, healthy.t, healthy.y, u, FALSE_ALARM, WARM_UP)
 

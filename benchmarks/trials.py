@@ -39,7 +39,7 @@ def faulted(
     quantity: str | None,
     *,
     count: int = 1,
-    truth: Plant | None = None,
+    truth: Plant | str = "model",
     to_states: Callable[[Array], Array] | None = None,
     process_noise: bool = False,
     settle: int = 30,

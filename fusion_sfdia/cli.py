@@ -52,6 +52,12 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--plant", default="gas-pipeline", help="default: gas-pipeline")
     one.add_argument("--steps", type=int, default=360, metavar="N", help="readings (default: 360)")
     one.add_argument("--seed", type=int, default=0, metavar="N", help="of noise and drawn faults (default: 0)")
+    one.add_argument(
+        "--truth",
+        choices=("finer", "model"),
+        default="finer",
+        help="readings from the plant's finer twin (default), or from the model that detectors use",
+    )
     one.add_argument("--process-noise", action="store_true", help="disturb the truth by the plant's process noise")
     one.add_argument(
         "--fault",
@@ -174,7 +180,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
     model = plant(chosen.plant)
     faults = [*(load_faults(chosen.faults, model) if chosen.faults else ()), *_drawn(chosen, model)]
-    recording = simulate(model, chosen.steps, [chosen.seed], process_noise=chosen.process_noise)
+    recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)
     readings = apply(model, recording.t, recording.y, faults, chosen.seed, signal=recording.signal)
     write_log(chosen.out, model, recording.t, readings.y[:, 0], recording.u)
     if chosen.json:

@@ -129,6 +129,8 @@ class Plant:
 
     step_jacobian(t, x, u, dt) and output_jacobian(t, x, u) are optional; the complex step gives them otherwise.
     operation(t) is the input that a simulation applies when it is given none.
+    finer(): a truer twin with the same sensors and inputs (a finer grid, say) and the map from its states to these, from
+    which simulations take their readings unless told otherwise; None where there is none.
     fixed_dt: whether the model holds for its nominal dt only.
     """
 
@@ -147,6 +149,7 @@ class Plant:
     output_jacobian: OutputFunction | None = None
     process_bound: Array | None = None
     blocks: tuple[Block, ...] = ()
+    finer: Callable[[], tuple[Plant, Callable[[Array], Array]]] | None = None
     fixed_dt: bool = False
     max_dt: float = np.inf
 
@@ -255,12 +258,13 @@ class Plant:
             s = sensors[i]
             factor[i] = scale
             sensors[i] = replace(s, unit=unit, sigma=s.sigma and s.sigma * abs(scale), bound=s.bound and s.bound * abs(scale))
-        jacobian = self.output_jacobian
+        jacobian, finer = self.output_jacobian, self.finer
         return replace(
             self,
             sensors=tuple(sensors),
             output=lambda t, x, u: self.output(t, x, u) * factor,
             output_jacobian=None if jacobian is None else lambda t, x, u: jacobian(t, x, u) * factor[:, None],
+            finer=None if finer is None else lambda: (finer()[0].in_units(units), finer()[1]),
         )
 
 

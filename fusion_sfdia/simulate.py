@@ -44,7 +44,7 @@ def simulate(
     times: int | Array,
     seeds: Sequence[int],
     *,
-    truth: Plant | None = None,
+    truth: Plant | str = "finer",
     to_states: Callable[[Array], Array] | None = None,
     process_noise: bool = False,
     start: str | Array = "nominal",
@@ -53,18 +53,26 @@ def simulate(
 ) -> Recording:
     """Simulate readings for a detector on `plant`.
 
-    times: how many steps of plant.dt, or the times (K,) of the readings, increasing from t0. truth: the plant that makes
-    the readings (None: `plant` itself), with the same sensors and inputs; its dt divides plant.dt, its sensors' noise is
-    what is added. to_states: maps its states (K, B, n') to those of `plant`; without it, and with states of other names, x
-    is None. process_noise: whether the truth is disturbed by its process noise. start: "nominal" for the truth's x0,
-    "sampled" from its initial covariance, or states (n',) or (B, n'). inputs: u as a function of the time from which it acts,
-    or as (K, m), or None for the plant's operation; it is held from one reading to the next.
+    times: how many steps of plant.dt, or the times (K,) of the readings, increasing from t0. truth: what makes the
+    readings: "finer" for the plant's finer twin where it has one, so that a detector is not tried on its own model (the
+    inverse crime); "model" for `plant` itself, the setting of most papers; or a plant with the same sensors and inputs,
+    whose dt divides plant.dt and whose sensors' noise is added. to_states: maps the states (K, B, n') of such a plant to
+    those of `plant`; without it, and with states of other names, x is None. process_noise: whether the truth is disturbed
+    by its process noise. start: "nominal" for the truth's x0, "sampled" from its initial covariance, or states (n',) or
+    (B, n'). inputs: u as a function of the time from which it acts, or as (K, m), or None for the plant's operation; it is
+    held from one reading to the next.
 
     Noise: Gaussian where a sigma is stated, uniform within the bound where only a bound is, Gaussian truncated to the
     bound where both are; the process noise likewise. Raises ValueError for arguments that do not fit, ArithmeticError
     where a run leaves the limits of the truth's model.
     """
-    truth = plant if truth is None else truth
+    if isinstance(truth, str):
+        if truth not in ("finer", "model"):
+            raise ValueError(f"truth is {truth!r}; wanted 'finer', 'model' or a plant")
+        if truth == "finer" and plant.finer is not None:
+            truth, to_states = plant.finer()
+        else:
+            truth = plant
     _require_fit(plant, truth)
     seeds = require_seeds(seeds)
     t, dt = _times(plant, times, t0)

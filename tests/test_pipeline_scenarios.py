@@ -9,7 +9,7 @@ from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, gather, tasks, trial
 from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
 
-SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth"}
+SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "truth": "finer"}
 
 
 def cells(detectors: tuple[str, ...], faults: tuple[str, ...], seeds: int, accommodate: bool) -> dict[tuple[str, ...], Cell]:
