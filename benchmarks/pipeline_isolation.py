@@ -84,8 +84,8 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
     )
     remarks = [
         "The paper shows Fig. 6 as images without numbers: the fusing EKF names no pressure sensor, the fusing UKF is weak on "
-        "temperature, the fusing EnKF names all. Ours agree: the printed UKF loses temperature faults, and flow faults too, drifts "
-        "the most.",
+        "temperature, the fusing EnKF names all. Ours agree: the printed UKF loses temperature faults, and flow faults too, "
+        "drifts the most.",
         "P0 is the paper's identity for the fusing EKF and UKF; the fusing EnKF starts from the sensors' noise instead, since "
         "members spread by 1 MPa at every node leave the gas model in their first step.",
     ]
