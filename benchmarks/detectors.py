@@ -42,7 +42,8 @@ def calibrated(bank: FusingBank) -> FusingBank:
 
 DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     "fusing-ekf": (
-        "extended Kalman filters, one without each sensor, with information mixture: statistics (19), (20) of Shaheen 2024",
+        "extended Kalman filters, one without each sensor, with information mixture: statistics (19), (20) of "
+        "Shaheen 2024; P0 is the plant's, where the paper has the identity",
         lambda plant: fusing_bank(plant, "ekf"),
     ),
     "fusing-ukf": (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +20,15 @@ FILES = ("events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
 MOST_PANELS = 6
 
 
-def open_folder(out: Path, *, force: bool) -> None:
-    """Make the folder; ValueError where it is a file, cannot be made, or holds something and force is not given."""
+def require_free(out: Path, *, force: bool) -> None:
+    """Raise ValueError where the folder is a file, cannot be written to, or holds something and force is not given."""
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file; name a folder for the diagnosis with --out")
     if out.exists() and any(out.iterdir()) and not force:
         raise ValueError(f"{out} is already used; name another folder with --out, or overwrite with --force")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"cannot write into {out} ({error.strerror}); name another folder with --out") from error
+    nearest = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise ValueError(f"cannot write into {out} ({nearest} is not a folder to write to); name another folder with --out")
 
 
 def write_diagnosis(out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[np.float64], found: Diagnosis) -> None:

@@ -33,6 +33,7 @@ def _short(fault: str) -> str:
 def accommodation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each fault with and without fault diagnosis, and healthy."""
     return tasks(
+        settings,
         (
             {"detector": d, "fault": f, "quantity": q, "accommodate": a}
             for d in NAMES
@@ -52,6 +53,8 @@ def accommodation_summary(settings: Settings, results: Results) -> Summary:
         name = "rmse_healthy" if fault == "none" else "rmse" if accommodate else "rmse_unaccommodated"
         estimate = run_rmse(cell, QUANTITIES.index(quantity))
         rows.append(row("pipeline/accommodation", detector, fault, quantity, name, estimate))
+        lost = name.replace("rmse", "diverged")
+        rows.append(row("pipeline/accommodation", detector, fault, quantity, lost, cell.divergence))
         shown[detector, fault, quantity, accommodate] = estimate
 
     def draw() -> Drawing:

@@ -37,13 +37,15 @@ NAMES = ("fusing-enkf", *OURS)
 
 @cache
 def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
-    """The plant that makes the readings: 81 nodes, or parameters that the filter does not know of."""
-    changes = {
-        "roughness +25 %": {"roughness": 0.02e-3},
-        "ambient +1 K": {"ambient": 279.15},
-        "heat transfer +10 %": {"heat_transfer": 3.124},
-        "all of these": {"roughness": 0.02e-3, "ambient": 279.15, "heat_transfer": 3.124},
-    }.get(name, {})
+    """The plant that makes the readings: 81 nodes, or parameters off by sizes of ours, such as ageing and weather bring."""
+    believed = pipeline_parameters()
+    single = {
+        "roughness +25 %": {"roughness": 1.25 * believed.roughness},
+        "ambient +1 K": {"ambient": believed.ambient + 1.0},
+        "heat transfer +10 %": {"heat_transfer": 1.1 * believed.heat_transfer},
+    }
+    everything = {k: v for change in single.values() for k, v in change.items()}
+    changes = everything if name == "all of these" else single.get(name, {})
     nodes = 81 if name in ("finer grid", "all of these") else 21
     return gas_pipeline(
         nodes=nodes, stations=21, snr=snr, process_noise=process_noise, parameters=pipeline_parameters(**changes)
@@ -53,6 +55,7 @@ def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
 def mismatch_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each truth, healthy and with a weak bias on any sensor."""
     return tasks(
+        settings,
         (
             {"truth": t, "detector": d, "fault": f, "quantity": "all"}
             for t in TRUTHS
@@ -74,6 +77,7 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
     shown: dict[tuple[Any, ...], Estimate] = {}
     for (truth, detector, fault), cell in gather(results, "truth", "detector", "fault").items():
         at = partial(row, "pipeline/mismatch", detector, fault, truth)
+        rows.append(at("diverged", cell.divergence))
         if fault == "none":
             rate = metrics.false_alarm_probability(cell["alarm"], cell.active)
             rows += [at("false_alarm_probability", rate), at("false_flag_rate", false_flag_rate(cell.isolated, cell.active))]
@@ -101,7 +105,7 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
         "A finer grid, or ground 1 K warmer or 10 % more conductive than believed, changes little. A pipe 25 % rougher than "
         "believed shifts pressures by several kPa, many standard deviations, all along: a consistent bank then takes as many "
         "sensors for faulty as it may leave out (a quarter). Its budget of false alarms holds for a model that is true.",
-        "The published bank alarms less under a wrong model because it finds less: it misses every bias of 5 sigma.",
+        "The published bank alarms less under a wrong model because it finds less: it misses biases of 5 sigma.",
         "Where the model is uncertain, give the filter the process noise that says so, or estimate the parameter as a state.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=remarks)
@@ -112,7 +116,7 @@ SCENARIO = Scenario(
     title="When the model is wrong",
     about="Readings from a finer grid (81 nodes), a rougher pipe, warmer or more conductive ground than the filter believes: "
     "false alarms without a fault, and sensors named with one.",
-    settings=COMMON,
+    settings={k: v for k, v in COMMON.items() if k != "truth"},
     seeds=2,
     full_seeds=50,
     tasks=mismatch_tasks,

@@ -28,6 +28,7 @@ from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary
 def roc_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on every fault of every quantity, watching only."""
     return tasks(
+        settings,
         (
             {"detector": d, "fault": f, "quantity": q, "accommodate": False}
             for f in FAULTS

@@ -17,9 +17,9 @@ from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Published, Settings, Task, seed_blocks
 from fusion_sfdia.benchmarks.trials import faulted, join, outcome, unpack
 from fusion_sfdia.detector import Detector
-from fusion_sfdia.fault_draws import FaultRange
-from fusion_sfdia.metrics import NOTHING, Estimate, mean_over_runs
-from fusion_sfdia.models.gas_pipeline import coarse_state, gas_pipeline
+from fusion_sfdia.fault_draws import PRESETS, FaultRange
+from fusion_sfdia.metrics import NOTHING, Estimate, mean_over_runs, proportion
+from fusion_sfdia.models.gas_pipeline import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
 from fusion_sfdia.plant import Plant
 
 Array = NDArray[Any]
@@ -35,6 +35,14 @@ AFTERMATH = 40  # samples after a fault in which a filter that trusted it recove
 CHUNK = 10  # runs in one task
 # truth: the paper's readings come from the filter's own model ("model"), others may come from a finer grid ("finer")
 COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "tenth", "truth": "model"}
+
+KNOWN = {  # what the settings that name something may name
+    "snr": tuple(SIGMA),
+    "levels": tuple(SIGMA),
+    "process_noise": tuple(PROCESS_NOISE),
+    "truth": ("model", "finer"),
+    "faults": tuple(PRESETS),
+}
 
 NEAR_NOISE = {  # faults of a few sigma: name, range, how many at once
     "bias-3-sigma": (FaultRange("bias", (3, 3), "sigmas"), 1),
@@ -61,15 +69,29 @@ def steps(settings: Settings) -> int:
     return int(str(settings["steps"]))
 
 
-def tasks(cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
-    """One task a cell and CHUNK runs."""
+def check(settings: Settings) -> None:
+    """Raise ValueError for settings that no run can be made of, before any is begun."""
+    least = SETTLE + AFTERMATH + 5
+    if steps(settings) < least:
+        raise ValueError(f"setting steps is {settings['steps']}; a fault takes its place from {least} samples on")
+    for name, known in KNOWN.items():
+        for value in np.atleast_1d(np.asarray(settings.get(name, known[0]))):
+            if value not in known:
+                raise ValueError(f"setting {name} is {str(value)!r}; known: {', '.join(known)}")
+
+
+def tasks(settings: Settings, cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
+    """One task a cell and CHUNK runs; ValueError for settings that `check` refuses."""
+    check(settings)
     return [cell | {"seeds": block} for cell in cells for block in seed_blocks(seeds, CHUNK)]
 
 
 def trial(settings: Settings, task: Task, detector: Detector | None = None, truth: Plant | None = None) -> Arrays:
     """The runs of a task: recordings with its fault ("none" for healthy), through its detector; arrays as in `outcome`."""
-    snr = task.get("snr", settings["snr"])
-    detector = detector or detector_on_pipeline(task["detector"], snr, settings["process_noise"])
+    if detector is None:
+        detector = detector_on_pipeline(
+            task["detector"], task.get("snr") or str(settings["snr"]), str(settings["process_noise"])
+        )
     if not task.get("accommodate", True):
         detector = watching(detector)
     name: str = task["fault"]
@@ -103,6 +125,11 @@ class Cell:
         self.active = unpack(self._arrays, "active", SENSORS)
         self.isolated = unpack(self._arrays, "isolated", SENSORS)
         self.judged = ~aftermath(np.asarray(self.active.any(axis=-1)))
+
+    @property
+    def divergence(self) -> Estimate:
+        """Share of runs that diverged: every other number of the cell is of those that did not."""
+        return proportion(self.diverged, self.runs)
 
     def __getitem__(self, name: str) -> Array:
         return self._arrays[name]
@@ -148,6 +175,7 @@ def detection_rows(scenario: str, cells: Mapping[tuple[Any, ...], Cell]) -> list
         score = cell["score"][..., QUANTITIES.index(quantity)]
         at = partial(row, scenario, detector, fault, quantity)
         rows += [
+            at("diverged", cell.divergence),
             at("auc", metrics.auc(score, cell.active, cell.judged)),
             at("detection_probability", metrics.detection_probability(score > 1, cell.active, cell.judged)),
             at("false_alarm_probability", metrics.false_alarm_probability(score > 1, cell.active, cell.judged)),

@@ -50,7 +50,9 @@ def _variant(name: str, snr: str, process_noise: str) -> FusingBank:
 def units_tasks(settings: Settings, seeds: int) -> list[Task]:
     """A bias of 30 % through each variant, and through the leave-one-out chi-square."""
     return tasks(
-        ({"detector": d, "fault": "bias-30-percent", "quantity": q} for d in (*VARIANTS, "loo-chi2") for q in QUANTITIES), seeds
+        settings,
+        ({"detector": d, "fault": "bias-30-percent", "quantity": q} for d in (*VARIANTS, "loo-chi2") for q in QUANTITIES),
+        seeds,
     )
 
 
@@ -68,6 +70,7 @@ def units_summary(settings: Settings, results: Results) -> Summary:
     for (detector, quantity), cell in gather(results, "detector", "quantity").items():
         estimate = isolation_recall(cell.isolated, cell.active)
         rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "isolation_recall", estimate))
+        rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "diverged", cell.divergence))
         shown[quantity, detector] = estimate
 
     def draw() -> Drawing:

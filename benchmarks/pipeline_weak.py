@@ -40,7 +40,7 @@ def weak_tasks(settings: Settings, seeds: int) -> list[Task]:
         for d in ("fusing-ekf", *OURS)
     )
     three = ({"detector": d, "fault": "three-8-sigma", "quantity": "all", "accommodate": True} for d in (*PAPER[:1], *OURS))
-    return tasks((*one, *three), seeds)
+    return tasks(settings, (*one, *three), seeds)
 
 
 def weak_summary(settings: Settings, results: Results) -> Summary:
@@ -51,6 +51,7 @@ def weak_summary(settings: Settings, results: Results) -> Summary:
     for (detector,), cell in three.items():
         at = partial(row, "pipeline/weak", detector, "three-8-sigma", "all")
         rows += [
+            at("diverged", cell.divergence),
             at("exact_isolation", exact_isolation(cell.isolated, cell.active)),
             at("isolation_recall", isolation_recall(cell.isolated, cell.active)),
             at("false_flag_rate", false_flag_rate(cell.isolated, cell.active)),

@@ -114,7 +114,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return 130
     except (ValueError, ArithmeticError, OSError, RuntimeError) as error:
-        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
+        text = str(error)
+        if isinstance(error, OSError) and error.filename:
+            text = f"{error.filename}: {error.strerror}; name a file that is there, or a folder that can be written to"
         print(f"fusion-sfdia: {' '.join(text.split())}", file=sys.stderr)
         return 1 if isinstance(error, RuntimeError) else 2
 
@@ -215,7 +217,7 @@ def _drawn(chosen: argparse.Namespace, model: Plant) -> list[Fault]:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.diagnosis import FILES, open_folder, write_diagnosis
+    from fusion_sfdia.benchmarks.diagnosis import FILES, require_free, write_diagnosis
     from fusion_sfdia.benchmarks.registry import detector, plant
     from fusion_sfdia.diagnose import diagnose
     from fusion_sfdia.logs import read_log
@@ -223,8 +225,9 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     model = plant(chosen.plant)
     log = read_log(chosen.data, model, absent_sensors=chosen.absent_sensors, other_columns=chosen.other_columns)
     out = chosen.out or Path("diagnosis") / chosen.data.stem
-    open_folder(out, force=chosen.force)
-    found = diagnose(detector(chosen.detector, model), *log)
+    with_detector = detector(chosen.detector, model)
+    require_free(out, force=chosen.force)
+    found = diagnose(with_detector, *log)
     write_diagnosis(out, model, log.y, log.u, found)
     if chosen.json:
         print(json.dumps([{k: _finite(v) for k, v in asdict(e).items()} for e in found.events], indent=2))

@@ -36,7 +36,7 @@ class Estimator(Protocol):
     """A Kalman filter as a bank needs it; rng serves those that draw random numbers.
 
     start: the core of a batch at the plant's x0. predict: over [t, t + dt] with input u. joint: of state and readings at t.
-    moments: x (..., n), P (..., n, n) of a core. assimilate: the core after the readings y (NaN: not used) with noise
+    assimilate: the core after the readings y (NaN: not used) with noise
     covariance noise_gain R, its mean x and its covariance scaled by cov_gain to p; x and p are the bank's result for it.
     consistent: whether S = H P H' + R and C = P H' hold in its joint Gaussian.
     """
@@ -46,7 +46,6 @@ class Estimator(Protocol):
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core: ...
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior: ...
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint: ...
-    def moments(self, core: Core) -> tuple[Array, Array]: ...
     def assimilate(
         self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator
     ) -> Core: ...
@@ -79,9 +78,6 @@ class _Moments:
         n = plant.x0.size
         p = gaussian.dense(plant.initial_cov)
         return np.broadcast_to(plant.x0, (*batch, n)).copy(), np.broadcast_to(p, (*batch, n, n)).copy()
-
-    def moments(self, core: Core) -> tuple[Array, Array]:
-        return core[0], core[1]
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         return x, p
@@ -157,11 +153,6 @@ class Ensemble:
         over = np.expand_dims(u, -2)
         return enkf.joint(prior.core[0], lambda s: plant.output(t, s, over), plant.sensor_cov)
 
-    def moments(self, core: Core) -> tuple[Array, Array]:
-        mean = core[0].mean(axis=-2)
-        spread = core[0] - mean[..., None, :]
-        return mean, np.swapaxes(spread, -1, -2) @ spread / (self.settings.size - 1)
-
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         over = np.expand_dims(reading.u, -2)
         members = enkf.update(
@@ -174,9 +165,6 @@ class Ensemble:
         )
         spread = members - members.mean(axis=-2, keepdims=True)
         return (x[..., None, :] + np.sqrt(reading.cov_gain) * spread,)
-
-
-ESTIMATORS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(), "enkf": Ensemble()}
 
 
 def step_stream(seed: Array | int, step: Array | int) -> np.random.Generator:

@@ -35,7 +35,8 @@ class LeaveOneOutBank:
     """Leave-one-out bank on one central filter (extended or unscented with redraw).
 
     window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
-    false_alarm: probability that a healthy set of sensors raises any alarm in one step, shared equally by the sensors and,
+    false_alarm: probability that a healthy set of sensors begins an alarm in one step (with accommodation an alarm then lasts
+    until its sensor is readmitted, without until its samples have left the window), shared equally by the sensors and,
     with a window, by the one-sample test (half) and the onsets (half): Bonferroni, so a bound, for a model that is true.
     max_faults: sensors that may be out at once (None: a quarter of them). accommodate: leave faulty sensors out; without,
     the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.

@@ -1,13 +1,19 @@
 """The pipeline scenarios end to end, and what the default banks must reach on the paper's faults."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fusion_sfdia import detection_metrics, isolation_metrics
 from fusion_sfdia.benchmarks import pipeline_published as published
+from fusion_sfdia.benchmarks.detectors import build
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, gather, tasks, trial
 from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
+from fusion_sfdia.benchmarks.trials import decide, faulted
+from fusion_sfdia.fault_draws import FaultRange
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
 SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "truth": "finer"}
 
@@ -19,7 +25,7 @@ def cells(detectors: tuple[str, ...], faults: tuple[str, ...], seeds: int, accom
         for f in faults
         for q in QUANTITIES
     )
-    return gather([(t, trial(SETTINGS, t)) for t in tasks(wanted, seeds)], "detector", "fault", "quantity")
+    return gather([(t, trial(SETTINGS, t)) for t in tasks(SETTINGS, wanted, seeds)], "detector", "fault", "quantity")
 
 
 @pytest.mark.slow
@@ -75,3 +81,44 @@ def test_the_aftermath_of_a_fault_is_what_follows_its_end() -> None:
     faulty = np.zeros((10, 1), bool)
     faulty[2:4] = faulty[6] = True
     assert aftermath(faulty, 2)[:, 0].tolist() == [False] * 4 + [True, True, False, True, True, False]
+
+
+@pytest.mark.slow
+def test_the_central_covariance_is_true_in_every_quantity() -> None:
+    """NEES per state within [0.9, 1.1] on truth that obeys the model."""
+    one = scenario("pipeline/consistency")
+    settings = {**one.settings, "steps": 150}
+    chosen = [t for t in one.tasks(settings, 10) if t["detector"] == "loo-chi2" and t["budget"] == 1e-3]
+    rows = one.summarise(settings, [(t, one.work(settings, t)) for t in chosen]).rows
+    found = {r.quantity: r.value for r in rows if r.metric == "nees"}
+    assert set(found) == {"all", *QUANTITIES}
+    assert all(0.9 <= value <= 1.1 for value in found.values()), found
+
+
+@pytest.mark.parametrize("name", ["loo-chi2", "loo-glr", "kf-chi2"])
+def test_decisions_on_the_pipeline_do_not_change_from_pascal_to_bar(name: str) -> None:
+    plant = gas_pipeline()
+    bar = plant.in_units({f"p_{i}": ("bar", 1e-5) for i in range(21)})
+    data = faulted(plant, 90, range(2), FaultRange("bias", (5, 5), "sigmas"), "pressure")
+    factor = np.where(np.arange(63) < 21, 1e-5, 1.0)
+    a = decide(build(name, plant), data)
+    b = decide(build(name, bar), replace(data, y=data.y * factor))
+    np.testing.assert_array_equal(a.isolated, b.isolated)
+    np.testing.assert_array_equal(a.alarm, b.alarm)
+    # rounding of readings of 1e4 sigma, through a window of 15 steps
+    np.testing.assert_allclose(a.scores, b.scores, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({"steps": 20}, "from 75 samples on"),
+        ({"snr": "loud"}, "known: high, moderate, low"),
+        ({"process_noise": "half"}, "known: tenth, nine-tenths"),
+        ({"truth": "bogus"}, "known: model, finer"),
+    ],
+)
+def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], wanted: str) -> None:
+    one = scenario("pipeline/units")
+    with pytest.raises(ValueError, match=wanted):
+        one.tasks({**one.settings, **changes}, 1)
