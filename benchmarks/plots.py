@@ -145,8 +145,10 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
     if log:
         axes.set_yscale("log")
     axes.grid(visible=False, axis="x")
-    if series:
-        axes.legend(fontsize=8)
+    if series:  # in room of its own above the bars
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(bottom, top * (top / bottom) ** 0.35 if log else top + 0.25 * (top - bottom))
+        axes.legend(fontsize=7, ncols=3, loc="upper center")
 
 
 def time_series(
