@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import platform
 import signal
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -190,7 +192,7 @@ def _work_off(plans: list[_Plan], out: Path, workers: int) -> None:
 def _do(plan: int, path: Path, work: Any, settings: Settings, task: Task, parent: int) -> _Done:
     """One piece of work, where it is run; its arrays go to disk and an error is told, not raised."""
     if os.getpid() != parent:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent alone answers Ctrl-C
+        _follow(parent)
     start = time.perf_counter()
     error = None
     try:
@@ -199,6 +201,19 @@ def _do(plan: int, path: Path, work: Any, settings: Settings, task: Task, parent
     except Exception as problem:
         error = f"{type(problem).__name__}: {problem}"
     return _Done(plan, path.name, time.perf_counter() - start, error)
+
+
+@cache
+def _follow(parent: int) -> None:
+    """In a worker, once: leave Ctrl-C to the parent, and end when the parent is gone, which may not be able to say so."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _summarise(plan: _Plan, out: Path) -> Section:

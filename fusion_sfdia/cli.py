@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -102,6 +103,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Do what a command line says; return its exit code: 0 done, 1 some work failed, 2 it cannot be done, 130 interrupted."""
     chosen = parser().parse_args(arguments)
+    terminated = signal.signal(signal.SIGTERM, signal.default_int_handler)  # both leave nothing half-written, no worker behind
     try:
         code: int = chosen.work(chosen)
         sys.stdout.flush()
@@ -119,6 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             text = f"{error.filename}: {error.strerror}; name a file that is there, or a folder that can be written to"
         print(f"fusion-sfdia: {' '.join(text.split())}", file=sys.stderr)
         return 1 if isinstance(error, RuntimeError) else 2
+    finally:
+        signal.signal(signal.SIGTERM, terminated)
 
 
 def _list(chosen: argparse.Namespace) -> int:
