@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.logs import read_log as read_log
     from fusion_sfdia.logs import write_log as write_log
     from fusion_sfdia.models.gas_pipeline import gas_pipeline as gas_pipeline
+    from fusion_sfdia.particle_filter import ParticleFilter as ParticleFilter
     from fusion_sfdia.plant import Block as Block
     from fusion_sfdia.plant import Physics as Physics
     from fusion_sfdia.plant import Plant as Plant
@@ -64,6 +65,7 @@ _MODULES = {
     "leave_one_out_bank": ("LeaveOneOutBank",),
     "logs": ("Log", "read_log", "write_log"),
     "models.gas_pipeline": ("gas_pipeline",),
+    "particle_filter": ("ParticleFilter",),
     "plant": ("Block", "Physics", "Plant", "Sensor", "Signal"),
     "simulate": ("Recording", "simulate"),
     "storage": ("load_state", "save_state"),

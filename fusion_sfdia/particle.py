@@ -70,22 +70,34 @@ def update(
 ) -> tuple[Particles, Array]:
     """Weigh the particles by the readings y (..., N), NaN where missing, and resample where few of them count.
 
-        log w <- log w - (y - h(X))' R^-1 (y - h(X)) / 2 + constant    (Gordon, Salmond and Smith 1993)
-
-    R is (N,) or (N, N). Returns the particles and the effective size before resampling (...), which takes place where that is
-    below threshold times the number of particles.
+    R is (N,) or (N, N). Returns the particles and the effective size before resampling (...); see `weigh` and `resample`.
     """
-    size = particles.log_weights.shape[-1]
-    weighed = particles._replace(log_weights=_normalise(particles.log_weights + log_likelihood(h(particles.members), y, R)))
+    weighed = weigh(particles, h(particles.members), y, R)
+    return resample(weighed, rng, threshold), weighed.effective_size
+
+
+def weigh(particles: Particles, predicted: Array, y: Array, R: Array) -> Particles:
+    """Return the particles weighed by the readings y (..., N), NaN where missing, that they predict as (..., M, N).
+
+    log w <- log w - (y - h(X))' R^-1 (y - h(X)) / 2 + constant    (Gordon, Salmond and Smith 1993)
+    """
+    return particles._replace(log_weights=normalise(particles.log_weights + log_likelihood(predicted, y, R)))
+
+
+def resample(weighed: Particles, rng: np.random.Generator, threshold: float = 0.5) -> Particles:
+    """Return the particles resampled where their effective size is below threshold times their number.
+
+    Numbers are drawn whether used or not, so that the stream does not depend on the data.
+    """
+    size = weighed.log_weights.shape[-1]
     effective = weighed.effective_size
-    offset = rng.random(effective.shape)  # drawn whether used or not, so that the stream does not depend on the data
+    offset = rng.random(effective.shape)
     poor = effective < threshold * size
     if not np.any(poor):
-        return weighed, effective
+        return weighed
     index = np.where(poor[..., None], systematic(weighed.weights, offset), np.arange(size))
     members = np.take_along_axis(weighed.members, index[..., None], axis=-2)
-    log_weights = np.where(poor[..., None], -np.log(size), weighed.log_weights)
-    return Particles(members, log_weights), effective
+    return Particles(members, np.where(poor[..., None], -np.log(size), weighed.log_weights))
 
 
 def log_likelihood(predicted: Array, y: Array, R: Array) -> Array:
@@ -96,8 +108,8 @@ def log_likelihood(predicted: Array, y: Array, R: Array) -> Array:
     return np.where(np.isfinite(squared), -0.5 * squared, -np.inf)
 
 
-def _normalise(log_weights: Array) -> Array:
-    """Subtract log(sum(exp)) along the last axis; NaN where nothing finite is left."""
+def normalise(log_weights: Array) -> Array:
+    """Return log weights (..., M) less log(sum(exp)), so that the weights sum to 1; NaN where nothing finite is left."""
     largest = np.max(log_weights, axis=-1, keepdims=True)
     shifted = log_weights - np.where(np.isfinite(largest), largest, np.nan)
     return np.asarray(shifted - np.log(np.sum(np.exp(shifted), axis=-1, keepdims=True)))
@@ -132,7 +144,7 @@ def gaussian_update(
     `size` draws of N(x, P) are weighed by their likelihood (Kotecha and Djuric 2003). Without a reading x, P stay the same.
     """
     members = _draws(x, P, size, rng)
-    weighed = Particles(members, _normalise(log_likelihood(h(members), y, R)))
+    weighed = Particles(members, normalise(log_likelihood(h(members), y, R)))
     new_x, new_P = weighed.moments
     read = np.any(np.isfinite(y), axis=-1)[..., None]
     return np.where(read, new_x, x), np.where(read[..., None], new_P, P), weighed.effective_size

@@ -16,7 +16,7 @@ LAYERS = [
     {"ekf", "enkf", "exclusion", "gaussian", "health", "leave_one_out", "likelihood_window", "mixing"}
     | {"particle", "random_streams", "ukf"},
     {"estimators"},
-    {"central_filter", "fusing_bank", "leave_one_out_bank"},
+    {"central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"isolation_metrics", "logs", "metrics", "simulate"},
     {"cli"},
