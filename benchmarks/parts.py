@@ -7,6 +7,7 @@ import json
 import platform
 import re
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 import fusion_sfdia
 from fusion_sfdia.benchmarks.provenance import sources_digest, versions
-from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Task
+from fusion_sfdia.benchmarks.scenario import Arrays, Task
 from fusion_sfdia.storage import atomic_write
 
 Array = NDArray[Any]
@@ -25,12 +26,11 @@ DECISIVE = ("numpy", "scipy", "numba")  # those whose version may change the bit
 PART_NAME = re.compile(r"\.?[0-9a-f]{64}\.npz(\..*)?")  # a part, or what a killed process left of one
 
 
-def part_name(scenario: str, settings: Settings, task: Task) -> str:
+def part_name(work: Callable[[Task], Arrays], task: Task) -> str:
     """Return the file name of a piece of work; ValueError where the task is not made of JSON values."""
     found = versions()
     about = {
-        "scenario": scenario,
-        "settings": dict(settings),
+        "work": f"{work.__module__}:{work.__qualname__}",
         "task": dict(task),
         "version": fusion_sfdia.__version__,
         "sources": sources_digest(),
@@ -40,7 +40,7 @@ def part_name(scenario: str, settings: Settings, task: Task) -> str:
     try:
         text = json.dumps(about, sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"a task of scenario {scenario} is not made of JSON values ({error}): {task!r}") from error
+        raise ValueError(f"a task of {about['work']} is not made of JSON values ({error}): {task!r}") from error
     return f"{hashlib.sha256(text.encode()).hexdigest()}.npz"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 from matplotlib.figure import Figure as Drawing
@@ -37,8 +38,7 @@ def accommodation_tasks(settings: Settings, seeds: int) -> list[Task]:
         (
             {"detector": d, "fault": f, "quantity": q, "accommodate": a}
             for d in NAMES
-            for q in QUANTITIES
-            for f, a in (*((f, a) for f in FAULTS for a in (True, False)), ("none", True))
+            for f, q, a in (*product(FAULTS, QUANTITIES, (True, False)), ("none", "all", True))
         ),
         seeds,
     )
@@ -51,11 +51,11 @@ def accommodation_summary(settings: Settings, results: Results) -> Summary:
     cells = gather(results, "detector", "fault", "quantity", "accommodate")
     for (detector, fault, quantity, accommodate), cell in cells.items():
         name = "rmse_healthy" if fault == "none" else "rmse" if accommodate else "rmse_unaccommodated"
-        estimate = run_rmse(cell, QUANTITIES.index(quantity))
-        rows.append(row("pipeline/accommodation", detector, fault, quantity, name, estimate))
+        for of in QUANTITIES if quantity == "all" else (quantity,):
+            shown[detector, fault, of, accommodate] = estimate = run_rmse(cell, QUANTITIES.index(of))
+            rows.append(row("pipeline/accommodation", detector, fault, of, name, estimate))
         lost = name.replace("rmse", "diverged")
         rows.append(row("pipeline/accommodation", detector, fault, quantity, lost, cell.divergence))
-        shown[detector, fault, quantity, accommodate] = estimate
 
     def draw() -> Drawing:
         figure, axes = panels([f"{q}, {u}" for q, u in zip(QUANTITIES, UNITS, strict=True)], columns=3, width=14.0, height=3.6)

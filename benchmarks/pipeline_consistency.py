@@ -18,7 +18,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     Results,
     bar_series,
     row,
-    steps,
     tasks,
 )
 from fusion_sfdia.benchmarks.plots import bars, panels
@@ -37,16 +36,16 @@ def consistency_tasks(settings: Settings, seeds: int) -> list[Task]:
     return tasks(settings, (*audited, *({"detector": d, "budget": 0.0} for d in PAPER)), seeds)
 
 
-def consistency_work(settings: Settings, task: Task) -> Arrays:
+def consistency_work(task: Task) -> Arrays:
     """NEES and NIS per dimension, and alarms that begin, by run."""
-    plant = gas_pipeline(snr=str(settings["snr"]), process_noise=str(settings["process_noise"]))
+    plant = gas_pipeline(snr=task["snr"], process_noise=task["process_noise"])
     detector: Any = (
         replace(build(task["detector"], plant), false_alarm=task["budget"])  # type: ignore[type-var]
         if task["budget"]
         else FusingBank(plant, PAPER_FILTERS[task["detector"].removeprefix("fusing-")])
     )
     detector = watching(detector)
-    data = faulted(detector.plant, steps(settings), task["seeds"], None, None, process_noise=True)
+    data = faulted(detector.plant, task["steps"], task["seeds"], None, None, process_noise=True)
     decision = decide(detector, data, covariance=True, seed=task["seeds"][0])
     assert data.recording.x is not None and decision.covariance is not None
     scale = detector.plant.sensor_sigma

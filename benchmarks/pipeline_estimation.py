@@ -37,7 +37,11 @@ def estimation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Table IV: banks and basic filters at three levels of noise."""
     return tasks(
         settings,
-        ({"detector": d, "snr": s, "fault": "none", "quantity": "all"} for s in LEVELS for d in (*PAPER, *PAPER_FILTERS)),
+        (
+            {"detector": d, "snr": s, "fault": "none", "quantity": "all", "accommodate": True}
+            for s in LEVELS
+            for d in (*PAPER, *PAPER_FILTERS)
+        ),
         seeds,
     )
 
@@ -51,9 +55,9 @@ def _filter(name: str, snr: str, process_noise: str) -> Detector:
     return FusingBank(plant, PAPER_FILTERS[kind])  # without thresholds: nothing is diagnosed here
 
 
-def estimation_work(settings: Settings, task: Task) -> Arrays:
+def estimation_work(task: Task) -> Arrays:
     """A healthy run through a bank or a single filter."""
-    return trial(settings, task, _filter(task["detector"], task["snr"], str(settings["process_noise"])))
+    return trial(task, _filter(task["detector"], task["snr"], task["process_noise"]))
 
 
 def estimation_summary(settings: Settings, results: Results) -> Summary:

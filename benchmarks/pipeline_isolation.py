@@ -51,7 +51,12 @@ def isolation_tasks(settings: Settings, seeds: int) -> list[Task]:
     assert isinstance(faults, tuple)
     return tasks(
         settings,
-        ({"detector": d, "fault": f, "quantity": q} for f in faults for q in QUANTITIES for d in (*PAPER, *OURS)),
+        (
+            {"detector": d, "fault": f, "quantity": q, "accommodate": True}
+            for f in faults
+            for q in QUANTITIES
+            for d in (*PAPER, *OURS)
+        ),
         seeds,
     )
 

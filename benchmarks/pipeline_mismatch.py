@@ -57,7 +57,7 @@ def mismatch_tasks(settings: Settings, seeds: int) -> list[Task]:
     return tasks(
         settings,
         (
-            {"truth": t, "detector": d, "fault": f, "quantity": "all"}
+            {"truth": t, "detector": d, "fault": f, "quantity": "all", "accommodate": True}
             for t in TRUTHS
             for d in NAMES
             for f in ("none", "weak-bias", "bias-5-sigma")
@@ -66,9 +66,9 @@ def mismatch_tasks(settings: Settings, seeds: int) -> list[Task]:
     )
 
 
-def mismatch_work(settings: Settings, task: Task) -> Arrays:
+def mismatch_work(task: Task) -> Arrays:
     """A trial whose readings come from the truth of the task."""
-    return trial(settings, task, truth=truth_plant(task["truth"], str(settings["snr"]), str(settings["process_noise"])))
+    return trial(task, truth=truth_plant(task["truth"], task["snr"], task["process_noise"]))
 
 
 def mismatch_summary(settings: Settings, results: Results) -> Summary:

@@ -81,18 +81,17 @@ def check(settings: Settings) -> None:
 
 
 def tasks(settings: Settings, cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
-    """One task a cell and CHUNK runs; ValueError for settings that `check` refuses."""
+    """One task a cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `check` refuses."""
     check(settings)
-    return [cell | {"seeds": block} for cell in cells for block in seed_blocks(seeds, CHUNK)]
+    common = {name: settings[name] for name in COMMON if name in settings}
+    return [common | cell | {"seeds": block} for cell in cells for block in seed_blocks(seeds, CHUNK)]
 
 
-def trial(settings: Settings, task: Task, detector: Detector | None = None, truth: Plant | None = None) -> Arrays:
+def trial(task: Task, detector: Detector | None = None, truth: Plant | None = None) -> Arrays:
     """The runs of a task: recordings with its fault ("none" for healthy), through its detector; arrays as in `outcome`."""
     if detector is None:
-        detector = detector_on_pipeline(
-            task["detector"], task.get("snr") or str(settings["snr"]), str(settings["process_noise"])
-        )
-    if not task.get("accommodate", True):
+        detector = detector_on_pipeline(task["detector"], task["snr"], task["process_noise"])
+    if not task["accommodate"]:
         detector = watching(detector)
     name: str = task["fault"]
     fault: str | FaultRange = name
@@ -103,13 +102,13 @@ def trial(settings: Settings, task: Task, detector: Detector | None = None, trut
     to_states = partial(coarse_state, stations=len(detector.plant.states) // 3) if isinstance(truth, Plant) else None
     data = faulted(
         detector.plant,
-        steps(settings),
+        task["steps"],
         task["seeds"],
         None if name == "none" else fault,
         None if task["quantity"] == "all" else task["quantity"],
         count=count,
         settle=SETTLE,
-        truth=str(settings["truth"]) if truth is None else truth,
+        truth=task["truth"] if truth is None else truth,
         to_states=to_states,
     )
     return outcome(detector, data, seed=task["seeds"][0])

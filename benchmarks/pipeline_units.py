@@ -51,16 +51,20 @@ def units_tasks(settings: Settings, seeds: int) -> list[Task]:
     """A bias of 30 % through each variant, and through the leave-one-out chi-square."""
     return tasks(
         settings,
-        ({"detector": d, "fault": "bias-30-percent", "quantity": q} for d in (*VARIANTS, "loo-chi2") for q in QUANTITIES),
+        (
+            {"detector": d, "fault": "bias-30-percent", "quantity": q, "accommodate": True}
+            for d in (*VARIANTS, "loo-chi2")
+            for q in QUANTITIES
+        ),
         seeds,
     )
 
 
-def units_work(settings: Settings, task: Task) -> Arrays:
+def units_work(task: Task) -> Arrays:
     """A trial with the variant named in the task."""
     if task["detector"] not in VARIANTS:
-        return trial(settings, task)
-    return trial(settings, task, _variant(task["detector"], str(settings["snr"]), str(settings["process_noise"])))
+        return trial(task)
+    return trial(task, _variant(task["detector"], task["snr"], task["process_noise"]))
 
 
 def units_summary(settings: Settings, results: Results) -> Summary:

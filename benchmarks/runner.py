@@ -68,7 +68,6 @@ class _Plan:
 
 
 class _Done(NamedTuple):
-    plan: int
     part: str
     seconds: float
     error: str | None
@@ -154,10 +153,10 @@ def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes
             raise ValueError(f"no setting {key!r} in {names}; known: {', '.join(known) or 'none'}")
     plans = []
     for scenario in scenarios:
-        settings = adjust(scenario, {k: v for k, v in changes.items() if k in scenario.settings})
+        settings = adjust(scenario, {k: v for k, v in changes.items() if k in scenario.settings}, full=full)
         size = seeds or (scenario.full_seeds if full else scenario.seeds)
         tasks = scenario.tasks(settings, size)
-        parts = {part_name(scenario.name, settings, task): task for task in tasks}
+        parts = {part_name(scenario.work, task): task for task in tasks}
         if len(parts) < len(tasks):
             raise ValueError(f"scenario {scenario.name} gives the same task twice; tasks must differ")
         plans.append(_Plan(scenario, settings, size, parts))
@@ -165,22 +164,28 @@ def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes
 
 
 def _work_off(plans: list[_Plan], out: Path, workers: int) -> None:
-    """Do what is not there yet."""
+    """Do what is not there yet, once for all the scenarios that ask for it; its time counts for the first of them."""
+    asking: dict[str, list[_Plan]] = {}
+    for plan in plans:
+        for part in plan.parts:
+            asking.setdefault(part, []).append(plan)
     calls = []
-    for number, plan in enumerate(plans):
-        for part, task in plan.parts.items():
-            path = out / "parts" / part
-            if read_part(path) is not None:
+    for part, those in asking.items():
+        path = out / "parts" / part
+        if read_part(path) is not None:
+            for plan in those:
                 plan.resumed += 1
-            else:
-                calls.append(delayed(_do)(number, path, plan.scenario.work, plan.settings, task, os.getpid()))
+        else:
+            calls.append(delayed(_do)(path, those[0].scenario.work, those[0].parts[part], os.getpid()))
     parallel = Parallel(n_jobs=min(workers, max(len(calls), 1)), return_as="generator_unordered", batch_size=1, max_nbytes=None)
-    with _progress(sum(len(p.parts) for p in plans), sum(p.resumed for p in plans)) as bar:
+    with _progress(len(asking), len(asking) - len(calls)) as bar:
         try:
             for done in parallel(calls):
-                plans[done.plan].seconds += done.seconds
+                those = asking[done.part]
+                those[0].seconds += done.seconds
                 if done.error is not None:
-                    plans[done.plan].errors[done.part] = done.error
+                    for plan in those:
+                        plan.errors[done.part] = done.error
                 bar.advance(bar.task_ids[0])
         except BrokenProcessPool as error:
             raise RuntimeError(
@@ -189,7 +194,7 @@ def _work_off(plans: list[_Plan], out: Path, workers: int) -> None:
             ) from error
 
 
-def _do(plan: int, path: Path, work: Any, settings: Settings, task: Task, parent: int) -> _Done:
+def _do(path: Path, work: Any, task: Task, parent: int) -> _Done:
     """One piece of work, where it is run; its arrays go to disk and an error is told, not raised."""
     if os.getpid() != parent:
         _follow(parent)
@@ -197,10 +202,10 @@ def _do(plan: int, path: Path, work: Any, settings: Settings, task: Task, parent
     error = None
     try:
         with threadpool_limits(1):
-            write_part(path, work(settings, task))
+            write_part(path, work(task))
     except Exception as problem:
         error = f"{type(problem).__name__}: {problem}"
-    return _Done(plan, path.name, time.perf_counter() - start, error)
+    return _Done(path.name, time.perf_counter() - start, error)
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,8 +68,10 @@ class Scenario:
 
     settings: names and defaults, which `--set name=value` overrides; a value has the type of its default, a tuple the
     type of its first entry. seeds: runs by default; full_seeds: the size of the paper, with `--full`.
-    tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values.
-    work(settings, task): one piece, in a process of its own: arrays only, and the same bits for the same arguments.
+    full: what else `--full` sets, beside the size: settings of the whole paper, unless `--set` names them.
+    tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values that says all that decides its bits.
+    work(task): one piece, in a process of its own: arrays only, and the same bits for the same task. Scenarios with the same
+    work share the pieces whose tasks are equal.
     summarise(settings, results): from the (task, arrays) that succeeded, in the order of tasks.
     """
 
@@ -80,8 +82,9 @@ class Scenario:
     seeds: int
     full_seeds: int
     tasks: Callable[[Settings, int], list[Task]]
-    work: Callable[[Settings, Task], Arrays]
+    work: Callable[[Task], Arrays]
     summarise: Callable[[Settings, list[tuple[Task, Arrays]]], Summary]
+    full: Settings = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_name("scenario", self.name, f"{NAME}(/{NAME})*")
@@ -95,13 +98,17 @@ def require_name(what: str, name: str, pattern: str) -> None:
         raise ValueError(f"{what} {name!r}: wanted a name of lower-case letters, digits and hyphens")
 
 
-def adjust(scenario: Scenario, changes: Mapping[str, str]) -> dict[str, Setting]:
-    """Return the scenario's settings with some changed, given as text; ValueError for unknown names and wrong types."""
+def adjust(scenario: Scenario, changes: Mapping[str, str], *, full: bool = False) -> dict[str, Setting]:
+    """Return the scenario's settings, or those of the whole paper, with some changed, given as text.
+
+    Raises ValueError for unknown names and wrong types.
+    """
     unknown = [k for k in changes if k not in scenario.settings]
     if unknown:
         known = ", ".join(f"{k}={_text(v)}" for k, v in scenario.settings.items()) or "none"
         raise ValueError(f"scenario {scenario.name} has no setting {', '.join(unknown)}; its settings: {known}")
-    return {k: _typed(k, changes[k], v) if k in changes else v for k, v in scenario.settings.items()}
+    usual = {**scenario.settings, **(scenario.full if full else {})}
+    return {k: _typed(k, changes[k], v) if k in changes else v for k, v in usual.items()}
 
 
 def _typed(key: str, text: str, default: Setting) -> Setting:

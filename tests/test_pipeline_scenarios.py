@@ -25,7 +25,7 @@ def cells(detectors: tuple[str, ...], faults: tuple[str, ...], seeds: int, accom
         for f in faults
         for q in QUANTITIES
     )
-    return gather([(t, trial(SETTINGS, t)) for t in tasks(SETTINGS, wanted, seeds)], "detector", "fault", "quantity")
+    return gather([(t, trial(t)) for t in tasks(SETTINGS, wanted, seeds)], "detector", "fault", "quantity")
 
 
 @pytest.mark.slow
@@ -35,7 +35,7 @@ def test_a_scenario_runs_to_its_rows_and_figures(name: str) -> None:
     settings = {**one.settings, "steps": 75}
     work = one.tasks(settings, 1)
     chosen = work if len(work) <= 20 else work[:: len(work) // 20]
-    summary = one.summarise(settings, [(t, one.work(settings, t)) for t in chosen])
+    summary = one.summarise(settings, [(t, one.work(t)) for t in chosen])
     assert summary.rows and summary.figures and summary.remarks
     assert {r.scenario for r in summary.rows} == {name} and {r.plant for r in summary.rows} == {"gas-pipeline"}
     for row in summary.rows:
@@ -89,7 +89,7 @@ def test_the_central_covariance_is_true_in_every_quantity() -> None:
     one = scenario("pipeline/consistency")
     settings = {**one.settings, "steps": 150}
     chosen = [t for t in one.tasks(settings, 10) if t["detector"] == "loo-chi2" and t["budget"] == 1e-3]
-    rows = one.summarise(settings, [(t, one.work(settings, t)) for t in chosen]).rows
+    rows = one.summarise(settings, [(t, one.work(t)) for t in chosen]).rows
     found = {r.quantity: r.value for r in rows if r.metric == "nees"}
     assert set(found) == {"all", *QUANTITIES}
     assert all(0.9 <= value <= 1.1 for value in found.values()), found

@@ -95,7 +95,7 @@ def test_a_failing_summary_or_figure_leaves_the_other_scenario(tmp_path: Path) -
 
 
 def test_results_that_are_no_arrays_are_a_failure(tmp_path: Path) -> None:
-    def work(settings: object, task: object) -> dict:
+    def work(task: object) -> dict:
         return {"mean": object()}
 
     outcome = run_scenarios([toy(work=work)], tmp_path, workers=1, seeds=1)
@@ -169,10 +169,17 @@ def test_parts(tmp_path: Path) -> None:
     path.write_bytes(first[:60] + bytes(40) + first[100:])
     assert read_part(path) is None
     assert read_part(tmp_path / "absent.npz") is None
-    names = {part_name("s", {"a": a}, {"seeds": s}) for a in (1, 2) for s in ([0], [1])}
+
+    def one(task: object) -> dict:
+        return {}
+
+    def other(task: object) -> dict:
+        return {}
+
+    names = {part_name(work, {"a": 1, "seeds": s}) for work in (one, other) for s in ([0], [1])}
     assert len(names) == 4
     with pytest.raises(ValueError, match="not made of JSON values"):
-        part_name("s", {}, {"seeds": range(3)})
+        part_name(one, {"seeds": range(3)})
 
 
 @pytest.mark.parametrize(
@@ -249,3 +256,24 @@ def test_published_numbers_have_a_source() -> None:
     assert Row("s", "p", "d", "f", "q", "auc", 0.5, 0.4, 0.6, 9, 0.45, "x").agrees is True
     assert Row("s", "p", "d", "f", "q", "auc", 0.5, 0.4, 0.6, 9, 0.65, "x").agrees is False
     assert Row("s", "p", "d", "f", "q", "auc", 0.5, published=0.45, source="x").agrees is None
+
+
+def test_scenarios_with_the_same_work_share_equal_pieces(tmp_path: Path) -> None:
+    """The second asks for one size the first has too: each piece is done once and both read it."""
+    both = [TOY, toy(name="toy/again")]
+    shared = run_scenarios(both, tmp_path / "both", seeds=3, workers=1, changes=PLAIN)
+    assert len(list((tmp_path / "both" / "parts").iterdir())) == 4
+    values = [(r.detector, r.value) for r in shared.rows if r.metric == "mean"]
+    assert len(values) == 4 and values[:2] == values[2:]
+    trap = tmp_path / "trap"
+    trap.write_text("raise")
+    outcome = run_scenarios(both, tmp_path / "failed", seeds=2, workers=1, changes={**PLAIN, "trap": str(trap)})
+    assert [line.split(",")[0] for line in outcome.failures] == ["toy/mean", "toy/again"]  # both are told
+
+
+def test_full_takes_the_settings_of_the_whole_paper(tmp_path: Path) -> None:
+    one = toy(full={"size": 3})
+    assert adjust(one, {}, full=True)["size"] == 3 and adjust(one, {})["size"] == TOY.settings["size"]
+    assert adjust(one, {"size": "5"}, full=True)["size"] == 5
+    run_scenarios([one], tmp_path, full=True, workers=1)
+    assert manifest(tmp_path)["scenarios"][0]["settings"]["size"] == 3

@@ -21,23 +21,23 @@ def tasks(settings: Settings, seeds: int) -> list[Task]:
     if settings["size"] < 1:
         raise ValueError(f"size is {settings['size']}; wanted at least 1")
     return [
-        {"detector": detector, "quantity": "pressure", "seeds": block}
+        {"size": settings["size"], "trap": settings["trap"], "detector": detector, "quantity": "pressure", "seeds": block}
         for detector in ("a", "b")
         for block in seed_blocks(seeds, 2)
     ]
 
 
-def work(settings: Settings, task: Task) -> Arrays:
+def work(task: Task) -> Arrays:
     """Products of matrices, so that the number of threads of the linear algebra could matter."""
-    trap = Path(str(settings["trap"]))
-    if settings["trap"] and trap.exists() and task["detector"] == "b":
+    trap = Path(task["trap"])
+    if task["trap"] and trap.exists() and task["detector"] == "b":
         what = trap.read_text()
         if what == "interrupt":
             raise KeyboardInterrupt
         if what == "die":
             os._exit(9)
         raise ArithmeticError(f"{NASTY} in seeds {task['seeds']}")
-    size = int(settings["size"])
+    size = task["size"]
     draws = np.stack([stream(s, "toy").standard_normal((size, size)) for s in task["seeds"]])
     return {"mean": (draws @ draws.mT).mean(axis=(1, 2)) + len(task["detector"])}
 
