@@ -14,7 +14,8 @@ INTERFACE = {"equation", "plant", "discretise", "detector", "storage"}
 LAYERS = [
     INTERFACE,
     {"ekf", "enkf", "exclusion", "gaussian", "health", "leave_one_out", "likelihood_window", "mixing"}
-    | {"particle", "random_streams", "ukf"},
+    | {"particle", "random_streams", "ukf"}
+    | {"interval", "interval_kernels"},
     {"estimators"},
     {"central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
