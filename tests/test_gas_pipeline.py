@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from fusion_sfdia.discretise import runge_kutta_4
 from fusion_sfdia.equation import complex_step_jacobian
 from fusion_sfdia.models import gas_pipeline_equations as equations
+from fusion_sfdia.models.fit_natural_gas import gerg_2008
 from fusion_sfdia.models.gas_pipeline import SIGMA, coarse_state, demand, gas_pipeline
 from fusion_sfdia.models.gas_pipeline_physics import (
     INLET_PRESSURE,
@@ -69,8 +72,8 @@ def test_dimensions_and_names(plant: Plant) -> None:
     assert plant.x0[42] == 303.15
 
 
-@pytest.mark.parametrize(("flow", "pressure", "temperature"), [(300.0, 8.14527e6, 280.69), (450.0, 7.81334e6, 282.79)])
-def test_steady_state_and_general_flow_equation(flow: float, pressure: float, temperature: float) -> None:
+@pytest.mark.parametrize("flow", [300.0, 450.0])
+def test_steady_state_by_the_general_flow_equation(flow: float) -> None:
     """p_in^2 - p_out^2 = f (L/d) (m/A)^2 z R T at mean pressure and temperature, to 5e-4 of the pressure."""
     x = steady_state(151, flow, C)
     p, T = x[:151], x[302:]
@@ -79,9 +82,37 @@ def test_steady_state_and_general_flow_equation(flow: float, pressure: float, te
     f = equations.friction_factor(flow, C)
     drop = f * C.length / C.diameter * (flow / AREA) ** 2 * z * C.gas_constant * mean_T
     assert p[-1] == pytest.approx(np.sqrt(p[0] ** 2 - drop), rel=5e-4)
-    # another fit of the same gas, with errors of 0.1 % in C_p, gave these: 5 Pa and 0.01 K
-    assert p[-1] == pytest.approx(pressure, abs=20.0)
-    assert T[-1] == pytest.approx(temperature, abs=0.02)
+
+
+@pytest.mark.parametrize("flow", [300.0, 450.0])
+def test_steady_state_of_the_gas_itself(flow: float) -> None:
+    """Momentum p_s + rho v v_s = -f rho v^2 / 2d and energy m (cp T_s - cp mu p_s + v v_s) = -pi d k (T - T_a), along the
+    pipe with the properties of GERG-2008 (mu: Joule and Thomson) where ours have the fit, and f by a root finder.
+    """
+    pytest.importorskip("pyaga8")
+    d = C.diameter
+    reynolds = 4 * flow / (np.pi * d * C.viscosity)
+    root = brentq(lambda r: r + 2 * np.log10(C.roughness / (3.7 * d) + 2.51 / reynolds * r), 1.0, 100.0, xtol=1e-14)
+
+    def along(s: float, y: Array) -> Array:
+        p, T = y
+        gas, gas_constant = gerg_2008(y[:1], y[1:])
+        z, alpha_1, alpha_2, cp, _, mu = (value[0] for value in gas.values())
+        rho = p / (z * gas_constant * T)
+        v = flow / (rho * AREA)
+        v_p, v_T = -v * alpha_2 / p, v * alpha_1 / T
+        matrix = np.array([[1 + rho * v * v_p, rho * v * v_T], [v * v_p - cp * mu, v * v_T + cp]])
+        heat = np.pi * d * C.heat_transfer * (T - C.ambient) / flow
+        slope: Array = np.linalg.solve(matrix, np.array([-(root**-2) * rho * v**2 / (2 * d), -heat]))
+        return slope
+
+    start, places = [INLET_PRESSURE, INLET_TEMPERATURE], [C.length / 2, C.length]
+    p, T = solve_ivp(along, (0.0, C.length), start, "DOP853", t_eval=places, rtol=1e-9, atol=1e-6).y
+    x = steady_state(21, flow, C)
+    # the fit errs by 3e-4 in cp and 4e-4 in mu (test_natural_gas): of 20 K exchanged with the ground, whose influence has
+    # decayed to a third, 2 mK, of 2.5 K of throttling, 1 mK; the drop of up to 0.6 MPa by that over T and by 5e-6 in z
+    np.testing.assert_allclose(x[[52, 62]], T, rtol=0, atol=4e-3)
+    np.testing.assert_allclose(x[[10, 20]], p, rtol=0, atol=10.0)
 
 
 @pytest.mark.parametrize(("case", "viscosity", "tolerance"), [("PC", 1.193e-5, 4e-5), ("N", 1e-12, 2e-4)])
@@ -231,14 +262,16 @@ def test_order_in_time() -> None:
     best = trajectory(gas_pipeline(substeps=64), 1200.0, flow)
     errors = np.array([rms(trajectory(gas_pipeline(substeps=s), 1200.0, flow) - best) for s in (2, 4, 8)])
     orders = -np.polyfit(np.log([2, 4, 8]), np.log(errors), 1)[0]
-    assert np.all(np.abs(orders - 4) < 0.4), orders
+    # the next order halves from pair to pair: 4.25 and 4.12 between neighbours
+    np.testing.assert_allclose(orders, 4, rtol=0, atol=0.3)
 
 
 def test_order_in_space() -> None:
-    """The five-point stencil: errors against 241 nodes, on 30 km, where the slow thermal wave (5 m/s) is resolved.
+    """The five-point stencil on 30 km, where the slow thermal wave (5 m/s) is resolved, by grids that are twice as fine.
 
-    All grids take the same substeps, so that what is left of the time's error is the same. Pressure gains an order: most
-    of its error is that of the boundary.
+    Its error is of fourth order inside and at the boundary, and one of order p at the boundary is one of order p + 1 in the
+    solution (Gustafsson 1975): flow and temperature show the inside, 4, pressure the boundary, 5. All grids take the same
+    substeps, so that the error of the time cancels.
     """
     c = pipeline_parameters(length=30e3)
 
@@ -247,10 +280,10 @@ def test_order_in_space() -> None:
         x = trajectory(plant, 3600.0, lambda t: 300.0 + 100.0 * np.sin(np.pi * t / 3600.0) ** 6)
         return coarse_state(x, 21)
 
-    best = run(241)
-    errors = np.array([rms(run(nodes) - best) for nodes in (41, 61, 81)])
-    orders = -np.polyfit(np.log([40, 60, 80]), np.log(errors), 1)[0]
-    assert np.all((orders > 3.5) & (orders < 5.5)), orders
+    coarse, middle, fine = (run(nodes) for nodes in (41, 81, 161))
+    orders = np.log2(rms(coarse - middle) / rms(middle - fine))
+    # the next order is not nothing yet: on 61, 121 and 241 nodes the orders found differ by 0.2 from these
+    np.testing.assert_allclose(orders, [5, 4, 4], rtol=0, atol=0.25)
 
 
 def test_against_a_finer_grid(plant: Plant) -> None:
