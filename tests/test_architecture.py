@@ -17,9 +17,10 @@ LAYERS = [
     | {"particle", "random_streams", "ukf"}
     | {"interval", "interval_kernels"},
     {"estimators"},
+    {"diagnosis_sets", "signatures"},
     {"central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
-    | {"isolation_metrics", "logs", "metrics", "simulate"},
+    | {"diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
     {"cli"},
 ]  # fmt: skip
 ROOT = Path(__file__).resolve().parent.parent
