@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 from fusion_sfdia import enkf
 from fusion_sfdia.benchmarks import bench_filterpy, bench_lorenz
 from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
+from fusion_sfdia.benchmarks.output import require_free
 from fusion_sfdia.benchmarks.results import Row, write_rows
 from fusion_sfdia.benchmarks.timing import Timing, best_times
 from fusion_sfdia.central_filter import CentralFilter
@@ -169,20 +170,19 @@ def lorenz(seconds: float) -> list[Row]:
 PARTS: dict[str, Callable[[float], list[Row]]] = {"bank": bank, "model": model, "scaling": scaling, "lorenz": lorenz}
 
 
-def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS) -> list[Row]:
+def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS, *, force: bool = False) -> list[Row]:
     """Return the rows of some parts (none: all), each call timed for about `seconds`; into out/metrics.csv where out is given.
 
-    Raises ValueError for an unknown part, and where out/metrics.csv exists.
+    Raises ValueError for an unknown part and where the folder is not free (see output.require_free).
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
         raise ValueError(f"unknown part {', '.join(unknown)} of the benchmark; known: {', '.join(PARTS)}")
-    if out is not None and (out / "metrics.csv").exists():
-        raise ValueError(f"{out / 'metrics.csv'} exists; name another folder, or move it away")
+    if out is not None:
+        require_free(out, force=force)
     with threadpool_limits(1):
         rows = [row for part in parts or PARTS for row in PARTS[part](seconds)]
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
         write_rows(out / "metrics.csv", rows)
     return rows
 

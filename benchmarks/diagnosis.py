@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import csv
-import os
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fusion_sfdia.benchmarks.output import require_free
 from fusion_sfdia.benchmarks.plots import panels, time_series, write_figure
-from fusion_sfdia.diagnose import Diagnosis, Event
-from fusion_sfdia.logs import write_log
+from fusion_sfdia.benchmarks.registry import detector
+from fusion_sfdia.diagnose import Diagnosis, Event, diagnose
+from fusion_sfdia.logs import read_log, write_log
 from fusion_sfdia.plant import Plant
 from fusion_sfdia.storage import atomic_write
 
@@ -20,15 +21,40 @@ FILES = ("events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
 MOST_PANELS = 6
 
 
-def require_free(out: Path, *, force: bool) -> None:
-    """Raise ValueError where the folder is a file, cannot be written to, or holds something and force is not given."""
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"{out} is a file; name a folder for the diagnosis with --out")
-    if out.exists() and any(out.iterdir()) and not force:
-        raise ValueError(f"{out} is already used; name another folder with --out, or overwrite with --force")
-    nearest = next(p for p in (out.absolute(), *out.absolute().parents) if p.exists())
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
-        raise ValueError(f"cannot write into {out} ({nearest} is not a folder to write to); name another folder with --out")
+def diagnose_log(
+    data: Path,
+    plant: Plant,
+    named: str,
+    out: Path,
+    *,
+    absent_sensors: bool = False,
+    other_columns: bool = False,
+    force: bool = False,
+) -> Diagnosis:
+    """Diagnose a log with the detector of a name and write FILES into the folder `out`.
+
+    Raises ValueError naming the file where the log does not fit (see read_log), and where the folder is not free; warns as
+    `diagnose` does.
+    """
+    require_free(out, force=force)
+    log = read_log(data, plant, absent_sensors=absent_sensors, other_columns=other_columns)
+    with_detector = detector(named, plant)
+    try:
+        found = diagnose(with_detector, *log)
+    except ValueError as error:
+        raise ValueError(f"{data}: {error}") from error
+    write_diagnosis(out, plant, log.y, log.u, found)
+    return found
+
+
+def as_text(found: Diagnosis, detector: str) -> str:
+    """The events for people."""
+    count = len(found.events)
+    lines = [f"{len(found.t)} readings, {count} event{'s' * (count != 1)} by {detector}"]
+    for e in found.events:
+        end = "end of the log" if e.open else f"{e.end:g} s"
+        lines.append(f"  {e.hypothesis}: {e.start:g} s to {end}, size {e.size:.4g} {e.unit}")
+    return "\n".join(lines)
 
 
 def write_diagnosis(out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[np.float64], found: Diagnosis) -> None:

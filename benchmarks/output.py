@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 from collections.abc import Iterable
@@ -35,14 +36,24 @@ class Command:
         return shlex.join(["fusion-sfdia", "run", *self.scenarios, *options])
 
 
+def require_free(out: Path, *, force: bool = False) -> None:
+    """Raise ValueError where the folder is a file, cannot be written to, or holds something and force is not given."""
+    nearest = next((p for p in (out, *out.parents) if p.exists()), Path())
+    if nearest.is_file():
+        raise ValueError(f"cannot write into {out}: {nearest} is a file; name a folder with --out")
+    if not os.access(nearest, os.R_OK | os.W_OK | os.X_OK):
+        raise ValueError(f"cannot write into {out}: no permission in {nearest}; name another folder with --out")
+    if out.exists() and any(out.iterdir()) and not force:
+        raise ValueError(f"{out} is already used; name another folder with --out, or write into it with --force")
+
+
 def open_output(out: Path, command: Command, *, force: bool = False) -> None:
     """Make the folder ready for a run, or raise ValueError where it is in use for something else.
 
     Free to use: an absent or empty folder, and one of an earlier or interrupted run of the same command. force: also one
     of another run, whose files are removed, and one of anything else, whose files stay unless they have our names.
     """
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"{out} is a file; name a folder for the results")
+    require_free(out, force=True)
     found = [p.name for p in out.iterdir() if not p.name.startswith(f".{MANIFEST}.")] if out.exists() else []
     earlier = read_manifest(out)
     same = earlier is not None and earlier.get("command") == command.text

@@ -38,6 +38,10 @@ PLANTS: dict[str, tuple[str, str]] = {
 }
 
 
+DRAWN = "at random, with simulate --fault NAME[:QUANTITY]"
+LISTED = "kinds, for the [[fault]] tables of simulate --faults FILE.toml"
+
+
 def require_known(what: str, name: str, known: Iterable[str]) -> str:
     """Return the name; ValueError with the nearest known one where it is unknown."""
     names = list(known)
@@ -82,8 +86,21 @@ def detector(name: str, of: Plant) -> Detector:
     return DETECTORS[require_known("detector", name, DETECTORS)][1](of)
 
 
+def fault(text: str) -> tuple[str, str | None]:
+    """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset."""
+    from fusion_sfdia.fault_draws import PRESETS
+    from fusion_sfdia.faults import FAULT_KINDS
+
+    name, colon, quantity = text.partition(":")
+    if name in FAULT_KINDS:
+        raise ValueError(f"fault {text!r} is a kind, to be listed in a file (--faults); to be drawn: {', '.join(PRESETS)}")
+    if colon and not quantity:
+        raise ValueError(f"fault {text!r} has no quantity after its colon; wanted NAME or NAME:QUANTITY")
+    return require_known("fault", name, PRESETS), quantity or None
+
+
 def listing() -> dict[str, list[dict[str, str]]]:
-    """Return names and descriptions of everything, by kind: plants, detectors, faults, scenarios."""
+    """Return names and descriptions of everything, by kind: plants, detectors, faults (and how each is used), scenarios."""
     from fusion_sfdia.benchmarks.detectors import DETECTORS
     from fusion_sfdia.fault_draws import PRESETS
     from fusion_sfdia.faults import FAULT_KINDS
@@ -92,12 +109,12 @@ def listing() -> dict[str, list[dict[str, str]]]:
         "plants": [_entry(name, about) for name, (about, _) in PLANTS.items()],
         "detectors": [_entry(name, about) for name, (about, _) in DETECTORS.items()],
         "faults": [
-            *(_entry(name, about) for name, about in FAULT_KINDS.items()),
-            *(_entry(name, preset.description) for name, preset in PRESETS.items()),
+            *(_entry(name, preset.description, use=DRAWN) for name, preset in PRESETS.items()),
+            *(_entry(name, about, use=LISTED) for name, about in FAULT_KINDS.items()),
         ],
         "scenarios": [_entry(name, scenario(name).title) for name in SCENARIOS],
     }
 
 
-def _entry(name: str, about: str) -> dict[str, str]:
-    return {"name": name, "about": about}
+def _entry(name: str, about: str, **more: str) -> dict[str, str]:
+    return {"name": name, "about": about, **more}

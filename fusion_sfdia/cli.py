@@ -7,19 +7,15 @@ import json
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fusion_sfdia import __version__
 
-if TYPE_CHECKING:
-    from fusion_sfdia.faults import Fault
-    from fusion_sfdia.plant import Plant
-
 KINDS = ("plants", "detectors", "faults", "scenarios")
-SETTLE = 30  # samples before the first drawn fault: a filter has forgotten how it began
 
 
 def parser() -> argparse.ArgumentParser:
@@ -95,6 +91,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("part", nargs="*", help="bank, model, scaling, lorenz (default: all)")
     one.add_argument("--seconds", type=float, default=2.0, metavar="S", help="for each thing that is timed (default: 2)")
     one.add_argument("--out", type=Path, metavar="DIR", help="folder for metrics.csv")
+    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
     one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")
     one.set_defaults(work=_bench)
     return top
@@ -115,12 +112,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         resumes = "; the same command goes on where it stood" if chosen.command == "run" else ""
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return 130
-    except (ValueError, ArithmeticError, OSError, RuntimeError) as error:
-        text = str(error)
-        if isinstance(error, OSError) and error.filename:
-            text = f"{error.filename}: {error.strerror}; name a file that is there, or a folder that can be written to"
-        print(f"fusion-sfdia: {' '.join(text.split())}", file=sys.stderr)
-        return 1 if isinstance(error, RuntimeError) else 2
+    except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError) as error:
+        from fusion_sfdia.storage import explained
+
+        print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
+        return 2 if isinstance(error, ValueError | OSError) else 1
     finally:
         signal.signal(signal.SIGTERM, terminated)
 
@@ -136,7 +132,10 @@ def _list(chosen: argparse.Namespace) -> int:
         if chosen.kind is None:
             print(f"{kind}:")
         width = max((len(e["name"]) for e in entries), default=0)
+        use = None
         for entry in entries:
+            if use != (use := entry.get("use")):
+                print(f" {use}:")
             print(f"  {entry['name']:<{width}}  {entry['about']}".rstrip())
     return 0
 
@@ -177,15 +176,19 @@ def _setting(text: str) -> tuple[str, str]:
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.registry import plant
+    from fusion_sfdia.benchmarks.registry import fault, plant
+    from fusion_sfdia.fault_draws import draw_apart
     from fusion_sfdia.faults import apply, load_faults
     from fusion_sfdia.logs import write_log
     from fusion_sfdia.simulate import simulate
 
+    if chosen.out.is_dir():
+        raise ValueError(f"{chosen.out} is a folder; name a file with --out")
     if chosen.out.exists() and not chosen.force:
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
-    model = plant(chosen.plant)
-    faults = [*(load_faults(chosen.faults, model) if chosen.faults else ()), *_drawn(chosen, model)]
+    model, named = plant(chosen.plant), [fault(text) for text in chosen.fault]
+    faults = load_faults(chosen.faults, model) if chosen.faults else []
+    faults += draw_apart(named, model, chosen.steps, chosen.seed)
     recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)
     readings = apply(model, recording.t, recording.y, faults, chosen.seed, signal=recording.signal)
     write_log(chosen.out, model, recording.t, readings.y[:, 0], recording.u)
@@ -200,56 +203,36 @@ def _simulate(chosen: argparse.Namespace) -> int:
     return 0
 
 
-def _drawn(chosen: argparse.Namespace, model: Plant) -> list[Fault]:
-    """Faults drawn by name, each on another sensor."""
-    from fusion_sfdia.benchmarks.registry import require_known
-    from fusion_sfdia.fault_draws import PRESETS, draw
-    from fusion_sfdia.random_streams import stream
-
-    window = (min(SETTLE + 1, chosen.steps) * model.dt, max(SETTLE + 1, chosen.steps - 40) * model.dt)
-    faults: list[Fault] = []
-    for number, text in enumerate(chosen.fault):
-        name, _, quantity = text.partition(":")
-        require_known("fault", name, PRESETS)
-        rng = stream(chosen.seed, "faults", number)
-        taken = {f.sensor for f in faults}
-        while (fault := draw(name, model, rng, window=window, quantity=quantity or None)[0]).sensor in taken:
-            if taken >= set(model.sensor_names):
-                raise ValueError(f"{len(chosen.fault)} faults on {len(model.sensors)} sensors; draw fewer")
-        faults.append(fault)
-    return faults
-
-
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.diagnosis import FILES, require_free, write_diagnosis
-    from fusion_sfdia.benchmarks.registry import detector, plant
-    from fusion_sfdia.diagnose import diagnose
-    from fusion_sfdia.logs import read_log
+    from fusion_sfdia.benchmarks.diagnosis import FILES, as_text, diagnose_log
+    from fusion_sfdia.benchmarks.registry import plant
 
-    model = plant(chosen.plant)
-    log = read_log(chosen.data, model, absent_sensors=chosen.absent_sensors, other_columns=chosen.other_columns)
     out = chosen.out or Path("diagnosis") / chosen.data.stem
-    with_detector = detector(chosen.detector, model)
-    require_free(out, force=chosen.force)
-    found = diagnose(with_detector, *log)
-    write_diagnosis(out, model, log.y, log.u, found)
+    with warnings.catch_warnings(record=True) as told:
+        found = diagnose_log(
+            chosen.data,
+            plant(chosen.plant),
+            chosen.detector,
+            out,
+            absent_sensors=chosen.absent_sensors,
+            other_columns=chosen.other_columns,
+            force=chosen.force,
+        )
+    for warning in told:
+        print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
+    code = int(found.decisions.diverged.any())
     if chosen.json:
         print(json.dumps([{k: _finite(v) for k, v in asdict(e).items()} for e in found.events], indent=2))
-        return 0
-    count = len(found.events)
-    print(f"{len(log.t)} readings, {count} event{'s' * (count != 1)} by {chosen.detector}")
-    for e in found.events:
-        end = "end of the log" if e.open else f"{e.end:g} s"
-        print(f"  {e.hypothesis}: {e.start:g} s to {end}, size {e.size:.4g} {e.unit}")
-    print(f"{', '.join(FILES)}: in {out}")
-    return 0
+        return code
+    print(f"{as_text(found, chosen.detector)}\n{', '.join(FILES)}: in {out}")
+    return code
 
 
 def _bench(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.benchmarks import bench
     from fusion_sfdia.benchmarks.results import as_json
 
-    rows = bench.run(chosen.part, chosen.out, chosen.seconds)
+    rows = bench.run(chosen.part, chosen.out, chosen.seconds, force=chosen.force)
     print(as_json(rows) if chosen.json else "\n".join(bench.as_text(row) for row in rows))
     return 0
 

@@ -9,7 +9,10 @@ import numpy as np
 
 from fusion_sfdia.faults import FAULT_KINDS, WITHOUT_MAGNITUDE, Fault
 from fusion_sfdia.plant import Plant
+from fusion_sfdia.random_streams import stream
 
+SETTLE = 30  # samples before the first fault of `draw_apart`: a filter has forgotten how it began
+LONGEST = 40  # samples of the longest fault of PRESETS
 UNITS = ("absolute", "relative", "sigmas")
 
 
@@ -104,6 +107,31 @@ def draw(
         onset = int(rng.integers(first, last, endpoint=True)) * plant.dt
         drawn.append(_realise(PRESETS[choice] if isinstance(choice, str) else choice, plant, int(i), onset, rng))
     return drawn
+
+
+def draw_apart(named: Sequence[tuple[str, str | None]], plant: Plant, steps: int, seed: int) -> list[Fault]:
+    """Return one fault for each (preset, quantity or None), each on another sensor, in a log of so many readings from dt on.
+
+    The first can begin at reading SETTLE + 1, the last early enough to end within the log where it is long enough.
+    Raises ValueError as `draw` does, for a log of fewer readings, and for more faults than sensors.
+    """
+    if named and steps <= SETTLE:
+        raise ValueError(
+            f"{steps} readings have no room for drawn faults, which begin at reading {SETTLE + 1}; ask for at least "
+            f"{SETTLE + LONGEST}, or place the faults in a file (--faults)"
+        )
+    window = ((SETTLE + 1) * plant.dt, max(SETTLE + 1, steps - LONGEST) * plant.dt)
+    faults: list[Fault] = []
+    for number, (name, quantity) in enumerate(named):
+        rng = stream(seed, "faults", number)
+        taken = {f.sensor for f in faults}
+        among = plant.sensor_names if quantity is None else [plant.sensor_names[i] for i in plant.quantities.get(quantity, ())]
+        if among and taken >= set(among):
+            raise ValueError(f"all {len(among)} sensors of {quantity or plant.name} are faulty already; draw fewer faults")
+        while (fault := draw(name, plant, rng, window=window, quantity=quantity)[0]).sensor in taken:
+            pass
+        faults.append(fault)
+    return faults
 
 
 def _realise(of: FaultRange, plant: Plant, sensor: int, onset: float, rng: np.random.Generator) -> Fault:

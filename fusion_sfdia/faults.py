@@ -27,7 +27,7 @@ FAULT_KINDS = {
     "scale": "b y",
     "noise": "y + b e, e standard normal",
     "spikes": "y + b or y - b, at each sample with `probability`, else y",
-    "freeze": "the last reading before the onset",
+    "freeze": "the last reading before the onset; not found by its mean until the signal has moved by several sigma",
     "dropout": "missing (NaN), at each sample with `probability`",
 }
 WITHOUT_MAGNITUDE = ("freeze", "dropout")
@@ -62,8 +62,12 @@ class Fault:
             raise ValueError(f"sensor {self.sensor!r}: unknown fault kind {self.kind!r}; known: {', '.join(FAULT_KINDS)}")
         for what in ("onset", "length", "magnitude", "probability", *(() if self.rise is None else ("rise",))):
             value = getattr(self, what)
-            if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
                 raise ValueError(f"{who}: {what} is {value!r}; wanted a number")
+            try:
+                object.__setattr__(self, what, float(value))
+            except OverflowError as error:
+                raise ValueError(f"{who}: {what} is too large; wanted a number below 1e308") from error
         if not isinstance(self.relative, bool):
             raise ValueError(f"{who}: relative is {self.relative!r}; wanted true or false")
         if not np.isfinite(self.onset):
@@ -222,7 +226,7 @@ def load_faults(path: str | Path, plant: Plant) -> list[Fault]:
     wanted = ', e.g. [[fault]] with sensor = "' + plant.sensor_names[0] + '", kind = "bias", onset = 60.0, magnitude = 0.1'
     try:
         document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not a TOML file ({error}); write [[fault]] tables{wanted}") from error
     unknown = sorted(set(document) - {"fault"})
     entries = document.get("fault", [])

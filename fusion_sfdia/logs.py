@@ -52,13 +52,13 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
     Inputs without a column are the plant's operation from the reading before (plant.input_at). absent_sensors: a sensor
     without a column is NaN throughout. other_columns: columns that are neither are ignored. Raises ValueError naming
     file, row (the header is row 1) and column for anything else than increasing times, finite or missing readings and
-    finite inputs.
+    inputs within their limits.
     """
     with Path(path).open(encoding="utf-8-sig", newline="") as file:
         try:
             rows = [(n, row) for n, row in enumerate(csv.reader(file, strict=True), start=1) if any(c.strip() for c in row)]
         except (UnicodeDecodeError, csv.Error) as error:
-            raise ValueError(f"{path} is not a CSV text file ({error}); write one with write_log") from error
+            raise ValueError(f"{path} is not a CSV text file ({error}); wanted UTF-8 text as `simulate` writes it") from error
     if not rows:
         raise ValueError(f"{path} is empty; wanted a header: time and the sensors of plant {plant.name!r}")
     columns = _columns(path, rows[0][1], plant, absent_sensors, other_columns)
@@ -76,7 +76,8 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
     for k in range(1, t.size):
         if not t[k] > t[k - 1]:
             raise ValueError(
-                f"{path}, row {numbers[k]}, column time: {t[k]!r} s after {t[k - 1]!r} s; times must increase, sort the rows"
+                f"{path}, row {numbers[k]}, column time: {float(t[k])!r} s after {float(t[k - 1])!r} s; times must increase, "
+                "sort the rows"
             )
     y = np.full((t.size, len(plant.sensors)), np.nan)
     for i, sensor in enumerate(plant.sensors):
@@ -87,6 +88,11 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
     for i, signal in enumerate(plant.inputs):
         if signal.name in columns:
             u[:, i] = _values(path, numbers, cells, columns, signal, required=True)
+            for k in np.flatnonzero((u[:, i] < signal.low) | (u[:, i] > signal.high))[:1]:
+                raise ValueError(
+                    f"{path}, row {numbers[k]}, column {signal.name}: {u[k, i]:g} {signal.unit}; plant {plant.name!r} holds "
+                    f"from {signal.low:g} to {signal.high:g} {signal.unit}; correct the input or convert its unit"
+                )
     return Log(t, y, u)
 
 
@@ -111,23 +117,29 @@ def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, ot
             )
         found[name] = i
     lacking = [n for n in (TIME.name, *plant.sensor_names) if n not in found]
+    if TIME.name in lacking and len(header) == 1 and (mark := re.search("[;\t|]", header[0])):
+        raise ValueError(f"{path}: cells are separated by {mark[0]!r}; wanted commas, and points in decimal numbers")
     if TIME.name in lacking:
-        raise ValueError(
-            f"{path}: no column 'time' among {', '.join(map(repr, header[:8]))}; name the column of the times (s) so"
-        )
+        raise ValueError(f"{path}: no column 'time' among {_some(header)}; name the column of the times (s) so")
     if lacking and not absent:
         raise ValueError(
-            f"{path}: no column for the sensors {', '.join(lacking)} of plant {plant.name!r}; add them (empty where not "
-            "read), or allow absent sensors"
+            f"{path}: no column for the sensors {_some(lacking)} of plant {plant.name!r}; add them (empty where not read), "
+            "or take them as missing with --absent-sensors (absent_sensors=True)"
         )
     if len(lacking) == len(plant.sensors):
-        raise ValueError(f"{path}: no column of any sensor of plant {plant.name!r}; sensors: {', '.join(plant.sensor_names)}")
+        raise ValueError(f"{path}: no column of any sensor of plant {plant.name!r}; sensors: {_some(plant.sensor_names)}")
     if unknown and not other:
         raise ValueError(
-            f"{path}: the columns {', '.join(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove "
-            "them, or allow other columns"
+            f"{path}: the columns {_some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, "
+            "or ignore them with --other-columns (other_columns=True)"
         )
     return found
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first names, each cut to a length that a line can hold."""
+    shown = ", ".join(repr(n if len(n) <= 20 else f"{n[:20]}...") for n in names[:8])
+    return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown
 
 
 def _title(title: str) -> tuple[str, str | None]:

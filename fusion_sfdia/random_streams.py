@@ -22,7 +22,10 @@ def stream(seed: int, *purpose: str | int) -> np.random.Generator:
 
 def require_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
     """Return seeds as a tuple; ValueError for none, for one that stands twice and for anything but integers from 0."""
-    seeds = tuple(seeds)
+    try:
+        seeds = tuple(seeds)
+    except TypeError as error:
+        raise ValueError(f"seeds are {seeds!r}; wanted several integers of at least 0, such as [0] or range(10)") from error
     for seed in seeds:
         stream(seed)
     if not seeds or len(set(seeds)) < len(seeds):

@@ -19,6 +19,8 @@ from fusion_sfdia.random_streams import require_seeds, stream
 
 Array = NDArray[Any]
 
+MOST_STEPS = 10**9  # more is a slip: a step takes at least a microsecond
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -73,8 +75,12 @@ def simulate(
             truth, to_states = plant.finer()
         else:
             truth = plant
+    elif not isinstance(truth, Plant):
+        raise ValueError(f"truth is {truth!r}; wanted 'finer', 'model' or a plant")
     _require_fit(plant, truth)
     seeds = require_seeds(seeds)
+    if not np.isfinite(t0):
+        raise ValueError(f"t0 is {t0}; wanted a finite time in s")
     t, dt = _times(plant, times, t0)
     u = _inputs(plant, t - dt, inputs)
     x = _start(truth, start, seeds, t0)
@@ -129,12 +135,16 @@ def _require_fit(plant: Plant, truth: Plant) -> None:
 
 def _times(plant: Plant, times: int | Array, t0: float) -> tuple[Array, Array]:
     if isinstance(times, int | np.integer):
-        if times < 1:
-            raise ValueError(f"{times} steps; wanted at least 1")
+        if not 1 <= times <= MOST_STEPS:
+            raise ValueError(f"{times} steps; wanted at least 1 and at most {MOST_STEPS}")
         return t0 + np.arange(1, times + 1) * plant.dt, np.full(int(times), plant.dt)
-    t = np.asarray(times, dtype=float)
+    try:
+        t = np.asarray(times, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"times is {times!r}; wanted a number of steps or times (K,) in s") from error
     if t.ndim != 1 or not t.size:
-        raise ValueError(f"times has shape {t.shape}; wanted a number of steps or at least one time (K,)")
+        came = f"has shape {t.shape}" if t.ndim else f"is {times!r}"
+        raise ValueError(f"times {came}; wanted a whole number of steps or at least one time (K,)")
     dt = np.diff(t, prepend=t0)
     for step in dt:
         plant.check_dt(float(step))

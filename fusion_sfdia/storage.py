@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import tempfile
@@ -18,10 +19,44 @@ import numpy as np
 from fusion_sfdia.detector import Detector, State
 from fusion_sfdia.plant import Plant
 
+CURES = {
+    errno.ENOENT: "name one that is there",
+    errno.EISDIR: "name a file, not a folder",
+    errno.ENOTDIR: "name a place below folders, not below a file",
+    errno.ENOSPC: "make room, or name another place",
+    errno.EDQUOT: "make room, or name another place",
+    errno.ENAMETOOLONG: "give a shorter name",
+}
+
+
+def explained(error: BaseException) -> str:
+    """Return an error in words: of a file, what it was about, what went wrong and the cure."""
+    if isinstance(error, MemoryError):
+        return f"the memory is too small ({error}); ask for fewer steps, seeds or workers, or cut the log"
+    if not isinstance(error, OSError) or not (error.filename and error.strerror):
+        return str(error)
+    return f"{error.filename}: {error.strerror}; {CURES.get(error.errno or 0, 'name another place, or change its permissions')}"
+
 
 @contextmanager
 def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
-    """Open a file that takes its name only when the block ends well; otherwise nothing is left behind."""
+    """Open a file that takes its name only when the block ends well; otherwise nothing is left behind.
+
+    An OSError names the file, also where it is of its folder or of the disk.
+    """
+    try:
+        with _temporary(path, mode) as file:
+            yield file
+    except FileExistsError as error:  # from mkdir: something on the way is a file
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from error
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextmanager
+def _temporary(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

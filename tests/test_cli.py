@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,8 @@ def test_list(capsys: pytest.CaptureFixture[str]) -> None:
     assert [line.split()[0] for line in out.splitlines()] == names["detectors"]
     code, out, _ = call(capsys, "list")
     assert [line for line in out.splitlines() if not line.startswith(" ")] == ["plants:", "detectors:", "faults:", "scenarios:"]
+    assert [e["use"].split(",")[0] for e in found["faults"] if e["name"] in ("weak-bias", "bias")] == ["at random", "kinds"]
+    assert [line for line in out.splitlines() if re.match(r" \w", line)] == [f" {registry.DRAWN}:", f" {registry.LISTED}:"]
 
 
 def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -66,7 +69,8 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
     trap.write_text("fail")
     code, _, err = call(capsys, *once)
     assert code == 1
-    assert err.startswith("fusion-sfdia: failed: toy/mean, detector b, quantity pressure, seeds [0, 1]: ArithmeticError: ")
+    assert err.startswith("fusion-sfdia: failed: toy/mean, ")
+    assert "detector b, quantity pressure, seeds [0, 1]: ArithmeticError: " in err
     assert err.count("\n") == 1
     trap.unlink()
     assert call(capsys, *once)[0] == 0
@@ -87,11 +91,20 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
         (("simulate", "--out", "x.csv", "--seed", "-1"), "wanted an integer of at least 0"),
         (("simulate", "--out", "x.csv", "--fault", "week-bias"), "did you mean 'weak-bias'?"),
         (("simulate", "--out", "x.csv", "--fault", "weak-bias:presure"), "unknown quantity 'presure'"),
-        (("simulate", "--out", "x.csv", "--faults", "absent.toml"), "absent.toml: No such file or directory"),
+        (("simulate", "--out", "x.csv", "--fault", "weak-bias:"), "'weak-bias:' has no quantity after its colon"),
+        (("simulate", "--out", "x.csv", "--fault", "freeze"), "'freeze' is a kind, to be listed in a file (--faults)"),
+        (("simulate", "--out", "x.csv", "--fault", "weak-bias", "--steps", "5"), "ask for at least 70"),
+        (("simulate", "--out", "."), ". is a folder; name a file"),
+        (("simulate", "--out", "file/x.csv"), "file/x.csv: Not a directory; name a place below folders"),
+        (("simulate", "--out", "x.csv", "--faults", "absent.toml"), "absent.toml: No such file or directory; name one that"),
         (("simulate", "--out", "x.csv", "--faults", "file"), "file"),
+        (("simulate", "--out", "x.csv", "--faults", "."), ".: Is a directory; name a file"),
         (("diagnose", "--data", "absent.csv"), "absent.csv: No such file or directory"),
         (("diagnose", "--data", "file"), "no column 'time'"),
-        (("diagnose", "--data", "file", "--detector", "loo-gl"), ""),
+        (("diagnose", "--data", "file", "--out", "."), ". is already used; name another folder with --out"),
+        (("diagnose", "--data", "file", "--out", "file"), "file is a file; name a folder with --out"),
+        (("bench", "model", "--out", "."), ". is already used; name another folder with --out, or write into it with --force"),
+        (("bench", "model", "--seconds", "nan"), "positive time"),
     ],
 )
 def test_an_error_is_one_line(

@@ -8,7 +8,11 @@ from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.central_filter import CentralFilter
 from fusion_sfdia.detector import run
-from fusion_sfdia.diagnose import diagnose, spans
+from fusion_sfdia.diagnose import DiagnosisWarning, diagnose, spans
+from fusion_sfdia.estimators import Extended
+from fusion_sfdia.faults import Fault
+from fusion_sfdia.faults import apply as apply_faults
+from fusion_sfdia.fusing_bank import FusingBank
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 from fusion_sfdia.simulate import simulate
@@ -109,6 +113,8 @@ def test_shapes_and_times_that_do_not_fit_are_named() -> None:
         diagnose(detector, t, y[:, :3], u)
     with pytest.raises(ValueError, match="1 inputs"):
         diagnose(detector, t, y, np.repeat(u, 2, axis=1))
+    with pytest.raises(ValueError, match=r"reading 3, 16 s, is 6 s after the one before: .* holds for 5.0 s only"):
+        diagnose(replace(detector, plant=replace(plant, fixed_dt=True)), np.array([5.0, 10, 16, 20, 25, 30]), y, u)
     for times in (t[::-1], np.array([5.0, 10, 10, 15, 20, 25]), np.array([5.0, 10, np.nan, 20, 25, 30])):
         with pytest.raises(ValueError, match="times must be finite and increase"):
             diagnose(detector, times, y, u)
@@ -129,3 +135,56 @@ def test_shapes_and_times_that_do_not_fit_are_named() -> None:
 )
 def test_spans(held: str, gap: int, wanted: list[tuple[int, int]]) -> None:
     assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == wanted
+
+
+@pytest.mark.parametrize("limits", [{"max_dt": 6.0}, {"fixed_dt": True}], ids=str)
+def test_a_long_gap_is_stepped_through_without_readings(limits: dict) -> None:
+    """A log without the rows of an outage is the log with empty rows there."""
+    plant = replace(tanks(), **limits)
+    t, _, y, u = readings(plant, 12, 1, seed=0)
+    y, u = y[:, 0].copy(), u[:, 0].copy()
+    y[4:9] = np.nan
+    u[4:10] = u[9]  # acted over the whole of it
+    detector, kept = CentralFilter(plant), [0, 1, 2, 3, 9, 10, 11]
+    whole, cut = diagnose(detector, t, y, u), diagnose(detector, t[kept], y[kept], u[kept])
+    np.testing.assert_array_equal(cut.decisions.estimate, whole.decisions.estimate[kept])
+    np.testing.assert_array_equal(cut.t, t[kept])
+    milliseconds = 1000 * np.arange(1.0, 21.0) * plant.dt
+    with pytest.raises(ValueError, match=r"20 readings take 19001 steps of 5 s, .* up to 5000 s apart; give times in seconds"):
+        diagnose(detector, milliseconds, np.ones((20, 4)), np.ones((20, 1)))
+
+
+def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 30, 1, seed=0)
+    y, u = y[:, 0], u[:, 0]
+    with pytest.warns(DiagnosisWarning, match="FusingBank cannot raise an alarm: .* set them with calibrate"):
+        diagnose(FusingBank(plant, Extended()), t, y, u)
+    detector, silent, nothing = CentralFilter(plant), y.copy(), np.full_like(y, np.nan)
+    silent[:, 1] = np.nan
+    with pytest.warns(DiagnosisWarning, match="no reading at all of l2; fill"):
+        diagnose(detector, t, silent, u)
+    with pytest.warns(DiagnosisWarning, match="no reading at all of l1, l2, q12, q2: .* the model's prediction alone"):
+        diagnose(detector, t, nothing, u)
+    drained = u.copy()
+    drained[10:20] = -0.05  # m3/s: the tanks run empty within a step
+    with pytest.warns(
+        DiagnosisWarning, match=r"left the limits of the model and was moved back in \d+ of 30 samples, first at 55 s"
+    ):
+        diagnose(detector, t, y, drained)
+    broken = replace(plant, output=lambda t, x, u: plant.output(t, x, u) * (np.nan if t > 50 else 1))
+    with pytest.warns(DiagnosisWarning, match="diverged and does not count in 20 of 30 samples, first at 55 s"):
+        found = diagnose(CentralFilter(broken), t, y, u)
+    assert found.decisions.diverged.sum() == 20 and not found.decisions.isolated[10:].any()
+
+
+def test_a_frozen_reading_is_found_once_the_signal_has_moved() -> None:
+    """Within the hour pressures move by more than a hundred sigma and temperatures by half of one (see FAULT_KINDS)."""
+    plant = gas_pipeline()
+    recording = simulate(plant, 120, [0])
+    moved = np.ptp(recording.signal[:, 0], axis=0) / plant.sensor_sigma
+    frozen = [Fault(name, "freeze", onset=400.0) for name in ("p_7", "T_7")]
+    readings = apply_faults(plant, recording.t, recording.y, frozen)
+    found = diagnose(LeaveOneOutBank(plant), recording.t, readings.y[:, 0], recording.u)
+    assert moved[plant.sensor_index("p_7")] > 50 and moved[plant.sensor_index("T_7")] < 1
+    assert [e.hypothesis for e in found.events] == ["p_7"]

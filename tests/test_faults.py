@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_plants import chain, tanks
 
-from fusion_sfdia.fault_draws import PRESETS, FaultRange, draw
+from fusion_sfdia.fault_draws import PRESETS, FaultRange, draw, draw_apart
 from fusion_sfdia.faults import FAULT_KINDS, Fault, apply, load_faults
 
 T = np.arange(1, 11) * 1.0  # s, the chain's dt
@@ -290,6 +290,10 @@ def table(**entries):
         (table(onset=1, magnitude='"big"'), r"fault 1: .* magnitude is 'big'; wanted a number"),
         (table(onset="2020-01-01", magnitude=1), r"fault 1: .* onset is"),
         (table(onset=1, magnitude="nan"), r"fault 1: .* magnitude is nan"),
+        (table(onset=1, magnitude="9" * 400), r"fault 1: .* magnitude is too large; wanted a number below 1e308"),
+        (table(onset="0x" + "f" * 5000, magnitude=1), r"fault 1: .* onset is too large"),
+        (table(onset=1, magnitude="9" * 5000), "not a TOML file"),
+        ("a = " + "[" * 10_000, "not a TOML file"),
     ],
 )
 def test_fault_files_that_are_wrong(tmp_path, text, message):
@@ -305,3 +309,17 @@ def test_a_fault_file_that_is_no_text(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="not a TOML file"):
         load_faults(path, tanks())
+
+
+def test_faults_drawn_for_a_log_are_apart_and_within_it():
+    plant = tanks()
+    faults = draw_apart([("weak-drift", "level"), ("strong-bias", "flow"), ("weak-bias", "level")], plant, 70, 3)
+    assert len({f.sensor for f in faults}) == 3
+    assert all(31 * plant.dt <= f.onset and f.onset + f.length <= 71 * plant.dt for f in faults)
+    assert draw_apart([], plant, 1, 0) == []
+    with pytest.raises(ValueError, match=r"30 readings have no room .* ask for at least 70, or place the faults in a file"):
+        draw_apart([("weak-bias", None)], plant, 30, 0)
+    with pytest.raises(ValueError, match="all 2 sensors of level are faulty already; draw fewer"):
+        draw_apart([("weak-bias", "level")] * 3, plant, 70, 0)
+    with pytest.raises(ValueError, match="unknown quantity 'levle'"):
+        draw_apart([("weak-bias", "levle")], plant, 70, 0)

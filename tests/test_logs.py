@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from toy_plants import tanks
+from toy_plants import chain, tanks
 
 from fusion_sfdia.logs import read_log, write_log
+from fusion_sfdia.plant import Signal
 
 HEADER = "time,l1,l2,q12,q2"
 ROW = "1,1.0,1.0,6e-4,6e-4"
@@ -47,8 +50,6 @@ def test_header_with_and_without_units_in_any_order(tmp_path):
 
 
 def test_inputs_default_to_the_plants_operation_since_the_reading_before(tmp_path):
-    from dataclasses import replace
-
     plant = replace(tanks(), operation=lambda t: np.array([t]))
     found = read_log(log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n"), plant)
     np.testing.assert_array_equal(found.u, [[5], [10], [12]])
@@ -60,9 +61,9 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
     path = log(tmp_path, "time,l1,weather\n1,1.0,fine\n")
     found = read_log(path, tanks(), absent_sensors=True, other_columns=True)
     np.testing.assert_array_equal(found.y, [[1, np.nan, np.nan, np.nan]])
-    with pytest.raises(ValueError, match="no column for the sensors l2, q12, q2"):
+    with pytest.raises(ValueError, match=r"no column for the sensors 'l2', 'q12', 'q2' .* --absent-sensors"):
         read_log(path, tanks(), other_columns=True)
-    with pytest.raises(ValueError, match="columns weather are no sensors or inputs"):
+    with pytest.raises(ValueError, match=r"columns 'weather' are no sensors or inputs .* --other-columns"):
         read_log(path, tanks(), absent_sensors=True)
     with pytest.raises(ValueError, match="no column of any sensor"):
         read_log(log(tmp_path, "time\n1\n"), tanks(), absent_sensors=True)
@@ -75,14 +76,16 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         (" \n\n", "is empty; wanted a header"),
         (HEADER + "\n", "a header and no rows"),
         ("t,l1,l2,q12,q2\n" + ROW, "no column 'time'"),
-        ("time;l1;l2;q12;q2\n1;1;1;1;1", "no column 'time' among 'time;l1"),
+        ("time;l1;l2;q12;q2\n1;1;1;1;1", "cells are separated by ';'; wanted commas"),
+        ("time [s]\tl1\n1\t1", "cells are separated by '\\\\t'; wanted commas"),
+        ("t" * 200 + "\n1", f"no column 'time' among '{'t' * 20}...'; name the column"),
         (HEADER.replace("l1", "l1 [mm]") + "\n" + ROW, "column 'l1' is in 'mm', plant 'tanks' has it in 'm'"),
         (HEADER.replace("l2", "l1") + "\n" + ROW, "the column 'l1' stands twice"),
         (HEADER + "\n" + ROW + "\n2,1.0,high,1,1", r"row 3, column l2: 'high'; wanted a finite number, or nothing"),
         (HEADER + "\n1,1.0,inf,1,1", "row 2, column l2: 'inf'"),
         (HEADER + "\n1,1.0,1,1", "row 2: 4 cells under a header of 5"),
         (HEADER + "\n,1.0,1,1,1", "row 2, column time: ''; wanted a finite number"),
-        (HEADER + "\n" + ROW + "\n\n" + ROW, "row 4, column time: .* must increase"),
+        (HEADER + "\n" + ROW + "\n\n" + ROW, r"row 4, column time: 1\.0 s after 1\.0 s; times must increase"),
         (HEADER + ",inflow\n1,1,1,1,1,", "row 2, column inflow: ''; wanted a finite number"),
         (HEADER + '\n1,"1.0,1,1,1', "not a CSV text file"),
     ],
@@ -92,6 +95,20 @@ def test_what_is_wrong_is_named(tmp_path, text, message):
     with pytest.raises(ValueError, match=message) as caught:
         read_log(path, tanks())
     assert str(path) in str(caught.value)
+
+
+def test_inputs_beyond_their_limits(tmp_path):
+    plant = replace(tanks(), inputs=(Signal("inflow", "m3/s", 6e-4, 0.0, 1.0),))
+    path = log(tmp_path, HEADER + ",inflow\n1,1,1,1,1,1\n\n2,1,1,1,1,7\n3,1,1,1,1,8\n")
+    with pytest.raises(
+        ValueError, match=r"log.csv, row 4, column inflow: 7 m3/s; plant 'tanks' holds from 0 to 1 m3/s; correct"
+    ):
+        read_log(path, plant)
+
+
+def test_a_long_list_of_names_is_cut(tmp_path):
+    with pytest.raises(ValueError, match=r"sensors 's0', .*'s7' and 12 more of plant 'chain'; add them"):
+        read_log(log(tmp_path, "time\n1\n"), chain(20))
 
 
 def test_bytes_that_are_no_text(tmp_path):

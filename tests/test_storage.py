@@ -1,8 +1,13 @@
 """Files that are whole or absent, and detector states that are matched with their detector."""
 
+import errno
+import os
 import stat
+import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -13,7 +18,7 @@ from fusion_sfdia.detector import Detector, State, run
 from fusion_sfdia.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.fusing_bank import FusingBank
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.storage import atomic_write, fingerprint, load_state, save_state
+from fusion_sfdia.storage import atomic_write, explained, fingerprint, load_state, save_state
 
 DETECTORS: list[Detector] = [
     FusingBank(tanks(), Extended(), thresholds=(1.0,) * 4),
@@ -161,3 +166,30 @@ def test_a_state_of_a_plant_with_other_parameters_or_another_taper_is_refused(tm
     save_state(tmp_path / "local.npz", near, near.init())
     with pytest.raises(ValueError, match="other settings"):
         load_state(tmp_path / "local.npz", far)
+
+
+def refuse(number: int, text: str) -> Callable[..., NoReturn]:
+    def raised(*_: object, **__: object) -> NoReturn:
+        raise OSError(number, text, "/tmp/.file.csv.x81h")
+
+    return raised
+
+
+def test_an_error_names_the_file_that_was_wanted_and_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file.csv"
+    with pytest.raises(OSError) as full, atomic_write(path):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert explained(full.value) == f"{path}: No space left on device; make room, or name another place"
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError) as below, atomic_write(tmp_path / "file" / "deeper.csv"):
+        pass
+    assert "deeper.csv" in explained(below.value) and "below folders" in explained(below.value)
+    for module, name in ((tempfile, "mkstemp"), (os, "replace")):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, refuse(errno.EACCES, "Permission denied"))
+            with pytest.raises(PermissionError) as denied, atomic_write(path):
+                pass
+        assert explained(denied.value) == f"{path}: Permission denied; name another place, or change its permissions"
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    assert explained(ValueError("as it is")) == "as it is"
+    assert "ask for fewer steps" in explained(MemoryError("8 GiB"))
