@@ -1,0 +1,188 @@
+"""The plant `marine-engine`: mean-value model of a four-stroke marine diesel engine with turbocharger (K24, appendix).
+
+Kougiatsos and Reppa 2024, "A distributed cyber-physical framework for sensor fault diagnosis of marine internal combustion
+engines". Equations and their misprints: marine_engine_equations. Parameters and their provenance:
+marine_engine_parameters.toml. Four blocks with ten sensors, S(I){j} the j-th of block I:
+
+    fuel pump                 S(1){1} fuel
+    thermomechanical process  S(2){1} p_cylinder, S(2){2} T_cylinder, S(2){3} torque
+    exhaust gas path          S(3){1} p_receiver, S(3){2} T_receiver, S(3){3} T_turbine
+    air path                  S(4){1} p_charge,   S(4){2} T_charge,   S(4){3} T_compressor
+
+The input is the fuel setting u, 1 at full load. Noise is uniform within `noise` of each variable's value at the load of x0,
+drawn anew at each sample. Initial and process noise of filters are ours: the papers have neither, and a recording has
+process noise only when it is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.discretise import discretise
+from fusion_sfdia.models import marine_engine_equations as equations
+from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
+from fusion_sfdia.models.marine_engine_equilibrium import LOADS, engine_variables, equilibrium, follows_law
+from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.plant import Block, Physics, Plant, Sensor, Signal
+
+Array = NDArray[Any]
+
+LONGEST_STEP = 0.005  # s: errors of at most 4e-4 in a load step from 100 to 80 %
+FINER = 4  # substeps of the finer twin in one
+INITIAL = 0.01  # standard deviation of x0, relative; ours
+PROCESS = (1e-3, 1e-3, 1e-4)  # standard deviation of the process noise in 0.01 s, relative; ours
+UNIT = {"f": "kg", "p": "Pa", "T": "K", "t": "N m"}
+QUANTITY = {"f": "fuel", "p": "pressure", "T": "temperature", "t": "torque"}
+SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
+    "S(1){1}": "fuel",
+    "S(2){1}": "p_cylinder",
+    "S(2){2}": "T_cylinder",
+    "S(2){3}": "torque",
+    "S(3){1}": "p_receiver",
+    "S(3){2}": "T_receiver",
+    "S(3){3}": "T_turbine",
+    "S(4){1}": "p_charge",
+    "S(4){2}": "T_charge",
+    "S(4){3}": "T_compressor",
+}
+BLOCKS = (
+    Block("fuel pump", ("fuel",)),
+    Block("thermomechanical process", ("p_cylinder", "T_cylinder", "torque"), ("fuel pump", "air path")),
+    Block(
+        "exhaust gas path",
+        ("p_receiver", "T_receiver", "T_turbine"),
+        ("fuel pump", "thermomechanical process", "air path"),
+    ),
+    Block(
+        "air path",
+        ("p_charge", "T_charge", "T_compressor"),
+        ("fuel pump", "thermomechanical process", "exhaust gas path"),
+    ),
+)
+
+
+class Module(NamedTuple):
+    """A monitoring module of K24, sec. VII: the variable whose equation it tests and its sensors S(I,q)."""
+
+    variable: str
+    sensors: tuple[str, ...]
+
+
+MODULES = {
+    "M(1,1)": Module("fuel", ("S(1){1}",)),
+    "M(2,1)": Module("p_cylinder", ("S(2){1}",)),
+    "M(2,2)": Module("T_cylinder", ("S(2){2}",)),
+    "M(2,3)": Module("torque", ("S(2){2}", "S(2){3}")),
+    "M(3,1)": Module("p_receiver", ("S(3){1}", "S(3){2}")),
+    "M(3,2)": Module("T_receiver", ("S(3){1}", "S(3){2}")),
+    "M(3,3)": Module("T_turbine", ("S(3){1}", "S(3){2}", "S(3){3}")),
+    "M(4,1)": Module("p_charge", ("S(4){1}", "S(4){2}")),
+    "M(4,2)": Module("T_charge", ("S(4){2}",)),
+    "M(4,3)": Module("T_compressor", ("S(4){2}", "S(4){3}")),
+}
+
+
+def marine_engine(
+    *,
+    load: float = 1.0,
+    dt: float = 0.01,
+    noise: float = 0.05,
+    slip: str = "law",
+    parameters: EngineParameters | None = None,
+    substeps: int = 1,
+) -> Plant:
+    """Return the engine as a plant with the states fuel (kg), p_receiver (Pa), p_charge (Pa).
+
+    load: fuel setting of x0 and of the nominal values, 0.2 to 1. dt: seconds between readings, which the exponential
+    midpoint rule divides into as many equal steps of at most 5 ms, times `substeps`. noise: bound of each sensor's error
+    over its nominal value (K24: 0.05, 0.01 to 0.1 in Fig. 5; 0.03 in K22). slip: "law" or "constant". parameters: of
+    another engine. Raises ValueError for settings that do not fit, ArithmeticError where there is no equilibrium.
+    """
+    c = engine_parameters() if parameters is None else parameters
+    law = follows_law(slip)
+    if not (np.isfinite(noise) and noise > 0):
+        raise ValueError(f"noise is {noise}; wanted a positive share of the nominal values, such as 0.05")
+    if not (np.isfinite(dt) and dt > 0) or substeps < 1:
+        raise ValueError(f"dt is {dt} s in {substeps} substeps; wanted a positive finite time and at least one")
+    x0 = equilibrium(load, c, slip)
+    nominal = engine_variables(x0, c, slip)
+    owner = {variable: block.name for block in BLOCKS for variable in block.variables}
+    plant = discretise(
+        engine_physics(c, slip, x0, load),
+        [
+            Sensor(name, v, UNIT[v[0]], bound=noise * float(nominal[v]), owner=owner[v], quantity=QUANTITY[v[0]])
+            for name, v in SENSORS.items()
+        ],
+        dt=dt,
+        x0=x0,
+        initial_cov=(INITIAL * x0) ** 2,
+        process_cov=(np.array(PROCESS) * x0) ** 2 * (dt / 0.01),
+        decay=decay_rates(c),
+    )
+    picks = np.array([(*STATES, *ALGEBRAIC).index(v) for v in SENSORS.values()])
+
+    def step(t: float, x: Array, u: Array, dt: float) -> Array:
+        parts = substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
+        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
+        result: Array = equations.advance(rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, c, law)
+        return result.reshape(*batch, len(STATES))
+
+    def output(t: float, x: Array, u: Array) -> Array:
+        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
+        flat = rows(x, batch, u.dtype)
+        both = np.concatenate([flat, equations.algebraic(flat, c, law)], axis=-1)
+        return both[:, picks].reshape(*batch, picks.size)
+
+    def finer() -> tuple[Plant, Callable[[Array], Array]]:
+        twin = marine_engine(load=load, dt=dt, noise=noise, slip=slip, parameters=c, substeps=FINER * substeps)
+        return twin, lambda x: x
+
+    return replace(plant, step=step, output=output, finer=finer)
+
+
+def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:
+    """Return a (..., n), broadcast to the batch, as a contiguous matrix (B, n) of floats or complex numbers."""
+    kind = np.result_type(a, other, float)
+    return np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1])
+
+
+def decay_rates(c: EngineParameters) -> Array:
+    """1 / tau (3,) of the states, 1/s: the A of x' = A x + h is minus these."""
+    return 1.0 / np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
+
+
+def engine_equations(slip: str) -> Mapping[str, Callable[..., Any]]:
+    """The equations of the ten variables with the slip by its "law" or "constant"."""
+    return EQUATIONS if follows_law(slip) else EQUATIONS | CONSTANT_SLIP
+
+
+def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Physics:
+    """The equations on arrays (..., 3): what the compiled drivers are held against."""
+    table = engine_equations(slip)
+    names = {name: equations.variables_of(function) for name, function in table.items()}
+
+    def evaluate(wanted: tuple[str, ...], x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
+        known = {"fuel_setting": u[..., 0]} | {n: x[..., i] for i, n in enumerate(STATES)}
+        known |= {n: z[..., i] for i, n in enumerate(ALGEBRAIC)}
+        values = [table[n](*(known[a] for a in names[n]), c) for n in wanted]
+        return np.stack(np.broadcast_arrays(*values), axis=-1)
+
+    rates = decay_rates(c)
+    nominal = engine_variables(x0, c, slip)
+    width = {"f": (0.1 * c.full_injection, 1.2 * c.full_injection), "p": (c.p_ambient, 2.0 * c.p_charge_nominal)}
+    return Physics(
+        name="marine-engine",
+        states=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), *width[n[0]]) for n in STATES),
+        inputs=(Signal("fuel_setting", "1", load, *LOADS),),
+        algebraic=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), 0.0) for n in ALGEBRAIC),
+        f=lambda t, x, z, u, c: evaluate(STATES, x, z, u, c) - rates * x,
+        phi=lambda t, x, z, u, c: evaluate(ALGEBRAIC, x, z, u, c),
+        parameters=c,
+        equations=table,
+        blocks=BLOCKS,
+    )

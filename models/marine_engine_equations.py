@@ -1,0 +1,471 @@
+"""Mean-value model of a marine diesel engine: scalar equations and the compiled drivers that join them.
+
+Kougiatsos and Reppa 2024 (K24), appendix, (27)-(49), with Kougiatsos et al. 2022 (K22), who take the model from Geertsma et
+al. 2017. As printed it does not run; each docstring names the equation and what was wrong with it. Symbols of the papers:
+
+    fuel         x(1)    kg per cylinder and cycle       p_receiver    x(3)    Pa, exhaust receiver, before the turbine
+    p_cylinder   z1(2)   Pa, when the exhaust opens      T_receiver    z1(3)   K, before the turbine
+    T_cylinder   z2(2)   K, when the exhaust opens       T_turbine     z2(3)   K, after the turbine
+    torque       z3(2)   N m at the shaft                p_charge      x(4)    Pa, after the compressor
+    T_charge     z1(4)   K, after the intercooler        T_compressor  z2(4)   K, before the intercooler
+
+K24's text swaps the labels of z1(4) and z2(4); its equations do not. The engine's speed is no variable: the propeller law
+ties it to the torque, n = sqrt(2 pi torque / load). The argument names of an equation, but for the parameters c, are its
+structure. Nothing branches on a value and everything is analytic, so floats, complex numbers, batches and intervals serve.
+Where the model has no solution (a negative pressure) real numbers give NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.equation import argument_names, compiled, equation
+
+Array = NDArray[Any]
+
+STATES = ("fuel", "p_receiver", "p_charge")
+ALGEBRAIC = ("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_charge", "T_compressor")
+SMOOTHING = 1e-3  # of the square of the nozzle function, whose slope is infinite at equal pressures; ours
+SWEEPS = 14  # of the torque, which shrink errors by 0.08 at full load and by less below: to rounding
+
+
+class EngineParameters(NamedTuple):
+    """What the equations need to know, in SI; marine_engine_parameters makes it from a file."""
+
+    fuel_delay: float  # s, tau_X
+    receiver_delay: float  # s, tau_pd
+    charge_delay: float  # s, tau_TC
+    full_injection: float  # kg per cylinder and cycle at the setting 1
+    fuel_nominal: float  # kg, x_nom(1)
+    cylinders: float  # i_e
+    revolutions_per_cycle: float  # k_e
+    load: float  # W s3, c of n = sqrt(2 pi torque / c)
+    torque_nominal: float  # N m
+    volume: float  # m3, v_1, of a cylinder when compression begins
+    compression: float  # r_c, effective
+    expansion_end: float  # r_eo = V_6 / V_1
+    heat: float  # J/kg, eta h_L
+    X_cv_nominal: float  # share of the heat at constant volume, at nominal speed
+    X_cv_gradient: float
+    X_ct_nominal: float  # share at constant temperature, at nominal fuel
+    loss_nominal: float  # N m
+    loss_gradient: float
+    n_expansion: float
+    n_blowdown: float
+    R_air: float  # J/(kg K)
+    cp_air: float  # J/(kg K)
+    kappa_air: float
+    R_gas: float  # J/(kg K)
+    cp_gas: float  # J/(kg K)
+    kappa_gas: float
+    slip_nominal: float  # slip air over trapped air
+    slip_temperature: float  # K, T_sl
+    turbine_area: float  # m2, a_Z A_eff
+    turbine_efficiency: float  # largest
+    turbocharger_efficiency: float  # largest
+    efficiency_curvature: float  # of both over p_charge / p_charge_nominal
+    compressor_efficiency: float  # mechanical, eta_com
+    p_receiver_nominal: float  # Pa
+    p_charge_nominal: float  # Pa
+    T_charge_nominal: float  # K
+    p_ambient: float  # Pa
+    p_exhaust: float  # Pa, after the turbine
+    T_ambient: float  # K
+    T_cooler: float  # K, T_c
+    T_inlet: float  # K, T_inl
+    inlet_effectiveness: float  # eps_inl
+
+
+@equation
+def fuel_inflow(fuel_setting: Any, c: EngineParameters) -> Any:
+    """h(1) = x_nom u / tau_X, kg/s (27). The setting u is a fraction, where the text says percent."""
+    return c.full_injection / c.fuel_delay * fuel_setting
+
+
+@equation
+def heat_release(fuel: Any, p_charge: Any, c: EngineParameters) -> Any:
+    """The share g = eta h_L x(1) / (v_1 x(4)): the heat of a cycle over p V of the trapped air, so q = g R_a z1(4) J/kg."""
+    return c.heat / c.volume * fuel / p_charge
+
+
+@equation
+def speed_ratio(torque: Any, c: EngineParameters) -> Any:
+    """The ratio n / n_nom with n = sqrt(2 pi torque / load) (below (33)), which holds for load = 2 pi torque / n^2."""
+    return np.sqrt(torque / c.torque_nominal)
+
+
+@equation
+def share_at_constant_volume(n: Any, c: EngineParameters) -> Any:
+    """X_cv = X_cv,nom + X_cv,grad (n - n_nom) / n_nom (below (33)); n is n / n_nom here."""
+    return c.X_cv_nominal + c.X_cv_gradient * (n - 1.0)
+
+
+@equation
+def end_of_cycle(fuel: Any, n: Any, p_charge: Any, c: EngineParameters) -> Any:
+    """T_6 / T_1 of the Seiliger cycle at n times the nominal speed.
+
+    T_2 = T_1 r_c^(kappa-1), T_3 = T_2 + X_cv q / c_v, T_4 = T_3 + X_cp q / c_p, b = T_4 / T_3, c = exp(X_ct q / (R T_4)),
+    T_6 = T_4 (b c / (r_eo r_c))^(n_exp - 1).
+    """
+    g = heat_release(fuel, p_charge, c)
+    X_cv = share_at_constant_volume(n, c)
+    X_ct = c.X_ct_nominal / c.fuel_nominal * fuel
+    T_3 = c.compression ** (c.kappa_air - 1.0) + c.R_air / (c.cp_air - c.R_air) * X_cv * g
+    T_4 = T_3 + c.R_air / c.cp_air * (1.0 - X_cv - X_ct) * g
+    stretch = T_4 / T_3 * np.exp(X_ct * g / T_4) / (c.expansion_end * c.compression)
+    return T_4 * stretch ** (c.n_expansion - 1.0)
+
+
+@equation
+def cylinder_pressure(fuel: Any, torque: Any, p_charge: Any, c: EngineParameters) -> Any:
+    """p_6 = p_1 (T_6 / T_1) / r_eo, Pa: K24 (31), K22 (7), in closed form.
+
+    Printed exp(-(n-1) q_45 / (R T_4)): the sign is +, as p_6 = p_4 (r_eo r_c / b)^-n c^(n-1). K24 has stray c_v x(4), too.
+    """
+    return p_charge * end_of_cycle(fuel, speed_ratio(torque, c), p_charge, c) / c.expansion_end
+
+
+@equation
+def cylinder_temperature(fuel: Any, torque: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """T_6 = T_4 (r_eo r_c / (b c))^(1-n), K: K24 (32), K22 (8), derived anew since neither is legible."""
+    return T_charge * end_of_cycle(fuel, speed_ratio(torque, c), p_charge, c)
+
+
+@equation
+def shaft_torque(fuel: Any, T_cylinder: Any, torque: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """Work of the cycle over its angle, less the losses, N m: K24 (33), K22 (9).
+
+    The work over p_1 V_1, process by process, is
+
+        -(r^(k-1) - 1)/(k-1) + X_cp (R/c_p) g + X_ct g + [r^(k-1) + g R (X_cv/c_v + X_cp/c_p) - T_6/T_1]/(n-1),
+
+    here collected in g, X_cv and X_ct with X_cp = 1 - X_cv - X_ct. Printed are compression and expansion with the opposite
+    sign, and a factor R_a in the term of X_ct. The gradient of the losses is a number, not a torque.
+    """
+    g = heat_release(fuel, p_charge, c)
+    n = speed_ratio(torque, c)
+    X_cv = share_at_constant_volume(n, c)
+    X_ct = c.X_ct_nominal / c.fuel_nominal * fuel
+    m = 1.0 / (c.n_expansion - 1.0)
+    at_p = c.R_air / c.cp_air * (1.0 + m)
+    per_X_cv = c.R_air / (c.cp_air - c.R_air) * m - at_p
+    hot = c.compression ** (c.kappa_air - 1.0)
+    work = (at_p + per_X_cv * X_cv + (1.0 - at_p) * X_ct) * g - (hot - 1.0) / (c.kappa_air - 1.0)
+    work = work + m * (hot - T_cylinder / T_charge)
+    losses = c.loss_nominal * (1.0 + c.loss_gradient * (1.0 - n))
+    return c.volume * c.cylinders / (2.0 * np.pi * c.revolutions_per_cycle) * p_charge * work - losses
+
+
+@equation
+def nozzle(ratio: Any, c: EngineParameters) -> Any:
+    """Psi of isentropic flow through a nozzle, 0 where the pressure behind is the higher: the square is cut off smoothly.
+
+    Subcritical, which a slip is: behind it stands more than half the pressure before it.
+    """
+    k = c.kappa_air
+    square = 2.0 * k / (k - 1.0) * (ratio ** (2.0 / k) - ratio ** ((k + 1.0) / k))
+    return np.sqrt(0.5 * (square + np.sqrt(square**2 + SMOOTHING**2)))
+
+
+@equation
+def slip_law(torque: Any, p_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """Slip air over trapped air: s = s_nom (n_nom / n) sqrt(T_1 / T_1nom) Psi(x(3)/x(4)) / Psi_nom.
+
+    The papers refer to Geertsma et al. 2017. The law is what flows through the valves while both are open.
+    """
+    psi = nozzle(p_receiver / p_charge, c) / nozzle(c.p_receiver_nominal / c.p_charge_nominal, c)
+    return c.slip_nominal * psi * np.sqrt(T_charge / c.T_charge_nominal) / speed_ratio(torque, c)
+
+
+@equation
+def trapped_air(p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """m_1 = x(4) v_1 / (R_a z1(4)), kg per cylinder and cycle."""
+    return c.volume / c.R_air * p_charge / T_charge
+
+
+@equation
+def efficiency(largest: Any, p_charge: Any, c: EngineParameters) -> Any:
+    """(43) and (47b): a + b x(4) + c x(4)^2 in the form that shows where it is largest, at the nominal pressure.
+
+    So the turbine's hardly depends on x(4) near the nominal point; by Table II, row E(3,3), it must not depend on it at all.
+    """
+    return largest * (1.0 - c.efficiency_curvature * (p_charge / c.p_charge_nominal - 1.0) ** 2)
+
+
+@equation
+def expansion_ratio(p_receiver: Any, c: EngineParameters) -> Any:
+    """Pi_tur = (p_ex / x(3))^((kappa_g - 1) / kappa_g) (42)."""
+    return (c.p_exhaust / p_receiver) ** ((c.kappa_gas - 1.0) / c.kappa_gas)
+
+
+@equation
+def receiver_inflow_at(
+    fuel: Any, torque: Any, slip: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """h(3) = sqrt(p_ex^2 + R_g T_d mdot^2 / (a_Z A_eff)^2) / tau_pd, mdot = n (i_e/k_e) ((1+s) m_1 + x(1)), Pa/s: (36).
+
+    Printed with A_eff for its square, sqrt(R_g) on the air alone, and the slip air without the trapped air.
+    """
+    n = np.sqrt(2.0 * np.pi / c.load * torque)
+    flow = n * c.cylinders / c.revolutions_per_cycle * ((1.0 + slip) * trapped_air(p_charge, T_charge, c) + fuel)
+    return np.sqrt(c.p_exhaust**2 + c.R_gas * T_receiver * (flow / c.turbine_area) ** 2) / c.receiver_delay
+
+
+@equation
+def receiver_temperature_at(
+    fuel: Any, p_cylinder: Any, T_cylinder: Any, slip: Any, p_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """z1(3) = (psi_2 T_sl + psi~_3 z2(2)) / (psi_2 + psi_3), K: (37)-(40), where T_s1 is T_sl.
+
+    In (40) x(3) stands for tau_pd h(3): equal at equilibrium, and T_d does not depend on itself.
+    """
+    air = trapped_air(p_charge, T_charge, c)
+    psi_2 = c.cp_air * slip * air
+    psi_3 = c.cp_gas * (fuel + air)
+    blown_down = T_cylinder / c.n_blowdown * (1.0 + (c.n_blowdown - 1.0) * p_receiver / p_cylinder)
+    return blown_down + psi_2 / (psi_2 + psi_3) * (c.slip_temperature - blown_down)
+
+
+@equation
+def turbine_temperature(p_receiver: Any, T_receiver: Any, p_charge: Any, c: EngineParameters) -> Any:
+    """z2(3) = psi_4 z1(3), psi_4 = 1 + eta_tur(x(4)) (Pi_tur - 1), K: (37), (41)."""
+    return T_receiver * (1.0 - efficiency(c.turbine_efficiency, p_charge, c) * (1.0 - expansion_ratio(p_receiver, c)))
+
+
+@equation
+def charge_temperature(c: EngineParameters) -> Any:
+    """z1(4) = T_c + eps_inl (T_inl - T_c), K: (49a), printed with a minus, as if the hot duct cooled the air."""
+    return c.T_cooler + c.inlet_effectiveness * (c.T_inlet - c.T_cooler)
+
+
+@equation
+def gas_over_air(fuel: Any, slip: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """delta_f = 1 + x(1) / ((1+s) m_1) (47a), printed with the denominator 1 + s m_1."""
+    return 1.0 + fuel / ((1.0 + slip) * trapped_air(p_charge, T_charge, c))
+
+
+@equation
+def charge_inflow_at(
+    fuel: Any, slip: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """h(4) = p_amb (1 + chi_g delta_f eta_TC r_TC (1 - Pi_tur))^(kappa/(kappa-1)) / tau_TC, Pa/s: (46), (47).
+
+    Printed with the exponent turned over. r_TC = z1(3) / T_amb, chi_g = c_pg / c_pa.
+    """
+    delta_f = gas_over_air(fuel, slip, p_charge, T_charge, c)
+    eta = efficiency(c.turbocharger_efficiency, p_charge, c)
+    rise = c.cp_gas / c.cp_air * delta_f * eta * T_receiver / c.T_ambient * (1.0 - expansion_ratio(p_receiver, c))
+    return c.p_ambient / c.charge_delay * (1.0 + rise) ** (c.kappa_air / (c.kappa_air - 1.0))
+
+
+@equation
+def compressor_temperature_at(
+    fuel: Any, slip: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """z2(4) = T_amb + chi_g delta_f eta_com (z1(3) - z2(3)), K: (49b), what the turbine gives heats the air.
+
+    Printed with a stray eta_tur and x(3), delta_f + eta_com for the product, and the difference turned over. With z2(3) =
+    psi_4 z1(3) put in, as here, its structure is that of Table III.
+    """
+    delta_f = gas_over_air(fuel, slip, p_charge, T_charge, c)
+    drop = T_receiver * efficiency(c.turbine_efficiency, p_charge, c) * (1.0 - expansion_ratio(p_receiver, c))
+    return c.T_ambient + c.cp_gas / c.cp_air * c.compressor_efficiency * delta_f * drop
+
+
+# The same with the slip by its law: each then depends on the torque and both pressures.
+
+
+@equation
+def receiver_inflow(
+    fuel: Any, torque: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """h(3), Pa/s (36), slip by its law."""
+    slip = slip_law(torque, p_receiver, p_charge, T_charge, c)
+    return receiver_inflow_at(fuel, torque, slip, T_receiver, p_charge, T_charge, c)
+
+
+@equation
+def receiver_temperature(
+    fuel: Any, p_cylinder: Any, T_cylinder: Any, torque: Any, p_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """z1(3), K (37), slip by its law."""
+    slip = slip_law(torque, p_receiver, p_charge, T_charge, c)
+    return receiver_temperature_at(fuel, p_cylinder, T_cylinder, slip, p_receiver, p_charge, T_charge, c)
+
+
+@equation
+def charge_inflow(
+    fuel: Any, torque: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """h(4), Pa/s (46), slip by its law."""
+    slip = slip_law(torque, p_receiver, p_charge, T_charge, c)
+    return charge_inflow_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
+
+
+@equation
+def compressor_temperature(
+    fuel: Any, torque: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """z2(4), K (49b), slip by its law."""
+    slip = slip_law(torque, p_receiver, p_charge, T_charge, c)
+    return compressor_temperature_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
+
+
+# And with the nominal slip: they no longer depend on what only the slip needs.
+
+
+@equation
+def receiver_inflow_constant(fuel: Any, torque: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """h(3), Pa/s (36), slip nominal."""
+    return receiver_inflow_at(fuel, torque, c.slip_nominal, T_receiver, p_charge, T_charge, c)
+
+
+@equation
+def receiver_temperature_constant(
+    fuel: Any, p_cylinder: Any, T_cylinder: Any, p_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """z1(3), K (37), slip nominal."""
+    return receiver_temperature_at(fuel, p_cylinder, T_cylinder, c.slip_nominal, p_receiver, p_charge, T_charge, c)
+
+
+@equation
+def charge_inflow_constant(
+    fuel: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """h(4), Pa/s (46), slip nominal."""
+    return charge_inflow_at(fuel, c.slip_nominal, p_receiver, T_receiver, p_charge, T_charge, c)
+
+
+@equation
+def compressor_temperature_constant(
+    fuel: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
+) -> Any:
+    """z2(4), K (49b), slip nominal."""
+    return compressor_temperature_at(fuel, c.slip_nominal, p_receiver, T_receiver, p_charge, T_charge, c)
+
+
+# And at nominal speed.
+
+
+@equation
+def cylinder_pressure_nominal(fuel: Any, p_charge: Any, c: EngineParameters) -> Any:
+    """p_6, Pa, with X_cv at nominal speed."""
+    return p_charge * end_of_cycle(fuel, 1.0, p_charge, c) / c.expansion_end
+
+
+@equation
+def cylinder_temperature_nominal(fuel: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """T_6, K, with X_cv at nominal speed."""
+    return T_charge * end_of_cycle(fuel, 1.0, p_charge, c)
+
+
+# Of a state the equation is h of x' = -x / tau + h, of an algebraic variable phi of z = phi.
+EQUATIONS: dict[str, Callable[..., Any]] = {
+    "fuel": fuel_inflow,
+    "p_cylinder": cylinder_pressure,
+    "T_cylinder": cylinder_temperature,
+    "torque": shaft_torque,
+    "p_receiver": receiver_inflow,
+    "T_receiver": receiver_temperature,
+    "T_turbine": turbine_temperature,
+    "p_charge": charge_inflow,
+    "T_charge": charge_temperature,
+    "T_compressor": compressor_temperature,
+}
+CONSTANT_SLIP: dict[str, Callable[..., Any]] = {
+    "p_receiver": receiver_inflow_constant,
+    "T_receiver": receiver_temperature_constant,
+    "p_charge": charge_inflow_constant,
+    "T_compressor": compressor_temperature_constant,
+}
+NOMINAL_SPEED: dict[
+    str, Callable[..., Any]
+] = {  # K24 (30) and Table I, where these do not depend on the torque; in K22 (6) they do
+    "p_cylinder": cylinder_pressure_nominal,
+    "T_cylinder": cylinder_temperature_nominal,
+}
+
+
+def variables_of(function: Callable[..., Any]) -> tuple[str, ...]:
+    """The variables on which an equation depends: its argument names but for the parameters."""
+    return tuple(name for name in argument_names(function) if name != "c")
+
+
+@equation
+def solved_torque(fuel: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """The torque that solves torque = shaft_torque(..., torque, ...) with T_6 at the speed of that torque.
+
+    A fixed number of sweeps, so that a derivative by complex numbers has settled as well as the value.
+    """
+    torque = c.torque_nominal / c.fuel_nominal * fuel
+    for _ in range(SWEEPS):
+        T_cylinder = cylinder_temperature(fuel, torque, p_charge, T_charge, c)
+        torque = shaft_torque(fuel, T_cylinder, torque, p_charge, T_charge, c)
+    return torque
+
+
+@equation
+def variables(fuel: Any, p_receiver: Any, p_charge: Any, c: EngineParameters, law: Any) -> tuple[Any, ...]:
+    """The algebraic variables in the order of ALGEBRAIC, and the slip; law: whether it follows its law or is nominal."""
+    T_charge = charge_temperature(c)
+    torque = solved_torque(fuel, p_charge, T_charge, c)
+    p_cylinder = cylinder_pressure(fuel, torque, p_charge, c)
+    T_cylinder = cylinder_temperature(fuel, torque, p_charge, T_charge, c)
+    slip = slip_law(torque, p_receiver, p_charge, T_charge, c) if law else c.slip_nominal + 0.0 * torque
+    T_receiver = receiver_temperature_at(fuel, p_cylinder, T_cylinder, slip, p_receiver, p_charge, T_charge, c)
+    T_turbine = turbine_temperature(p_receiver, T_receiver, p_charge, c)
+    T_compressor = compressor_temperature_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
+    return p_cylinder, T_cylinder, torque, T_receiver, T_turbine, T_charge, T_compressor, slip
+
+
+@equation
+def inflow_of(fuel: Any, p_receiver: Any, p_charge: Any, c: EngineParameters, law: Any) -> tuple[Any, Any]:
+    """h(3) and h(4) of the states, Pa/s."""
+    _, _, torque, T_receiver, _, T_charge, _, slip = variables(fuel, p_receiver, p_charge, c, law)
+    h3 = receiver_inflow_at(fuel, torque, slip, T_receiver, p_charge, T_charge, c)
+    h4 = charge_inflow_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
+    return h3, h4
+
+
+@compiled
+def advance(states: Any, inputs: Any, dt: float, substeps: int, c: EngineParameters, law: bool) -> Array:
+    """The exponential midpoint rule (discretise) in `substeps` of dt, for states (B, 3) with inputs (B, 1) held."""
+    result: Array = states.copy()
+    tau = np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
+    half, whole = -np.expm1(-dt / (2 * substeps) / tau), -np.expm1(-dt / substeps / tau)
+    for b in range(states.shape[0]):
+        x1, x3, x4 = states[b, 0], states[b, 1], states[b, 2]
+        level_1 = c.fuel_delay * fuel_inflow(inputs[b, 0], c)
+        for _ in range(substeps):
+            h3, h4 = inflow_of(x1, x3, x4, c, law)
+            middle_1 = x1 + half[0] * (level_1 - x1)
+            middle_3, middle_4 = x3 + half[1] * (tau[1] * h3 - x3), x4 + half[2] * (tau[2] * h4 - x4)
+            h3, h4 = inflow_of(middle_1, middle_3, middle_4, c, law)
+            x1 = x1 + whole[0] * (level_1 - x1)
+            x3, x4 = x3 + whole[1] * (tau[1] * h3 - x3), x4 + whole[2] * (tau[2] * h4 - x4)
+        result[b, 0], result[b, 1], result[b, 2] = x1, x3, x4
+    return result
+
+
+@compiled
+def inflows(states: Any, c: EngineParameters, law: bool) -> Array:
+    """h(3) and h(4), Pa/s (B, 2), of states (B, 3)."""
+    result = np.empty((states.shape[0], 2), states.dtype)
+    for b in range(states.shape[0]):
+        result[b, 0], result[b, 1] = inflow_of(states[b, 0], states[b, 1], states[b, 2], c, law)
+    return result
+
+
+@compiled
+def algebraic(states: Any, c: EngineParameters, law: bool) -> Array:
+    """The algebraic variables (B, 7) of states (B, 3), in the order of ALGEBRAIC."""
+    result = np.empty((states.shape[0], 7), states.dtype)
+    for b in range(states.shape[0]):
+        z = variables(states[b, 0], states[b, 1], states[b, 2], c, law)
+        result[b, 0], result[b, 1], result[b, 2] = z[0], z[1], z[2]
+        result[b, 3], result[b, 4], result[b, 5], result[b, 6] = z[3], z[4], z[5], z[6]
+    return result

@@ -1,0 +1,236 @@
+"""The engine as a plant: its operating points, its transients against an implicit integrator, its drivers, bad settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from fusion_sfdia.discretise import discretise
+from fusion_sfdia.equation import complex_step_jacobian, difference_jacobian
+from fusion_sfdia.models import marine_engine_equations as equations
+from fusion_sfdia.models.marine_engine import (
+    BLOCKS,
+    MODULES,
+    SENSORS,
+    decay_rates,
+    engine_physics,
+    marine_engine,
+)
+from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.simulate import simulate
+
+Array = NDArray[Any]
+EPS = np.finfo(float).eps
+C = engine_parameters()
+PLANT = marine_engine()
+FULL = np.ones(1)
+
+
+def array_plant(slip: str = "law", substeps: int = 2) -> Plant:
+    """The plant without compiled drivers: equations on arrays, sweeps over all algebraic variables."""
+    physics = engine_physics(C, slip, PLANT.x0, 1.0)
+    return discretise(
+        physics,
+        PLANT.sensors,
+        dt=0.01,
+        x0=PLANT.x0,
+        initial_cov=np.ones(3),
+        process_cov=np.ones(3),
+        substeps=substeps,
+        decay=decay_rates(C),
+    )
+
+
+def around(shape: tuple[int, ...], width: float = 0.2, seed: int = 0) -> Array:
+    return PLANT.x0 * np.random.default_rng(seed).uniform(1 - width, 1 + width, (*shape, 3))
+
+
+def test_the_operating_point_at_full_load() -> None:
+    found = engine_variables(PLANT.x0, C)
+    # the digits to which the point was worked out by hand; half a unit of the last one is allowed for
+    for name, value, half_a_digit in (
+        ("fuel", 2.835e-3, 5e-7),
+        ("p_cylinder", 1.7075e6, 50),
+        ("T_cylinder", 1101.4, 0.05),
+        ("torque", 51566, 0.5),
+        ("p_receiver", 3.95e5, 500),
+        ("T_receiver", 840.5, 0.05),
+        ("T_turbine", 632.9, 0.05),
+        ("p_charge", 4.52e5, 500),
+        ("T_charge", 328, 0.5),
+        ("T_compressor", 546.8, 0.05),
+        ("speed", 1000 / 60, 1e-9),
+        ("power", 5.4e6, 1e-3),
+    ):
+        assert found[name] == pytest.approx(value, abs=half_a_digit), name
+
+
+@pytest.mark.parametrize("slip", ["law", "constant"])
+def test_every_load_has_an_equilibrium_and_more_load_gives_more(slip: str) -> None:
+    loads = np.arange(0.2, 1.001, 0.05)
+    points = np.array([equilibrium(u, C, slip) for u in loads])
+    z = engine_variables(points, C, slip)
+    for name in ("fuel", "p_receiver", "p_charge", "torque", "power", "speed", "p_cylinder", "T_compressor"):
+        assert np.all(np.diff(z[name]) > 0), name
+    if slip == "law":
+        assert z["power"][12] == pytest.approx(3.93e6, abs=5e3)
+    plant = marine_engine(slip=slip)
+    moved = plant.step(0.0, points, loads[:, None], 0.01)
+    # the solver stops at 1e-12 of the pressures; a step moves them by at most (1 - e^-1) of the residual
+    np.testing.assert_allclose(moved, points, rtol=1e-12)
+
+
+def test_the_linearised_engine_is_stable_with_three_time_scales() -> None:
+    physics = engine_physics(C, "law", PLANT.x0, 1.0)
+
+    def slope(x: Array) -> Array:
+        z = equations.algebraic(np.ascontiguousarray(x).reshape(-1, 3), C, True).reshape(*x.shape[:-1], 7)
+        return physics.f(0.0, x, z, FULL, C)
+
+    eigenvalues = np.sort(np.linalg.eigvals(complex_step_jacobian(slope, PLANT.x0)).real)
+    np.testing.assert_allclose(eigenvalues, [-112.0, -66.7, -0.279], rtol=2e-3)  # to the digits stated
+    assert eigenvalues[1] == pytest.approx(-1 / C.fuel_delay, rel=1e-12)
+
+
+@pytest.mark.parametrize("method", ["BDF", "Radau"])
+def test_a_load_step_agrees_with_an_implicit_integrator(method: str) -> None:
+    t = np.arange(1, 2001) * 0.01
+    low = np.array([0.8])
+    physics = engine_physics(C, "law", PLANT.x0, 1.0)
+
+    def slope(s: float, x: Array) -> Array:
+        return physics.f(s, x, equations.algebraic(x[None], C, True)[0], low, C)
+
+    # rtol 1e-8 leaves the oracle a thousand times more exact than what is asked
+    oracle = solve_ivp(slope, (0.0, 20.0), PLANT.x0, method, t_eval=t, rtol=1e-8, atol=1e-10 * PLANT.x0).y.T
+    x, ours = PLANT.x0, []
+    for _ in t:
+        x = PLANT.step(0.0, x, low, 0.01)
+        ours.append(x)
+    states = np.array(ours)
+    error = np.abs(states / oracle - 1).max(axis=0)
+    assert np.all(error < 1e-3)
+    assert error[0] < 1e-7  # linear with a constant input: exact but for the oracle's own error
+    readings, wanted = PLANT.output(0.0, states, low), PLANT.output(0.0, oracle, low)
+    assert np.abs(readings / wanted - 1).max() < 1e-3
+
+
+def test_the_method_is_of_second_order() -> None:
+    # pressures out of rest with smooth h; fuel at rest, so that nothing jumps
+    start, counts, ends = PLANT.x0 * [1.0, 0.9, 1.1], np.array([1, 2, 4, 8]), []
+    for count in (*counts, 64):
+        x = start
+        for _ in range(5):
+            x = marine_engine(substeps=int(count)).step(0.0, x, FULL, 0.01)
+        ends.append(x)
+    errors = np.abs(np.array(ends[:-1]) / ends[-1] - 1).max(axis=-1)
+    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert order == pytest.approx(2.0, abs=0.1)  # the reference's own error is (1/8)^2 of the last: 1.6 % of it
+
+
+@pytest.mark.parametrize("slip", ["law", "constant"])
+def test_compiled_drivers_equal_the_equations_on_arrays(slip: str) -> None:
+    plant, arrays = marine_engine(slip=slip), array_plant(slip)
+    x, u = around((40,)), np.random.default_rng(1).uniform(0.3, 1.0, (40, 1))
+    # the sweeps on arrays stop at a change of 1e-13
+    np.testing.assert_allclose(plant.output(0.0, x, u), arrays.output(0.0, x, u), rtol=1e-12)
+    np.testing.assert_allclose(plant.step(0.0, x, u, 0.01), arrays.step(0.0, x, u, 0.01), rtol=1e-12)
+
+
+def test_a_batch_is_its_elements_to_the_bit() -> None:
+    x, u = around((3, 5)), np.random.default_rng(1).uniform(0.3, 1.0, (3, 5, 1))
+    moved, read = PLANT.step(0.0, x, u, 0.01), PLANT.output(0.0, x, u)
+    for i in np.ndindex(3, 5):
+        np.testing.assert_array_equal(PLANT.step(0.0, x[i], u[i], 0.01), moved[i])
+        np.testing.assert_array_equal(PLANT.output(0.0, x[i], u[i]), read[i])
+    np.testing.assert_array_equal(PLANT.step(0.0, x, FULL, 0.01), PLANT.step(0.0, x, np.ones((3, 5, 1)), 0.01))
+
+
+@pytest.mark.parametrize("slip", ["law", "constant"])
+def test_jacobians_are_those_of_differences_and_of_the_settled_loop(slip: str) -> None:
+    plant, arrays = marine_engine(slip=slip), array_plant(slip)
+    for x in around((4,), 0.1):
+        step_jacobian, output_jacobian = plant.step_jacobian_at(0.0, x, FULL, 0.01), plant.output_jacobian_at(0.0, x, FULL)
+        scaled = x / plant.step(0.0, x, FULL, 0.01)[:, None]
+        differences = difference_jacobian(lambda p: plant.step(0.0, p, FULL, 0.01), x, x)
+        # central differences of width eps^(1/3): truncation and rounding of about eps^(2/3) = 4e-11, with a margin of 1e3
+        np.testing.assert_allclose(step_jacobian * scaled, differences * scaled, atol=4e-8)
+        per_cent = x / plant.output(0.0, x, FULL)[:, None]
+        differences = difference_jacobian(lambda p: plant.output(0.0, p, FULL), x, x)
+        np.testing.assert_allclose(output_jacobian * per_cent, differences * per_cent, atol=4e-8)
+        # and the generic solver, which sweeps until the imaginary parts have settled, to 1e-13
+        np.testing.assert_allclose(step_jacobian * scaled, arrays.step_jacobian_at(0.0, x, FULL, 0.01) * scaled, atol=1e-11)
+        np.testing.assert_allclose(output_jacobian * per_cent, arrays.output_jacobian_at(0.0, x, FULL) * per_cent, atol=1e-11)
+
+
+def test_blocks_sensors_and_modules_are_those_of_the_paper() -> None:
+    assert [len(b.variables) for b in BLOCKS] == [1, 3, 3, 3]
+    assert PLANT.sensor_names == tuple(f"S({i}){{{j}}}" for i, n in enumerate((1, 3, 3, 3), 1) for j in range(1, n + 1))
+    assert [s.owner for s in PLANT.sensors] == [b.name for b in BLOCKS for _ in b.variables]
+    assert list(SENSORS.values()) == [v for b in BLOCKS for v in b.variables]
+    assert sorted(m.variable for m in MODULES.values()) == sorted(SENSORS.values())
+    assert all(SENSORS[m.sensors[0]] or set(m.sensors) <= set(SENSORS) for m in MODULES.values())
+    values = engine_variables(PLANT.x0, C)
+    np.testing.assert_allclose([s.noise_bound for s in PLANT.sensors], [0.05 * values[v] for v in SENSORS.values()])
+
+
+def test_readings_of_healthy_full_load_stay_within_the_noise_bound() -> None:
+    recording = simulate(PLANT, 200, [0, 1])
+    values = engine_variables(PLANT.x0, C)
+    nominal = np.array([values[v] for v in SENSORS.values()])
+    np.testing.assert_allclose(recording.signal, np.broadcast_to(nominal, recording.signal.shape), rtol=1e-10)
+    error = np.abs(recording.y / nominal - 1)
+    assert error.max() <= 0.05 * (1 + 1e-9) and error.max() > 0.0499  # 4000 uniform draws come within 0.2 % of the bound
+
+
+def test_a_longer_step_is_divided() -> None:
+    x, low = PLANT.x0, np.array([0.8])
+    for _ in range(10):
+        x = PLANT.step(0.0, x, low, 0.01)
+    np.testing.assert_allclose(PLANT.step(0.0, PLANT.x0, low, 0.1), x, rtol=200 * EPS)  # a hundred roundings of each factor
+
+
+def test_a_finer_twin_is_the_same_engine() -> None:
+    assert PLANT.finer is not None
+    twin, to_states = PLANT.finer()
+    x = around((2,))
+    np.testing.assert_array_equal(to_states(x), x)
+    assert twin.sensors == PLANT.sensors
+    np.testing.assert_allclose(twin.step(0.0, x, FULL, 0.01), PLANT.step(0.0, x, FULL, 0.01), rtol=1e-2)
+    assert np.any(twin.step(0.0, x, FULL, 0.01) != PLANT.step(0.0, x, FULL, 0.01))
+
+
+def test_bad_settings_name_the_cure() -> None:
+    for load in (0.1, 1.2, np.nan):
+        with pytest.raises(ValueError, match=r"load is .*; the engine's model holds from 0\.2 to 1\.0 of full load"):
+            marine_engine(load=load)
+    with pytest.raises(ValueError, match="slip is 'none'; known: law, constant"):
+        marine_engine(slip="none")
+    with pytest.raises(ValueError, match=r"noise is 0\.0; wanted a positive share"):
+        marine_engine(noise=0.0)
+    with pytest.raises(ValueError, match=r"dt is -1\.0 s"):
+        marine_engine(dt=-1.0)
+    with pytest.raises(ValueError, match="p_receiver is -1; fuel and pressures must be positive"):
+        engine_variables(np.array([2e-3, -1.0, 3e5]), C)
+    with pytest.raises(ValueError, match=r"states have shape \(2,\)"):
+        engine_variables(np.ones(2), C)
+    with pytest.raises(ValueError, match=r"give no positive p_cylinder, .*torque"):
+        engine_variables(np.array([1e-5, 3e5, 3e5]), C)
+
+
+def test_without_an_equilibrium_the_solver_says_so() -> None:
+    with pytest.raises(ArithmeticError, match=r"no equilibrium at load 1: residual .* of the pressures"):
+        equilibrium(1.0, C._replace(loss_nominal=1e6))
+
+
+def test_a_simulation_that_leaves_the_model_says_where() -> None:
+    with pytest.raises(ArithmeticError, match=r"left the limits of 'marine-engine' at .* fuel = 0.003"):
+        simulate(PLANT, 100, [0], inputs=lambda t: np.array([1.5]))
+    with pytest.raises(ArithmeticError, match=r"left the limits of 'marine-engine' at 0.01 s: "):
+        simulate(PLANT, 100, [0], start=np.array([2.8e-3, 4e5, -1e5]))
