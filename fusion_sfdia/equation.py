@@ -23,8 +23,11 @@ COMPLEX_STEP = 1e-30  # no subtraction takes place, so any size free of underflo
 
 
 def equation(function: F) -> F:
-    """Mark a scalar function as an equation: Python for arrays and complex numbers, compiled inside compiled callers."""
-    return register_jitable(function)  # type: ignore[no-any-return]
+    """Mark a scalar function as an equation: Python for arrays and complex numbers, compiled inside compiled callers.
+
+    There it is always inlined, without which no loop over it is turned into vector instructions.
+    """
+    return register_jitable(forceinline=True)(function)  # type: ignore[no-any-return]
 
 
 def compiled(function: F) -> F:

@@ -72,7 +72,9 @@ def steady_state(
 
     def along(s: float, y: Array) -> Array:
         p, T = y
-        p_t, m_t, T_t, v, _, rho, _, alpha_1, alpha_2, cp = equations.rates(p, flow, T, 0.0, 0.0, 0.0, c)
+        p_t, m_t, T_t, v, _, rho, _, alpha_1, alpha_2, cp = equations.rates(
+            p, flow, T, 0.0, 0.0, 0.0, equations.friction_factor(flow, c), c
+        )
         kappa = alpha_1 / (rho * cp)
         matrix = np.array([[area - flow * v * alpha_2 / p, flow * v * alpha_1 / T], [-kappa * v, v]])
         solution: Array = np.linalg.solve(matrix, np.array([m_t, T_t - kappa * p_t]))
@@ -129,7 +131,7 @@ def pipeline_physics(nodes: int, parameters: PipelineParameters) -> Physics:
 
     def f(t: float, x: Array, z: Array, u: Array, c: PipelineParameters) -> Array:
         p, m, T = (x[..., v * nodes : (v + 1) * nodes] for v in range(3))
-        local = (p, m, T, p @ derivative.T, m @ derivative.T, T @ derivative.T)
+        local = (p, m, T, p @ derivative.T, m @ derivative.T, T @ derivative.T, equations.friction_factor(m, c))
         inner = equations.rates(*local, c)[:3]
         inlet = equations.inlet_rates(*[a[..., 0] for a in local], u[..., 0], u[..., 1], c)  # type: ignore[arg-type, call-arg]
         outlet = equations.outlet_rates(*[a[..., -1] for a in local], u[..., 2], c)  # type: ignore[arg-type, call-arg]
