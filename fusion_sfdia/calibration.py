@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.arguments import floats, probability, whole
 from fusion_sfdia.detector import run
 from fusion_sfdia.fusing_bank import FusingBank
 
@@ -19,14 +20,18 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
 
     t (K,), y (K, ..., N) healthy readings, u (K, ..., m). The threshold of a quantity is an order statistic of its
     largest residual after the first `warm_up` samples, in which the filter settles; the quantities share the budget
-    equally. ValueError where the data are too few for the rate: less than one sample expected above the threshold.
+    equally. Runs in which the bank diverges are left out. ValueError where the data are too few for the rate: less than one
+    sample expected above the threshold.
     """
-    if not 0 < false_alarm < 1:
-        raise ValueError(f"false_alarm is {false_alarm}; a probability strictly between 0 and 1 is wanted")
+    probability("false_alarm", false_alarm)
+    whole("warm_up", warm_up, least=0)
+    t, y, u = floats("t", t), floats("y", y), floats("u", u)
+    if t.ndim != 1 or not t.size or y.ndim < 2:
+        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; wanted at least one time (K,) and readings (K, ..., sensors)")
     groups = bank.plant.quantities
-    state = bank.init(y.shape[1:-1], float(t[0]) - bank.plant.dt)
-    _, decisions = run(replace(bank, thresholds=None), state, t, y, u)
-    residual = np.abs(decisions.residual[warm_up:]).reshape(-1, y.shape[-1])
+    silent = replace(bank, thresholds=(np.inf,) * len(bank.plant.sensors))
+    _, decisions = run(silent, silent.init(y.shape[1:-1], float(t[0]) - bank.plant.dt), t, y, u)
+    residual = np.abs(decisions.residual[warm_up:, ~np.any(decisions.diverged, axis=0)]).reshape(-1, y.shape[-1])
     share = false_alarm / len(groups)
     if share * residual.shape[0] < 1:
         raise ValueError(

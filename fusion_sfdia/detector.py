@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.arguments import floats
 from fusion_sfdia.plant import Plant
 
 Array = NDArray[Any]
@@ -23,8 +24,9 @@ class Decision:
     residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf cannot judge yet.
     isolated: (..., hypotheses) bool, the hypotheses held to be true. fault_size: (..., hypotheses), NaN where not isolated.
     nis: normalised innovation squared per reading used (...); 1 on average for a consistent filter, NaN where there is none.
-    diverged: (...) bool, the estimator has broken down: estimate is NaN and nothing else of this Decision counts.
-    guarded: (...) bool, the estimate left the limits of the model and was moved back.
+    diverged: (...) bool, the estimator has broken down or the model gave it no number, now or in an earlier step: every number
+    of this Decision is NaN and nothing is isolated.
+    guarded: (...) bool, the estimate, or a point of those that stand for it, left the limits of the model and was moved back.
     """
 
     estimate: Array
@@ -73,8 +75,12 @@ class Detector(Protocol):
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]: ...
 
 
-def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> None:
-    """Raise ValueError unless y is (*batch, N) and u broadcasts to (*batch, m) without infinities or missing inputs."""
+def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return y as floats (*batch, N), NaN where missing, and u as (*batch, m), which may have been given once for all runs.
+
+    ValueError for anything but numbers, for other shapes, infinities and missing inputs.
+    """
+    y, u = floats("y", y), floats("u", u)
     n, m = len(plant.sensors), len(plant.inputs)
     if y.shape != (*batch, n):
         raise ValueError(
@@ -90,13 +96,18 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> N
         raise ValueError("y has infinite readings; pass NaN for a missing one")
     if not np.all(np.isfinite(u)):
         raise ValueError("u has values that are not finite; an input must be known")
+    return y, np.broadcast_to(u, (*batch, m))
 
 
 def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covariance: bool = False) -> tuple[State, Decision]:
     """Step through t (K,), y (K, ..., N), u (K, ..., m); return the last state and the Decisions stacked over time.
 
-    The covariances are left out unless asked for: they are the bulk of the memory.
+    The covariances are left out unless asked for: they are the bulk of the memory. ValueError where t, y and u are not of one
+    length, or there is no reading.
     """
+    t, y, u = floats("t", t), floats("y", y), floats("u", u)
+    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape:
+        raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, ..., sensors), (K, ..., inputs)")
     if not len(t):
         raise ValueError("there are no readings: t is empty; pass at least one time")
     decisions = []

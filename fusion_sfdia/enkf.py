@@ -18,6 +18,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.arguments import number, whole
 from fusion_sfdia.gaussian import Joint, add, half_inverse, inverse, sample, whiten
 
 Array = NDArray[Any]
@@ -46,11 +47,11 @@ class EnKFSettings:
     localisation: Taper | None = None
 
     def __post_init__(self) -> None:
-        if self.size < 2:
+        if whole("size of the ensemble", self.size, least=1) < 2:
             raise ValueError(f"an ensemble of {self.size}; a covariance needs at least 2 members")
         if self.method not in get_args(Method):
             raise ValueError(f"unknown EnKF method {self.method!r}; known: {', '.join(get_args(Method))}")
-        if not self.inflation > 0:
+        if not number("inflation", self.inflation) > 0:
             raise ValueError(f"inflation is {self.inflation}; it must be positive, 1 for none")
         if self.localisation is not None and self.method == "square-root":
             raise ValueError("the square-root update takes no localisation; use method 'deterministic' or 'stochastic'")
@@ -110,7 +111,8 @@ def _in_member_space(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R
     M = Y @ Yt
     np.einsum("...ii->...i", M)[...] += over
     if settings.method == "square-root":
-        values, vectors = np.linalg.eigh(M)
+        sound = np.all(np.isfinite(M), axis=(-2, -1), keepdims=True)  # LAPACK gives up on the whole batch otherwise
+        values, vectors = np.linalg.eigh(np.where(sound, M, np.eye(M.shape[-1])))
         vt = np.swapaxes(vectors, -1, -2)
         weights = ((shift @ Yt @ vectors) / values[..., None, :]) @ vt
         transform = (vectors * np.sqrt(over / values)[..., None, :]) @ vt

@@ -1,8 +1,9 @@
 """The three filters of the banks behind one face: start, predict, joint, and what a bank does with their state.
 
 A core is what a filter carries from step to step, a tuple of arrays: (x, P) for the extended and unscented filters,
-(ensemble,) for the ensemble filter. Each keeps the plant's limits: a prediction starts from the state moved into them, a
-state whose step still ends in no number stays where it is, and both are told as `guarded`.
+(ensemble,) for the ensemble filter. Each keeps the plant's limits: a prediction starts from the state moved into them, told
+as `guarded`. An estimate whose step ends in no number, or most of whose points' steps do, is `lost`: it stays where it is so
+that the rest of the batch goes on, and the detector calls it diverged.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import ekf, enkf, gaussian, ukf
+from fusion_sfdia.arguments import shown
 from fusion_sfdia.gaussian import Joint
 from fusion_sfdia.plant import Plant
 
@@ -22,12 +24,14 @@ Core = tuple[Array, ...]
 
 
 class Prior(NamedTuple):
-    """A filter between its two halves: core before the reading, whether the estimate had to be moved into the plant's
-    limits (...), and, where the filter has them, the Jacobian of the step and the sigma points that wait for the reading.
+    """A filter between its two halves: core before the reading, whether the estimate or a point of it had to be moved into the
+    plant's limits (...), whether the model gave it no number (...), and, where the filter has them, the Jacobian of the step
+    and the sigma points that wait for the reading.
     """
 
     core: Core
     guarded: Array
+    lost: Array
     tangent: Array | None = None
     propagated: Array | None = None
 
@@ -61,14 +65,58 @@ class Reading(NamedTuple):
     cov_gain: float = 1.0
 
 
-def guarded_step(plant: Plant, t: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
-    """Return the states (..., n) after a step from within the plant's limits, and whether any was guarded (...)."""
-    inside, moved = plant.guard(x)
-    ahead = plant.step(t, inside, u, dt)
+class Stepped(NamedTuple):
+    """States (..., n) within the plant's limits from which a step began, and those at which it ended, `start` itself where it
+    ended in no number; whether a state had to be moved into the limits (...); whether its step ended in no number (...).
+    """
+
+    start: Array
+    ahead: Array
+    moved: Array
+    lost: Array
+
+
+def guarded_step(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepped:
+    """Step the states x (..., n) from within the plant's limits; ValueError where the plant's step changes their shape."""
+    start, moved = plant.guard(x)
+    ahead = np.asarray(plant.step(t, start, u, dt))
+    if ahead.shape != start.shape:
+        raise ValueError(
+            f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; wanted the same: "
+            "a batch is leading axes"
+        )
     lost = ~np.all(np.isfinite(ahead), axis=-1)
-    if not np.any(lost):
-        return ahead, moved
-    return np.where(lost[..., None], inside, ahead), moved | lost
+    return Stepped(start, np.where(lost[..., None], start, ahead) if np.any(lost) else ahead, moved, lost)
+
+
+def guarded_points(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepped:
+    """Step the points x (..., M, n) that together stand for an estimate, under its input u (..., m); moved and lost are (...).
+
+    It is lost where more than half of them have no step. A point without one goes along with the mean of the others, else
+    it would spread them by all that they have moved.
+    """
+    start, ahead, moved, lost = guarded_step(plant, t, x, np.expand_dims(u, -2), dt)
+    if np.any(lost):
+        sound = np.maximum(np.sum(~lost, axis=-1), 1)[..., None]
+        drift = np.sum(ahead - start, axis=-2) / sound  # the lost ones have not moved
+        ahead = np.where(lost[..., None], start + drift[..., None, :], ahead)
+    return Stepped(start, ahead, np.any(moved | lost, axis=-1), 2 * np.sum(lost, axis=-1) > x.shape[-2])
+
+
+def readings_of(plant: Plant, t: float, x: Array, u: Array) -> Array:
+    """Return the readings (..., N) of the plant in states x (..., n); ValueError where its output has another shape."""
+    y = np.asarray(plant.output(t, x, u))
+    if y.shape != (wanted := (*x.shape[:-1], len(plant.sensors))):
+        raise ValueError(
+            f"output of plant {plant.name!r} gives shape {y.shape} for states {x.shape}; wanted {wanted}, a column a sensor"
+        )
+    return y
+
+
+def require_filter(estimator: object) -> None:
+    """Raise ValueError for anything but an estimator, as for its class in place of an instance."""
+    if isinstance(estimator, type) or not hasattr(estimator, "assimilate"):
+        raise ValueError(f"estimator is {shown(estimator)}; wanted Extended(), Unscented() or Ensemble()")
 
 
 class _Moments:
@@ -90,17 +138,16 @@ class Extended(_Moments):
     consistent: bool = field(default=True, init=False, repr=False)
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        start, _ = plant.guard(core[0])
-        ahead, guarded = guarded_step(plant, t, core[0], u, dt)
+        start, ahead, moved, lost = guarded_step(plant, t, core[0], u, dt)
         jacobian = plant.step_jacobian_at(t, start, u, dt)
-        if np.any(guarded):  # beyond its limits the model has no slope to speak of
-            jacobian = np.where(guarded[..., None, None], np.eye(start.shape[-1]), jacobian)
+        if np.any(beyond := moved | lost):  # beyond its limits the model has no slope to speak of
+            jacobian = np.where(beyond[..., None, None], np.eye(start.shape[-1]), jacobian)
         x, p = ekf.predict(start, core[1], lambda s: ahead, jacobian, plant.process_cov_over(dt))
-        return Prior((x, p), guarded, tangent=jacobian)
+        return Prior((x, p), beyond, lost, tangent=jacobian)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
-        return ekf.joint(x, p, lambda s: plant.output(t, s, u), plant.output_jacobian_at(t, x, u), plant.sensor_cov)
+        return ekf.joint(x, p, lambda s: readings_of(plant, t, s, u), plant.output_jacobian_at(t, x, u), plant.sensor_cov)
 
 
 @dataclass(frozen=True)
@@ -120,16 +167,15 @@ class Unscented(_Moments):
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         start, moved = plant.guard(core[0])
-        over = np.expand_dims(u, -2)
-        x, p, propagated = ukf.predict(
-            self.points, start, core[1], lambda s: guarded_step(plant, t, s, over, dt)[0], plant.process_cov_over(dt)
-        )
-        return Prior((x, p), moved, propagated=None if self.redraw else propagated)
+        points = ukf.draw(self.points, start, core[1])
+        _, ahead, any_moved, lost = guarded_points(plant, t, points, u, dt)
+        x, p = ukf.moments(self.points, ahead, plant.process_cov_over(dt))
+        return Prior((x, p), moved | any_moved, lost, propagated=None if self.redraw else ahead)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
         over = np.expand_dims(u, -2)
-        return ukf.joint(self.points, x, p, lambda s: plant.output(t, s, over), plant.sensor_cov, prior.propagated)
+        return ukf.joint(self.points, x, p, lambda s: readings_of(plant, t, s, over), plant.sensor_cov, prior.propagated)
 
 
 @dataclass(frozen=True)
@@ -145,13 +191,13 @@ class Ensemble:
         return (plant.x0 + gaussian.sample(plant.initial_cov, rng, (*batch, self.settings.size)),)
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        members, guarded = guarded_step(plant, t, core[0], np.expand_dims(u, -2), dt)
-        members = enkf.predict(members, lambda s: s, plant.process_cov_over(dt), rng)
-        return Prior((members,), np.any(guarded, axis=-1))
+        _, ahead, guarded, lost = guarded_points(plant, t, core[0], u, dt)
+        members = enkf.predict(ahead, lambda s: s, plant.process_cov_over(dt), rng)
+        return Prior((members,), guarded, lost)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         over = np.expand_dims(u, -2)
-        return enkf.joint(prior.core[0], lambda s: plant.output(t, s, over), plant.sensor_cov)
+        return enkf.joint(prior.core[0], lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         over = np.expand_dims(reading.u, -2)

@@ -7,6 +7,7 @@ gives each local ensemble the mixture's mean and covariance.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -14,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import mixing
-from fusion_sfdia.detector import Decision, State, check_reading
-from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, step_stream
+from fusion_sfdia.arguments import floats
+from fusion_sfdia.batch_detector import BatchDetector, Moment
+from fusion_sfdia.detector import Decision, State
+from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
 from fusion_sfdia.gaussian import Joint
-from fusion_sfdia.health import broken, keep_broken_out, without_broken
+from fusion_sfdia.health import broken
 from fusion_sfdia.leave_one_out import local_estimates, normalised_innovation_squared, posterior, statistics
-from fusion_sfdia.plant import Plant
 
 Array = NDArray[Any]
 
@@ -35,18 +37,18 @@ class Mixed(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FusingBank:
+class FusingBank(BatchDetector):
     """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
 
     plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum
     to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
     gives the same numbers for the price of one (equal beta only: unequal beta always runs literally).
-    thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units; None never alarms (set them
-    with `calibration.calibrate`). residual_scale: (n,) by which states are divided in the residual (20), which otherwise
-    adds unlike units; None for the plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
+    thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units: the paper gives none, so set them
+    with `calibration.calibrate`. Without, no alarm is ever raised, of which `init` warns; (inf,) * N says that it is meant so.
+    residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds unlike units; None for the
+    plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
     """
 
-    plant: Plant
     estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
     beta: tuple[float, ...] | None = None
     thresholds: tuple[float, ...] | None = None
@@ -55,61 +57,62 @@ class FusingBank:
     literal: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        require_filter(self.estimator)
         n, count = len(self.plant.states), len(self.plant.sensors)
         if count < 2:
             raise ValueError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")
-        for what, values, wanted in (
-            ("beta", self.beta, count), ("thresholds", self.thresholds, count), ("residual_scale", self.residual_scale, n),
-        ):  # fmt: skip
-            if values is not None and (len(values) != wanted or not all(v > 0 for v in values)):
-                raise ValueError(
-                    f"{what} must be {wanted} positive numbers; got {len(values)}, the least {min(values, default=0)}"
-                )
+        for what, wanted in (("beta", count), ("thresholds", count), ("residual_scale", n)):
+            if getattr(self, what) is None:
+                continue
+            values = floats(what, getattr(self, what))
+            if values.shape != (wanted,) or not np.all(values > 0):
+                least = f"{values.min():g}" if values.size else "none"
+                raise ValueError(f"{what} must be {wanted} positive numbers; got shape {values.shape}, the least {least}")
+            object.__setattr__(self, what, tuple(values.tolist()))
         if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
             raise ValueError(f"beta sums to {sum(self.beta):.6g}; the information distribution factors must sum to 1")
-
-    @property
-    def hypotheses(self) -> tuple[str, ...]:
-        return self.plant.sensor_names
 
     @property
     def runs_literally(self) -> bool:
         return self.literal or (self.beta is not None and len(set(self.beta)) > 1)
 
-    def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
-        """State at time t: seed, step count, time, diverged (*batch), and the filter's core (with an axis N when literal)."""
+    def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
+        """As of every detector; a UserWarning where there are no thresholds."""
+        if self.thresholds is None:
+            warnings.warn(
+                "FusingBank has no thresholds and will never raise an alarm; set them with calibrate() on healthy readings, "
+                "or thresholds=(inf,) * N where no alarm is wanted",
+                stacklevel=2,
+            )
+        return super().init(batch, t, seed)
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """The filter's core, with an axis N after the batch when literal."""
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         if self.runs_literally:
             axis, count = len(batch), len(self.plant.sensors)
             core = tuple(np.repeat(np.expand_dims(a, axis), count, axis=axis) for a in core)
-        return np.array(seed, np.uint64), np.array(0), np.array(float(t)), np.zeros(batch, bool), *core
+        return core
 
-    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
-        """Diagnose the readings y (..., N) at t under the input u (..., m); ValueError for a wrong shape or time."""
-        seed, k, last, diverged = state[:4]
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
-        check_reading(plant, y, u, diverged.shape)
-        plant.check_dt(dt := t - float(last))
-        k = k + 1
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            prior = self._predict(state[4:], diverged.ndim, float(last), u, dt, seed, k)
-            joints = [self.estimator.joint(plant, p, t, u) for p in prior]
-            used = np.isfinite(y)
-            mixed = self._mix(prior, joints, t, y, u, used, seed, k)
-            seen = plant.output(t, mixed.local, u[..., None, :])
-            state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
-            residual = np.where(used, np.sqrt(state_variance), np.nan)
-            threshold = np.broadcast_to(np.inf if self.thresholds is None else np.asarray(self.thresholds), y.shape)
-            distance = np.linalg.norm((mixed.local - mixed.x[..., None, :]) / scale, axis=-1)  # (20)
-            alarm = np.any(residual > threshold, axis=-1)
-            suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
-            isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
-            if self.accommodate and np.any(isolated):
-                mixed = self._mix(prior, joints, t, y, u, used & ~isolated, seed, k)
-            without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
-            expected = plant.output(t, mixed.x, u)
-        diverged = diverged | broken(mixed.x, mixed.p)
-        core = keep_broken_out(diverged, mixed.core, self.init(diverged.shape, t, int(seed))[4:])
+        prior = self._predict(core, y.ndim - 1, now, u)
+        joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
+        used = np.isfinite(y)
+        mixed = self._mix(prior, joints, now, y, u, used)
+        seen = plant.output(now.t, mixed.local, u[..., None, :])
+        state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
+        residual = np.where(used, np.sqrt(state_variance), np.nan)
+        threshold = np.broadcast_to(np.inf if self.thresholds is None else np.asarray(self.thresholds), y.shape)
+        distance = np.linalg.norm((mixed.local - mixed.x[..., None, :]) / scale, axis=-1)  # (20)
+        alarm = np.any(residual > threshold, axis=-1)
+        suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
+        isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
+        if self.accommodate and np.any(isolated):
+            mixed = self._mix(prior, joints, now, y, u, used & ~isolated)
+        without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
+        expected = plant.output(now.t, mixed.x, u)
         decision = Decision(
             estimate=mixed.x,
             measured=np.where(used & ~isolated, y, expected),
@@ -117,33 +120,34 @@ class FusingBank:
             threshold=threshold.copy(),
             isolated=isolated,
             fault_size=np.where(isolated, y - without, np.nan),
-            diverged=diverged,
+            diverged=np.any([p.lost for p in prior], axis=0) | broken(mixed.x, mixed.p),
             guarded=np.any([p.guarded for p in prior], axis=0),
             nis=mixed.nis,
             covariance=mixed.p,
         )
-        return (seed, k, np.array(t), diverged, *core), without_broken(decision, diverged)
+        return mixed.core, decision
 
-    def _predict(self, core: Core, axis: int, t: float, u: Array, dt: float, seed: Array, k: Array) -> list[Prior]:
+    def _predict(self, core: Core, axis: int, now: Moment, u: Array) -> list[Prior]:
         """The prior of each local filter (their axis in a literal core is given), or the one they share."""
-        if not self.runs_literally:
-            return [self.estimator.predict(self.plant, core, t, u, dt, step_stream(seed, k))]
-        one_by_one = (tuple(np.take(a, i, axis=axis) for a in core) for i in range(len(self.plant.sensors)))
-        return [self.estimator.predict(self.plant, c, t, u, dt, step_stream(seed, k)) for c in one_by_one]
+        cores = [core]
+        if self.runs_literally:
+            cores = [tuple(np.take(a, i, axis=axis) for a in core) for i in range(len(self.plant.sensors))]
+        est, plant = self.estimator, self.plant
+        return [est.predict(plant, c, now.last, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
 
-    def _mix(
-        self, priors: list[Prior], joints: list[Joint], t: float, y: Array, u: Array, used: Array, seed: Array, k: Array
-    ) -> Mixed:
+    def _mix(self, priors: list[Prior], joints: list[Joint], now: Moment, y: Array, u: Array, used: Array) -> Mixed:
         """Steps 2 to 4: local updates, mixture, feedback."""
         plant, est, count = self.plant, self.estimator, len(self.plant.sensors)
         beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
-        reading = Reading(t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
+        reading = Reading(now.t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
         founds = [statistics(joints[0], y, used)]
         if self.runs_literally:
             founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
             parts = [posterior(joint, found) for joint, found in zip(joints, founds, strict=True)]
-            local = np.stack([x for x, _ in parts], axis=-2)
-            x, p = mixing.mix(local, np.stack([p for _, p in parts], axis=-3), plant.state_scale)
+            local, p = np.stack([x for x, _ in parts], axis=-2), np.stack([p for _, p in parts], axis=-3)
+            # LAPACK's eigenvalues give up on the whole batch where one has no numbers; its local estimates have none either
+            sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
+            x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
         else:
             local, _ = local_estimates(joints[0], founds[0])
             if est.consistent:
@@ -151,7 +155,7 @@ class FusingBank:
             else:
                 x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
         cores = [
-            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(seed, k + np.int64(2**32)))
+            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(now.seed, now.k + 2**32))
             for prior, b in zip(priors, beta, strict=False)
         ]
         core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))

@@ -40,8 +40,10 @@ def without_broken(decision: Decision, diverged: Array) -> Decision:
         estimate=np.where(gone, np.nan, decision.estimate),
         measured=np.where(gone, np.nan, decision.measured),
         residual=np.where(gone, np.nan, decision.residual),
+        threshold=np.where(gone, np.nan, decision.threshold),
         isolated=decision.isolated & ~gone,
         fault_size=np.where(gone, np.nan, decision.fault_size),
         nis=np.where(diverged, np.nan, decision.nis),
         diverged=diverged,
+        covariance=None if decision.covariance is None else np.where(gone[..., None], np.nan, decision.covariance),
     )

@@ -19,19 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fusion_sfdia.detector import Decision, State, check_reading
-from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Prior, step_stream
+from fusion_sfdia.arguments import probability, whole
+from fusion_sfdia.batch_detector import BatchDetector, Moment
+from fusion_sfdia.detector import Decision, State
+from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Prior, require_filter, step_stream
 from fusion_sfdia.exclusion import Exclusion, exclude, nobody, watch
-from fusion_sfdia.health import broken, keep_broken_out, without_broken
+from fusion_sfdia.health import broken
 from fusion_sfdia.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.likelihood_window import Best, Evidence, Window, absorbed, advance, best_onset, empty, weigh
-from fusion_sfdia.plant import Plant
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class LeaveOneOutBank:
+class LeaveOneOutBank(BatchDetector):
     """Leave-one-out bank on one central filter (extended or unscented with redraw).
 
     window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
@@ -42,7 +43,6 @@ class LeaveOneOutBank:
     the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.
     """
 
-    plant: Plant
     estimator: Estimator = field(default_factory=Extended)
     window: int = 15
     false_alarm: float = 1e-3
@@ -50,22 +50,18 @@ class LeaveOneOutBank:
     accommodate: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 < self.false_alarm < 1:
-            raise ValueError(f"false_alarm is {self.false_alarm}; a probability strictly between 0 and 1 is wanted")
-        if self.window < 1:
-            raise ValueError(f"window is {self.window}; it must be at least 1 sample")
+        super().__post_init__()
+        require_filter(self.estimator)
+        probability("false_alarm", self.false_alarm)
+        whole("window, in samples,", self.window, least=1)
         if isinstance(self.estimator, Ensemble) or not self.estimator.consistent:
             raise ValueError(
                 f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)"
             )
-        if self.max_faults is not None and not 0 < self.max_faults < len(self.plant.sensors):
+        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
             raise ValueError(
                 f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
             )
-
-    @property
-    def hypotheses(self) -> tuple[str, ...]:
-        return self.plant.sensor_names
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -76,40 +72,17 @@ class LeaveOneOutBank:
         half = self.false_alarm / 2 / count
         return float(ndtri(half / 2) ** 2), float(ndtri(half / (self.window - 1) / 2) ** 2)
 
-    def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
-        """State at time t: step count, time, diverged (*batch), x, P, the exclusions, and the window's eta, a, b."""
-        n, count, lags = len(self.plant.states), len(self.plant.sensors), self.window - 1
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """x, P, the exclusions, and the window's eta, a, b."""
+        n, count = len(self.plant.states), len(self.plant.sensors)
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        window = empty(batch, lags, n, count)
-        return np.array(float(t)), np.zeros(batch, bool), *core, *nobody(batch, count), *window
+        return *core, *nobody(batch, count), *empty(batch, self.window - 1, n, count)
 
-    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
-        """Diagnose the readings y (..., N) at t under the input u (..., m); ValueError for a wrong shape or time."""
-        last, diverged, x, p = state[:4]
-        exclusion, window = Exclusion(*state[4:9]), Window(*state[9:])
-        check_reading(self.plant, y, u, diverged.shape)
-        self.plant.check_dt(dt := t - float(last))
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            core, exclusion, window, decision = self._judge((x, p), exclusion, window, float(last), t, dt, y, u)
-        diverged = diverged | decision.diverged
-        fresh = self.init(diverged.shape, t)[2:]
-        core = keep_broken_out(diverged, (*core, *exclusion, *window), fresh)
-        return (np.array(t), diverged, *core), without_broken(decision, diverged)
-
-    def _judge(
-        self,
-        core: tuple[Array, ...],
-        exclusion: Exclusion,
-        window: Window,
-        last: float,
-        t: float,
-        dt: float,
-        y: Array,
-        u: Array,
-    ) -> tuple[tuple[Array, ...], Exclusion, Window, Decision]:
-        plant, est = self.plant, self.estimator
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        exclusion, window = Exclusion(*core[2:7]), Window(*core[7:])
+        plant, est, t = self.plant, self.estimator, now.t
         one_limit, window_limit = self.limits
-        prior = est.predict(plant, core, last, u, dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
@@ -117,7 +90,7 @@ class LeaveOneOutBank:
         size, residual = everything.innovation, everything.innovation
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
-            tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(last, core[0], u, dt)
+            tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.last, core[0], u, now.dt)
             evidence = weigh(window, tangent, plant.output_jacobian_at(t, prior.core[0], u), everything)
             best = best_onset(evidence, usable, plant.sensor_cov)
             stronger = best.statistic / window_limit > everything.chi_square / one_limit
@@ -154,12 +127,12 @@ class LeaveOneOutBank:
             threshold=np.where(outside, np.sqrt(one_limit * variance), threshold),
             isolated=held,
             fault_size=np.where(held, exclusion.size if self.accommodate else size, np.nan),
-            diverged=broken(x, p),
+            diverged=prior.lost | broken(x, p),
             guarded=prior.guarded,
             nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
         )
-        return (x, p), exclusion, window, decision
+        return (x, p, *exclusion, *window), decision
 
     @property
     def _most_faults(self) -> int:

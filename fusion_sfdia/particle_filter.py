@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia import particle
-from fusion_sfdia.detector import Decision, State, check_reading
-from fusion_sfdia.estimators import guarded_step, step_stream
+from fusion_sfdia.arguments import probability, whole
+from fusion_sfdia.batch_detector import BatchDetector, Moment
+from fusion_sfdia.detector import Decision, State
+from fusion_sfdia.estimators import guarded_points, step_stream
 from fusion_sfdia.gaussian import add, whiten
-from fusion_sfdia.health import broken, keep_broken_out, without_broken
+from fusion_sfdia.health import broken
 from fusion_sfdia.particle import Particles
-from fusion_sfdia.plant import Plant
 
 Array = NDArray[Any]
 
@@ -38,7 +39,7 @@ class Judged(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ParticleFilter:
+class ParticleFilter(BatchDetector):
     """Residual: a reading less its mean by the particles weighed by all other readings; threshold: normal quantiles of its
     spread at a false-alarm budget per step over all sensors (Bonferroni), nominal where its law is far from normal. Names the
     sensor with the largest ratio and goes on without it until no ratio exceeds 1.
@@ -47,52 +48,37 @@ class ParticleFilter:
     particles without the sensors named in this step. The state's estimate and covariance are the weighted moments.
     """
 
-    plant: Plant
     size: int = 1000
     false_alarm: float = 1e-3
     max_faults: int | None = None
     accommodate: bool = True
 
     def __post_init__(self) -> None:
-        if self.size < 2:
+        super().__post_init__()
+        if whole("size", self.size, least=1) < 2:
             raise ValueError(f"{self.size} particles; a covariance needs at least 2, and a filter some hundreds")
-        if not 0 < self.false_alarm < 1:
-            raise ValueError(f"false_alarm is {self.false_alarm}; a probability strictly between 0 and 1 is wanted")
-        if self.max_faults is not None and not 0 < self.max_faults < len(self.plant.sensors):
+        probability("false_alarm", self.false_alarm)
+        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
             raise ValueError(
                 f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
             )
 
-    @property
-    def hypotheses(self) -> tuple[str, ...]:
-        return self.plant.sensor_names
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """Members (*batch, M, n) and log weights (*batch, M)."""
+        return tuple(particle.start(self.plant.x0, self.plant.initial_cov, self.size, step_stream(seed, 0), batch))
 
-    def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
-        """State at time t: seed, step count, time, diverged (*batch), members (*batch, M, n), log weights (*batch, M)."""
-        cloud = particle.start(self.plant.x0, self.plant.initial_cov, self.size, step_stream(seed, 0), batch)
-        return np.array(seed, np.uint64), np.array(0), np.array(float(t)), np.zeros(batch, bool), *cloud
-
-    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
-        """Diagnose the readings y (..., N) at t under the input u (..., m); ValueError for a wrong shape or time."""
-        seed, k, last, diverged, *core = state
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         plant = self.plant
-        check_reading(plant, y, u, diverged.shape)
-        plant.check_dt(dt := t - float(last))
-        k = k + 1
-        rng, over = step_stream(seed, k), np.expand_dims(u, -2)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            ahead, guarded = guarded_step(plant, float(last), core[0], over, dt)
-            cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(dt), rng)
-            predicted = plant.output(t, cloud.members, over)
-            judged, named = self._judge(cloud, predicted, y)
-            used = np.isfinite(y) & ~(named & self.accommodate)
-            weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)
-            x, p = weighed.moments
-            expected, _ = particle.weighted_moments(predicted, weighed.weights)
-            after = particle.resample(weighed, rng)
-            nis = self._nis(cloud, predicted, np.where(used, y, np.nan))
-        diverged = diverged | broken(x, p)
-        core = list(keep_broken_out(diverged, tuple(after), self.init(diverged.shape, t, int(seed))[4:]))
+        rng, over = step_stream(now.seed, now.k), np.expand_dims(u, -2)
+        _, ahead, guarded, lost = guarded_points(plant, now.last, core[0], u, now.dt)
+        cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(now.dt), rng)
+        predicted = plant.output(now.t, cloud.members, over)
+        judged, named = self._eliminated(cloud, predicted, y)
+        used = np.isfinite(y) & ~(named & self.accommodate)
+        weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)
+        x, p = weighed.moments
+        expected, _ = particle.weighted_moments(predicted, weighed.weights)
+        after = particle.resample(weighed, rng)
         decision = Decision(
             estimate=x,
             measured=np.where(used, y, expected),
@@ -100,18 +86,18 @@ class ParticleFilter:
             threshold=self._alpha * judged.sigma,
             isolated=named,
             fault_size=np.where(named, judged.residual, np.nan),
-            diverged=diverged,
-            guarded=np.any(guarded, axis=-1),
-            nis=nis,
+            diverged=lost | broken(x, p),
+            guarded=guarded,
+            nis=self._nis(cloud, predicted, np.where(used, y, np.nan)),
             covariance=p,
         )
-        return (seed, k, np.array(t), diverged, *core), without_broken(decision, diverged)
+        return tuple(after), decision
 
     @property
     def _alpha(self) -> float:
         return float(-ndtri(self.false_alarm / len(self.plant.sensors) / 2))
 
-    def _judge(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array]:
+    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array]:
         """The leave-one-out residuals of all readings, and the sensors that elimination names (..., N)."""
         first = without_each(cloud, predicted, y, self.plant.sensor_cov)
         judged, named = first, np.zeros(y.shape, bool)

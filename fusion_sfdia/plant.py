@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.arguments import floats, number, shown
 from fusion_sfdia.equation import complex_step_jacobian
 
 Array = NDArray[Any]
@@ -32,6 +33,8 @@ class Signal:
     high: float = np.inf
 
     def __post_init__(self) -> None:
+        for what in ("nominal", "low", "high"):
+            number(f"signal {self.name!r}: {what}", getattr(self, what))
         if not (self.low <= self.nominal <= self.high and np.isfinite(self.nominal)):
             raise ValueError(
                 f"signal {self.name!r}: nominal {self.nominal} is not finite and within [{self.low}, {self.high}]; "
@@ -58,7 +61,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         for what, value in (("sigma", self.sigma), ("bound", self.bound)):
-            if value is not None and not (value > 0 and np.isfinite(value)):
+            if value is not None and not 0 < number(f"sensor {self.name!r}: {what}", value) < np.inf:
                 raise ValueError(f"sensor {self.name!r}: {what} is {value}; it must be positive and finite, or left out")
         if self.sigma is None and self.bound is None:
             raise ValueError(f"sensor {self.name!r} states no noise; give sigma, bound or both")
@@ -154,13 +157,26 @@ class Plant:
     max_dt: float = np.inf
 
     def __post_init__(self) -> None:
+        for what, kind in (("states", Signal), ("inputs", Signal), ("sensors", Sensor)):
+            members = getattr(self, what)
+            if not isinstance(members, tuple | list) or not all(isinstance(m, kind) for m in members):
+                raise ValueError(f"plant {self.name!r}: {what} is {shown(members)}; wanted a tuple of {kind.__name__} objects")
+            object.__setattr__(self, what, tuple(members))
         n = len(self.states)
         if not self.states or not self.sensors:
             raise ValueError(f"plant {self.name!r} has {n} states and {len(self.sensors)} sensors; give at least one of each")
         require_unique(f"plant {self.name!r}", [s.name for s in (*self.states, *self.inputs)])
         require_unique(f"sensors of plant {self.name!r}", [s.name for s in self.sensors])
-        if not (np.isfinite(self.dt) and self.dt > 0):
+        for what in ("step", "output"):
+            if not callable(getattr(self, what)):
+                raise ValueError(f"plant {self.name!r}: {what} is {shown(getattr(self, what))}; wanted a function")
+        if not 0 < number(f"plant {self.name!r}: dt", self.dt) < np.inf:
             raise ValueError(f"plant {self.name!r}: dt is {self.dt} s; it must be positive and finite")
+        if not number(f"plant {self.name!r}: max_dt", self.max_dt) > 0:
+            raise ValueError(f"plant {self.name!r}: max_dt is {self.max_dt} s; it must be positive, inf for no limit")
+        for what in ("x0", "initial_cov", "process_cov", "process_bound"):
+            if what != "process_bound" or self.process_bound is not None:
+                object.__setattr__(self, what, floats(f"plant {self.name!r}: {what}", getattr(self, what)))
         if np.shape(self.x0) != (n,) or not np.all(np.isfinite(self.x0)):
             raise ValueError(f"plant {self.name!r}: x0 has shape {np.shape(self.x0)}; wanted {n} finite values, one a state")
         for what in ("initial_cov", "process_cov"):
@@ -206,10 +222,13 @@ class Plant:
         return self.sensor_names.index(name)
 
     def input_at(self, t: float) -> Array:
-        """Return the plant's usual input at t, (m,)."""
+        """Return the plant's usual input at t, (m,); ValueError where `operation` gives another shape."""
         if self.operation is None:
             return np.array([s.nominal for s in self.inputs])
-        return np.asarray(self.operation(t), dtype=float)
+        u = floats(f"the input that operation of plant {self.name!r} gives", self.operation(t))
+        if u.shape != (len(self.inputs),):
+            raise ValueError(f"operation of plant {self.name!r} gives shape {u.shape}; wanted ({len(self.inputs)},)")
+        return u
 
     def check_dt(self, dt: float) -> None:
         """Raise ValueError where the model does not hold for a step of dt seconds."""
@@ -230,14 +249,21 @@ class Plant:
     def step_jacobian_at(self, t: float, x: Array, u: Array, dt: float) -> Array:
         """F = d step / d x, (..., n, n)."""
         if self.step_jacobian is not None:
-            return self.step_jacobian(t, x, u, dt)
+            return self._of_shape("step_jacobian", self.step_jacobian(t, x, u, dt), len(self.states))
         return complex_step_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
         """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
         if self.output_jacobian is not None:
-            return self.output_jacobian(t, x, u)
+            return self._of_shape("output_jacobian", self.output_jacobian(t, x, u), len(self.sensors))
         return complex_step_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x)
+
+    def _of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
+        if np.shape(jacobian)[-2:] != (rows, len(self.states)):
+            raise ValueError(
+                f"{what} of plant {self.name!r} gives shape {np.shape(jacobian)}; wanted (..., {rows}, {len(self.states)})"
+            )
+        return jacobian
 
     @cached_property
     def state_limits(self) -> tuple[Array, Array]:
@@ -256,7 +282,7 @@ class Plant:
         for name, (unit, scale) in units.items():
             i = self.sensor_index(name)
             s = sensors[i]
-            factor[i] = scale
+            factor[i] = scale = number(f"scale of sensor {name!r}", scale)
             sensors[i] = replace(s, unit=unit, sigma=s.sigma and s.sigma * abs(scale), bound=s.bound and s.bound * abs(scale))
         jacobian, finer = self.output_jacobian, self.finer
         return replace(

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.arguments import number
 from fusion_sfdia.gaussian import Joint, add, square_root, symmetrise
 
 Array = NDArray[Any]
@@ -40,6 +41,8 @@ class SigmaPoints:
     kappa: float = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("alpha", "beta", "kappa"):
+            number(name, getattr(self, name))
         if not (self.alpha > 0 and np.isfinite([self.alpha, self.beta, self.kappa]).all()):
             raise ValueError(f"alpha {self.alpha}, beta {self.beta}, kappa {self.kappa}; alpha must be positive and all finite")
 
@@ -86,8 +89,13 @@ def predict(points: SigmaPoints, x: Array, P: Array, f: Model, Q: Array) -> tupl
     f maps points (..., 2n+1, n) to points; Q is (n,) or (..., n, n).
     """
     propagated = f(draw(points, x, P))
-    moments = _moments(points, propagated, x.shape[-1])
-    return moments[0], add(symmetrise(_covariance(points, moments, moments)), Q), propagated
+    return *moments(points, propagated, Q), propagated
+
+
+def moments(points: SigmaPoints, propagated: Array, Q: Array) -> tuple[Array, Array]:
+    """Return x (..., n), P (..., n, n) of propagated points (..., 2n+1, n) and the process noise Q, (n,) or (..., n, n)."""
+    of_state = _moments(points, propagated, propagated.shape[-1])
+    return of_state[0], add(symmetrise(_covariance(points, of_state, of_state)), Q)
 
 
 def joint(points: SigmaPoints, x: Array, P: Array, h: Model, R: Array, propagated: Array | None = None) -> Joint:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-INTERFACE = {"equation", "plant", "discretise", "detector", "storage"}
+INTERFACE = {"arguments", "equation", "plant", "discretise", "detector", "storage"}
 # modules of fusion_sfdia by layer, lowest first; a module imports only its own layer and those below
 LAYERS = [
     INTERFACE,
@@ -18,7 +18,7 @@ LAYERS = [
     | {"interval", "interval_kernels"},
     {"estimators"},
     {"diagnosis_sets", "signatures"},
-    {"central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
+    {"batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
     {"cli"},

@@ -48,11 +48,12 @@ def test_algebra_equals_the_literal_bank_with_missing_readings(plant: Plant, est
 def test_unequal_beta_runs_literally_and_equal_beta_given_in_full_does_not() -> None:
     plant = chain(5)
     t, _, y, u = readings(plant, 15, 1, seed=2)
-    even = FusingBank(plant, Extended(), beta=(0.2,) * 5)
-    uneven = FusingBank(plant, Extended(), beta=(0.3, 0.1, 0.2, 0.2, 0.2))
+    silent = FusingBank(plant, Extended(), thresholds=(np.inf,) * 5)
+    even = replace(silent, beta=(0.2,) * 5)
+    uneven = replace(silent, beta=(0.3, 0.1, 0.2, 0.2, 0.2))
     assert uneven.runs_literally and not even.runs_literally
     _, same = run(even, even.init(), t, y[:, 0], u[:, 0])
-    _, default = run(FusingBank(plant, Extended()), FusingBank(plant, Extended()).init(), t, y[:, 0], u[:, 0])
+    _, default = run(silent, silent.init(), t, y[:, 0], u[:, 0])
     np.testing.assert_array_equal(same.estimate, default.estimate)
     _, other = run(uneven, uneven.init(), t, y[:, 0], u[:, 0])
     assert np.all(np.isfinite(other.estimate)) and np.abs(other.estimate - same.estimate).max() > 1e-6

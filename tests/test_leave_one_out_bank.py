@@ -163,7 +163,7 @@ def test_bad_settings_and_readings_are_named() -> None:
         LeaveOneOutBank(plant, Ensemble())
     with pytest.raises(ValueError, match="no consistent mean"):
         LeaveOneOutBank(plant, Unscented(redraw=False))
-    with pytest.raises(ValueError, match="at least 1 sample"):
+    with pytest.raises(ValueError, match="whole number of at least 1"):
         LeaveOneOutBank(plant, window=0)
     bank = LeaveOneOutBank(plant)
     with pytest.raises(ValueError, match="pass NaN for a missing one"):

@@ -22,8 +22,8 @@ from fusion_sfdia.storage import atomic_write, explained, fingerprint, load_stat
 
 DETECTORS: list[Detector] = [
     FusingBank(tanks(), Extended(), thresholds=(1.0,) * 4),
-    FusingBank(tanks(), Extended(), beta=(0.4, 0.2, 0.2, 0.2)),
-    FusingBank(tanks(), Ensemble()),
+    FusingBank(tanks(), Extended(), beta=(0.4, 0.2, 0.2, 0.2), thresholds=(1.0,) * 4),
+    FusingBank(tanks(), Ensemble(), thresholds=(1.0,) * 4),
     LeaveOneOutBank(tanks(), window=5),
     LeaveOneOutBank(tanks(), Unscented(), window=1),
     CentralFilter(tanks()),
@@ -193,3 +193,4 @@ def test_an_error_names_the_file_that_was_wanted_and_the_cure(tmp_path: Path, mo
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
     assert explained(ValueError("as it is")) == "as it is"
     assert "ask for fewer steps" in explained(MemoryError("8 GiB"))
+    assert explained(OverflowError("to C long")) == "a number is too large (to C long); give a smaller one"

@@ -1,0 +1,65 @@
+"""Arguments of callers: taken as they come where they can mean one thing only, refused by name where not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+def shown(value: object) -> str:
+    """The value as an error shows it, on one line and not longer than a line takes."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def number(what: str, value: object) -> float:
+    """Return a real number as a float, NaN and infinities too; ValueError for text, None, truth values and arrays."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, float | int | np.floating | np.integer):
+        raise ValueError(f"{what} is {shown(value)}; wanted a number")
+    return float(value)
+
+
+def whole(what: str, value: object, least: int) -> int:
+    """Return an integer of at least `least`; ValueError for anything else, 2.0 too."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{what} is {shown(value)}; wanted a whole number of at least {least}")
+    return int(value)
+
+
+def probability(what: str, value: object) -> float:
+    """Return a number strictly between 0 and 1; ValueError for anything else."""
+    if not 0 < (p := number(what, value)) < 1:
+        raise ValueError(f"{what} is {value}; a probability strictly between 0 and 1 is wanted")
+    return p
+
+
+def floats(what: str, value: Any) -> Array:
+    """Return an array, or nested lists of numbers, as an array of floats, None and what is masked as NaN.
+
+    ValueError for text, complex numbers and rows of unlike length.
+    """
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value
+    try:
+        given = np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+        if given.dtype.kind in "biufO":
+            return given.astype(float)
+    except (TypeError, ValueError):
+        pass
+    raise ValueError(f"{what} is {shown(value)}; wanted an array of numbers")
+
+
+def batch_shape(batch: object) -> tuple[int, ...]:
+    """Return the shape of a batch given as such or, where it has one axis, as its length; ValueError for anything else."""
+    given = batch if isinstance(batch, tuple | list) else (batch,)
+    if any(isinstance(b, bool) or not isinstance(b, int | np.integer) or b < 0 for b in given):
+        raise ValueError(f"batch is {shown(batch)}; wanted a shape: () for a single run, (3,) or 3 for three side by side")
+    return tuple(int(b) for b in given)
