@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from fusion_sfdia.storage import explained
 
         print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
-        return 2 if isinstance(error, ValueError | OSError) else 1
+        return 2 if isinstance(error, ValueError | OverflowError | OSError) else 1
     finally:
         signal.signal(signal.SIGTERM, terminated)
 

@@ -49,9 +49,10 @@ def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) 
     """Run a detector over t (K,), y (K, N), u (K, m), NaN where missing, and gather what it isolated into events.
 
     Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
-    of the plant, the detector steps by dt through the gap without readings, under the input that acted in it. ValueError where
-    shapes or times do not fit. DiagnosisWarning where the estimate diverged or was moved back into the limits of the
-    model, where a sensor was never read, and where the detector has no thresholds and cannot raise an alarm.
+    of the plant, the detector steps by dt through the gap without readings, under inputs on the line between those before
+    and after. ValueError where shapes or times do not fit. DiagnosisWarning where the estimate diverged or was moved back
+    into the limits of the model, where a sensor was never read, and where the detector has no thresholds and cannot raise
+    an alarm.
     """
     t, y, u = np.asarray(t, dtype=float), np.asarray(y, dtype=float), np.asarray(u, dtype=float)
     if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2 or u.ndim != 2:
@@ -82,7 +83,7 @@ def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[
         parts = np.where(long, np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
     if np.sum(parts) > MOST_BRIDGES + 10 * t.size:
         raise ValueError(
-            f"{t.size} readings take {np.sum(parts):.0f} steps of {plant.dt:g} s, for they are up to {np.max(gaps):g} s apart; "
+            f"{t.size} readings take {np.sum(parts):.5g} steps of {plant.dt:g} s, for they are up to {np.max(gaps):g} s apart; "
             "give times in seconds, or cut the readings where nothing was read for long"
         )
     for k, step in enumerate(gaps / parts):
@@ -93,7 +94,9 @@ def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[
     last, which = np.cumsum(parts.astype(int)) - 1, np.repeat(np.arange(t.size), parts.astype(int))
     ahead = last[which] - np.arange(which.size)  # steps of the gap that are still to come
     times = t[which] - ahead * (gaps / parts)[which]
-    return last, times, np.where((ahead == 0)[:, None], y[which], np.nan), u[which]
+    between = (ahead / parts[which])[:, None]  # 0 at a reading
+    inputs = u[which] * (1 - between) + np.concatenate([u[:1], u[:-1]])[which] * between
+    return last, times, np.where(between == 0, y[which], np.nan), inputs
 
 
 def _warn(detector: Detector, t: Array, y: Array, decisions: Decision) -> None:

@@ -61,21 +61,18 @@ class Fault:
         if not isinstance(self.kind, str) or self.kind not in FAULT_KINDS:
             raise ValueError(f"sensor {self.sensor!r}: unknown fault kind {self.kind!r}; known: {', '.join(FAULT_KINDS)}")
         for what in ("onset", "length", "magnitude", "probability", *(() if self.rise is None else ("rise",))):
-            value = getattr(self, what)
-            if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+            if isinstance(value := getattr(self, what), bool) or not isinstance(value, int | float | np.integer | np.floating):
                 raise ValueError(f"{who}: {what} is {value!r}; wanted a number")
             try:
                 object.__setattr__(self, what, float(value))
             except OverflowError as error:
                 raise ValueError(f"{who}: {what} is too large; wanted a number below 1e308") from error
+            if what in ("onset", "magnitude") and not np.isfinite(getattr(self, what)):
+                raise ValueError(f"{who}: {what} is {value}; wanted a finite number")
         if not isinstance(self.relative, bool):
             raise ValueError(f"{who}: relative is {self.relative!r}; wanted true or false")
-        if not np.isfinite(self.onset):
-            raise ValueError(f"{who}: onset is {self.onset}; wanted a finite time in seconds")
         if not self.length > 0:
             raise ValueError(f"{who}: length is {self.length}; wanted a positive number of seconds")
-        if not np.isfinite(self.magnitude):
-            raise ValueError(f"{who}: magnitude is {self.magnitude}; wanted a finite number")
         if self.kind in WITHOUT_MAGNITUDE and (self.magnitude != 0 or self.relative):
             raise ValueError(f"{who}: a {self.kind} has no magnitude; leave magnitude and relative out")
         if self.kind not in WITHOUT_MAGNITUDE and self.magnitude == 0 and self.kind != "scale":
@@ -142,7 +139,12 @@ def apply(
                 )
             generator = _generator(rng, fault, b, j)
             column = faulty[:, b, i]
-            column[rows] = _BEHAVIOUR[fault.kind](fault, fault.magnitude * value, column, rows, t, plant.dt, generator)
+            with np.errstate(over="ignore"):
+                column[rows] = _BEHAVIOUR[fault.kind](fault, fault.magnitude * value, column, rows, t, plant.dt, generator)
+            if np.any(np.isinf(column[rows])):
+                raise ValueError(
+                    f"{fault.kind} of sensor {fault.sensor!r} by {fault.magnitude:g} is no finite reading; lessen it"
+                )
             active[rows, b, i] = True
     return FaultedReadings(faulty.reshape(y.shape), active.reshape(y.shape), (faulty - healthy).reshape(y.shape))
 
@@ -173,10 +175,9 @@ def _rows(fault: Fault, t: Array, dt: float) -> Array:
 def _generator(rng: Randomness, fault: Fault, run: int, position: int) -> np.random.Generator | None:
     if isinstance(rng, np.random.Generator):
         return rng
-    if isinstance(rng, int | np.integer):
-        return stream(int(rng), "fault readings", run, position)
     if rng is not None:
-        return stream(rng[run], "fault readings", 0, position)
+        seed, place = (rng, run) if isinstance(rng, int | np.integer) else (rng[run], 0)
+        return stream(seed, "fault readings", place, position)
     if fault.kind in RANDOM and not (fault.kind == "dropout" and fault.probability == 1):
         raise ValueError(f"{fault.kind} of sensor {fault.sensor!r} is random; pass rng, a generator or a seed")
     return None
@@ -192,8 +193,7 @@ def _drift(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: flo
 
 def _freeze(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: float, rng: Any) -> Array:
     known = np.flatnonzero(np.isfinite(column[: rows[0]]))
-    held: Array = np.full(rows.size, column[known[-1]] if known.size else column[rows[0]])
-    return held
+    return np.full(rows.size, column[known[-1]] if known.size else column[rows[0]], dtype=float)
 
 
 def _spikes(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: float, rng: Any) -> Array:

@@ -49,10 +49,10 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
     """Read a log of a plant.
 
     The header names `time`, every sensor and any of the inputs, in any order, each with or without its unit in brackets.
-    Inputs without a column are the plant's operation from the reading before (plant.input_at). absent_sensors: a sensor
-    without a column is NaN throughout. other_columns: columns that are neither are ignored. Raises ValueError naming
-    file, row (the header is row 1) and column for anything else than increasing times, finite or missing readings and
-    inputs within their limits.
+    Inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before where that is
+    later. absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
+    Raises ValueError naming file, row (the header is row 1) and column for anything else than increasing times, finite or
+    missing readings and inputs within their limits.
     """
     with Path(path).open(encoding="utf-8-sig", newline="") as file:
         try:
@@ -83,7 +83,7 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
     for i, sensor in enumerate(plant.sensors):
         if sensor.name in columns:
             y[:, i] = _values(path, numbers, cells, columns, sensor, required=False)
-    before = np.concatenate([t[:1] - plant.dt, t[:-1]])
+    before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
     u = np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
     for i, signal in enumerate(plant.inputs):
         if signal.name in columns:

@@ -33,6 +33,8 @@ def explained(error: BaseException) -> str:
     """Return an error in words: of a file, what it was about, what went wrong and the cure."""
     if isinstance(error, MemoryError):
         return f"the memory is too small ({error}); ask for fewer steps, seeds or workers, or cut the log"
+    if isinstance(error, OverflowError):
+        return f"a number is too large ({error}); give a smaller one"
     if not isinstance(error, OSError) or not (error.filename and error.strerror):
         return str(error)
     return f"{error.filename}: {error.strerror}; {CURES.get(error.errno or 0, 'name another place, or change its permissions')}"

@@ -84,6 +84,7 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
         (("run", "toy/mean", "--set", "size"), "--set size: wanted KEY=VALUE"),
         (("run", "toy/mean", "--set", "sise=1"), "no setting 'sise'"),
         (("run", "toy/mean", "--seeds", "0"), "0 seeds; wanted at least 1"),
+        (("run", "toy/mean", "--seeds", "9" * 30), "a number is too large"),
         (("run", "toy/mean", "--out", "file/deeper"), "file/deeper"),
         (("simulate", "--out", "file"), "file exists; name another file with --out, or replace it with --force"),
         (("simulate", "--out", "x.csv", "--plant", "gas-pipelin"), "did you mean 'gas-pipeline'?"),

@@ -222,6 +222,8 @@ def test_faults_that_do_not_fit_the_readings():
         apply(chain(4), T, Y, [])
     with pytest.raises(ValueError, match="signal has shape"):
         faulted(signal=Y[1:])
+    with pytest.raises(ValueError, match=r"scale of sensor 's0' by 1e\+308 is no finite reading"):
+        apply(chain(3), T, Y + 100.0, [Fault("s0", "scale", 1.0, magnitude=1e308)])
 
 
 @pytest.mark.parametrize(

@@ -51,8 +51,8 @@ def test_header_with_and_without_units_in_any_order(tmp_path):
 
 def test_inputs_default_to_the_plants_operation_since_the_reading_before(tmp_path):
     plant = replace(tanks(), operation=lambda t: np.array([t]))
-    found = read_log(log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n"), plant)
-    np.testing.assert_array_equal(found.u, [[5], [10], [12]])
+    found = read_log(log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n40,1,1,1,1\n"), plant)
+    np.testing.assert_array_equal(found.u, [[5], [10], [12], [35]])
     given_input = read_log(log(tmp_path, HEADER + ",inflow\n10,1,1,1,1,7\n"), plant)
     np.testing.assert_array_equal(given_input.u, [[7]])
 
