@@ -79,6 +79,11 @@ class Interval(NDArrayOperatorsMixin):
                 f"intervals have no {ufunc.__name__}{'' if method == '__call__' else '.' + method}; an equation does not "
                 f"compare values and uses {', '.join(sorted(f.__name__ for f in kernels.KERNELS))}"
             )
+        if not kernels.rounds_to_nearest():
+            raise RuntimeError(
+                "the processor does not round to nearest, so no bound would hold: a library changed the mode (codac does "
+                "when imported; call it through fusion_sfdia.codac_adapter) and has to set it back"
+            )
         arguments = [x if isinstance(x, Interval) else Interval(x) for x in inputs]
         with np.errstate(all="ignore"):
             return Interval.unchecked(*kernels.KERNELS[ufunc](*((x.lo, x.hi) for x in arguments)))

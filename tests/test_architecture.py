@@ -15,11 +15,11 @@ LAYERS = [
     INTERFACE,
     {"ekf", "enkf", "exclusion", "gaussian", "health", "leave_one_out", "likelihood_window", "mixing"}
     | {"particle", "random_streams", "ukf"}
-    | {"interval", "interval_kernels"},
+    | {"contractors", "expression", "interval", "interval_kernels", "monotone", "sivia"},
     {"estimators"},
     {"diagnosis_sets", "signatures"},
     {"batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
-    {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
+    {"calibration", "codac_adapter", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
     {"cli"},
 ]  # fmt: skip

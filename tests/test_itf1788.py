@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fusion_sfdia.contractors import PROJECTIONS, base, factor
 from fusion_sfdia.interval import Interval
 from fusion_sfdia.interval_kernels import LIBRARY_ULPS, real_power
 
@@ -17,6 +18,7 @@ from fusion_sfdia.interval_kernels import LIBRARY_ULPS, real_power
 ROUNDED = 2
 # library functions: wrong by LIBRARY_ULPS, then out by LIBRARY_ULPS + 1 units of 2^-52 |x|, each up to two of x's units
 LIBRARY = LIBRARY_ULPS + 2 * (LIBRARY_ULPS + 1) + 2
+LINE = Interval(-np.inf, np.inf)
 
 
 def restricted_power(x: Interval, y: Interval) -> Interval:
@@ -104,6 +106,24 @@ def test_operation(shared_fixtures: Path, name: str) -> None:
     file, operation, ulps = INTERVALS[name]
     for given, tightest in vectors(shared_fixtures, file, name):
         check(name, given, operation(*given), tightest, ulps)
+
+
+REVERSE: dict[str, Callable[..., Any]] = {
+    "sqrRev": lambda z, x=LINE: PROJECTIONS[np.square][0](z, x),
+    "absRev": lambda z, x=LINE: PROJECTIONS[np.absolute][0](z, x),
+    "pownRev": lambda z, n: base(z, LINE, Interval(n)),
+    "pownRevBin": lambda z, x, n: base(z, x, Interval(n)),
+    "mulRev": lambda y, z, x=LINE: factor(z, x, y),
+}
+REVERSE |= {"sqrRevBin": REVERSE["sqrRev"], "absRevBin": REVERSE["absRev"], "mulRevTen": REVERSE["mulRev"]}
+
+
+@pytest.mark.parametrize("name", REVERSE)
+def test_projection(shared_fixtures: Path, name: str) -> None:
+    """Roots are powers with the exponent [1/n] a unit wide on each side, so a root x is off by 2 |log x| units more."""
+    for given, tightest in vectors(shared_fixtures, "rev", name):
+        logs = [abs(np.log(abs(e))) for e in (tightest.lo, tightest.hi) if np.isfinite(e) and e != 0]
+        check(name, given, REVERSE[name](*given), tightest, LIBRARY + int(4 * max(logs, default=0)))
 
 
 @pytest.mark.parametrize("name", ["mid", "wid", "rad"])

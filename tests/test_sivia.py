@@ -1,0 +1,289 @@
+"""Set inversion: inner boxes lie in the set, the set lies in the outer boxes, contraction loses nothing, budgets are kept."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.codac_adapter import codac_sivia
+from fusion_sfdia.contractors import PROJECTIONS, backward
+from fusion_sfdia.equation import equation
+from fusion_sfdia.expression import DOMAINS, record
+from fusion_sfdia.interval import Interval
+from fusion_sfdia.interval_kernels import KERNELS
+from fusion_sfdia.sivia import Paving, sivia
+
+RING_AREA = 3 * np.pi
+# not imported here: that would change the rounding mode of the whole test run
+needs_codac = pytest.mark.skipif(find_spec("codac") is None, reason="needs the optional package codac")
+
+
+@equation
+def ring(x: Any, y: Any) -> Any:
+    return x**2 + y**2
+
+
+def samples(box: Interval, n: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(box.lo, box.hi, (n, *box.shape))
+
+
+def covered(points: np.ndarray, boxes: Interval) -> np.ndarray:
+    """Whether each point (n, d) lies in one of the boxes (m, d)."""
+    return np.all((boxes.lo <= points[:, None]) & (points[:, None] <= boxes.hi), axis=-1).any(axis=-1)
+
+
+def assert_same(one: Paving, problem: int, many: Paving) -> None:
+    """A problem of a batch has the bits that it has alone."""
+    place = np.unravel_index(problem, many.complete.shape)
+    np.testing.assert_array_equal([one.hull.lo, one.hull.hi], [many.hull.lo[place], many.hull.hi[place]])
+    for name in ("inner", "boundary"):
+        here = getattr(many, f"{name}_problem") == problem
+        alone, among = getattr(one, name), getattr(many, name)[here]
+        np.testing.assert_array_equal([alone.lo, alone.hi], [among.lo, among.hi])
+    assert one.complete == many.complete[place]
+    assert one.examined == many.examined[place]
+    assert one.inner_volume == many.inner_volume[place]
+
+
+@pytest.mark.parametrize("contract", [False, True])
+def test_the_ring(contract: bool) -> None:
+    """Its area lies between both pavings, and so does each sample."""
+    box = Interval([-3.0, -3.0], [3.0, 3.0])
+    paving = sivia(ring, Interval(1.0, 4.0), box, 0.05, contract=contract)
+    assert paving.complete
+    assert paving.inner_volume < RING_AREA < paving.outer_volume
+    points = samples(box, 5000, 1)
+    in_set = (ring(*points.T) >= 1) & (ring(*points.T) <= 4)
+    outer = Interval.unchecked(
+        *(np.concatenate([getattr(b, e) for b in (paving.inner, paving.boundary)]) for e in ("lo", "hi"))
+    )
+    assert np.all(in_set[covered(points, paving.inner)])
+    assert np.all(covered(points[in_set], outer))
+    assert np.all(paving.hull.contains(points[in_set]))
+    assert np.all(paving.boundary.width <= 0.05)
+
+
+def test_the_ring_by_bisection_has_the_areas_of_the_dyadic_grid() -> None:
+    """Boxes of side 6/128: counted by hand over the grid, a box is inside when its nearest and farthest corners are."""
+    paving = sivia(ring, Interval(1.0, 4.0), Interval([-3.0, -3.0], [3.0, 3.0]), 0.05, contract=False)
+    edge = np.linspace(-3, 3, 129)
+    near = np.maximum(np.maximum(edge[:-1], -edge[1:]), 0) ** 2
+    far = np.maximum(edge[1:], -edge[:-1]) ** 2
+    least, greatest = near[:, None] + near, far[:, None] + far
+    cell = (6 / 128) ** 2
+    inner = np.sum((least >= 1) & (greatest <= 4)) * cell
+    assert paving.inner_volume == pytest.approx(inner, rel=1e-12)
+    assert (
+        abs(paving.outer_volume - np.sum((least <= 4) & (greatest >= 1)) * cell) <= 16 * cell
+    )  # corners that touch the circles
+    np.testing.assert_allclose([paving.inner_volume, paving.outer_volume], [8.859, 9.984], atol=5e-4)
+
+
+def test_contraction_sharpens_both_sides_for_fewer_boxes() -> None:
+    box = Interval([-3.0, -3.0], [3.0, 3.0])
+    plain, sharp = (sivia(ring, Interval(1.0, 4.0), box, 0.05, contract=c) for c in (False, True))
+    assert plain.inner_volume < sharp.inner_volume < sharp.outer_volume < plain.outer_volume
+    assert sharp.examined < plain.examined
+
+
+EQUATIONS: dict[str, Callable[..., Any]] = {
+    "ring": ring,
+    "product": lambda x, y: x * y,
+    "quotient": lambda x, y: x / y,
+    "root": lambda x, y: np.sqrt(x) - y,
+    "powers": lambda x, y: x**3 - 2.0 * y**-1 + abs(y) ** 1.4,
+    "exponential": lambda x, y: np.exp(x * y) - np.log(x + 4.0) + np.tanh(y),
+    "logs": lambda x, y: np.log10(np.square(x) + 1) * np.log1p(abs(y)) - np.expm1(x / 3),
+    "kinks": lambda x, y: np.minimum(x, y) + np.maximum(2 * x, -y) - abs(x),
+    "waves": lambda x, y: np.sin(x) * np.cos(y) + np.arctanh(x / 4),
+    "two": lambda x, y: (x + y, x * y),
+    "exponent": lambda x, y: (x + 4.0) ** y,
+    "reciprocal": lambda x, y: np.reciprocal(x) + np.positive(-y),
+}
+
+
+def target_of(name: str) -> Any:
+    return (Interval(-1.0, 1.0), Interval(0.2, 0.7)) if name == "two" else Interval(0.2, 0.7)
+
+
+def meets(name: str, points: np.ndarray) -> np.ndarray:
+    with np.errstate(all="ignore"):
+        results = EQUATIONS[name](*points.T)
+    targets = target_of(name)
+    pairs = zip(results, targets, strict=True) if name == "two" else [(results, targets)]
+    return np.all([(t.lo <= r) & (r <= t.hi) for r, t in pairs], axis=0)
+
+
+@pytest.mark.parametrize("name", EQUATIONS)
+def test_a_contractor_never_loses_a_solution(name: str) -> None:
+    rng = np.random.default_rng(2)
+    middle, radius = rng.uniform(-3, 3, (2, 300)), rng.uniform(0.01, 2, (2, 300))
+    boxes = [Interval(m - r, m + r) for m, r in zip(middle, radius, strict=True)]
+    expression = record(EQUATIONS[name], 2)
+    targets = target_of(name)
+    left = backward(expression, expression.evaluate(boxes), list(targets) if name == "two" else [targets])
+    for _ in range(50):
+        points = np.stack([rng.uniform(x.lo, x.hi) for x in boxes], axis=-1)
+        solution = meets(name, points)
+        assert np.all(left[0].contains(points[:, 0])[solution])
+        assert np.all(left[1].contains(points[:, 1])[solution])
+    assert all(np.all(box.contains(x)) for box, x in zip(boxes, left, strict=True))
+
+
+@pytest.mark.parametrize("contract", [False, True])
+@pytest.mark.parametrize("name", EQUATIONS)
+def test_pavings_enclose_from_both_sides(name: str, contract: bool) -> None:
+    """Equations that are not defined everywhere in the box too: where there is no value there is no solution."""
+    box = Interval([-3.0, -3.0], [3.0, 3.0])
+    paving = sivia(EQUATIONS[name], target_of(name), box, 0.2, contract=contract)
+    points = samples(box, 3000, 3)
+    solution = meets(name, points)
+    in_inner, in_boundary = covered(points, paving.inner), covered(points, paving.boundary)
+    assert solution.any()
+    assert np.all(solution[in_inner])
+    assert np.all((in_inner | in_boundary)[solution])
+
+
+def test_no_box_counts_as_inner_where_the_function_has_no_value() -> None:
+    for contract in (False, True):
+        paving = sivia(lambda x: np.sqrt(x), Interval(-1.0, 5.0), Interval([-1.0], [1.0]), 0.01, contract=contract)
+        assert np.all(paving.inner.lo >= 0)
+        assert paving.inner_volume <= 1
+
+
+def test_every_function_has_its_projection() -> None:
+    assert set(PROJECTIONS) == set(KERNELS)
+    assert set(DOMAINS) <= set(KERNELS)
+
+
+@pytest.mark.parametrize("contract", [False, True])
+def test_a_batch_of_problems_is_a_loop_to_the_bit(contract: bool) -> None:
+    def weighted(x: Any, y: Any, a: Any) -> Any:
+        return a * x**2 + np.exp(y / a)
+
+    rng = np.random.default_rng(4)
+    middle = rng.uniform(0.5, 2, (2, 3))
+    low = rng.uniform(-3, -1, (2, 3, 2))
+    box, a = Interval(low, low + 4), Interval(middle, middle + 0.05)
+    target = Interval(1.0, rng.uniform(1.2, 3, (2, 3)))
+    many = sivia(weighted, target, box, [0.1, 0.2], parameters=[a], budget=300, contract=contract)
+    assert many.complete.shape == (2, 3)
+    for k, (i, j) in enumerate(np.ndindex(2, 3)):
+        one = sivia(weighted, target[i, j], box[i, j], [0.1, 0.2], parameters=[a[i, j]], budget=300, contract=contract)
+        assert_same(one, k, many)
+
+
+def test_parameters_within_bounds() -> None:
+    """x p in [1, 2], p in [1, 1.25]: some p admits x in [0.8, 2], every p admits x in [1, 1.6]."""
+    paving = sivia(lambda x, p: x * p, Interval(1.0, 2.0), Interval([0.0], [5.0]), 1e-3, parameters=[Interval(1.0, 1.25)])
+    np.testing.assert_allclose([paving.hull.lo[0], paving.hull.hi[0]], [0.8, 2.0], atol=1e-3)
+    np.testing.assert_allclose([paving.inner.lo.min(), paving.inner.hi.max()], [1.0, 1.6], atol=1e-3)
+    assert paving.hull.contains([[0.8], [2.0]]).all()
+    assert paving.inner.lo.min() >= 1 - 1e-12  # rounding goes the safe way
+    assert paving.inner.hi.max() <= 1.6
+
+
+def test_a_parity_relation_is_solved_for_its_unknown() -> None:
+    """0 = z - sqrt(a / b): readings with bounds give the bounds of the algebraic variable."""
+    a, b = Interval(4.0, 9.0), Interval(1.0, 4.0)
+    paving = sivia(lambda z, a, b: z - np.sqrt(a / b), Interval(0.0), Interval([0.0], [100.0]), 1e-6, parameters=[a, b])
+    np.testing.assert_allclose([paving.hull.lo[0], paving.hull.hi[0]], [1.0, 3.0], atol=1e-6)
+    assert paving.hull.contains([[1.0], [3.0]]).all()
+
+
+@pytest.mark.parametrize("contract", [False, True])
+def test_a_budget_is_kept_and_its_end_is_told(contract: bool) -> None:
+    box = Interval([-3.0, -3.0], [3.0, 3.0])
+    points = samples(box, 3000, 5)
+    solution = points[(ring(*points.T) >= 1) & (ring(*points.T) <= 4)]
+    for budget in (1, 2, 3, 10, 100, 1000):
+        paving = sivia(ring, Interval(1.0, 4.0), box, 1e-3, budget=budget, contract=contract)
+        assert not paving.complete
+        assert paving.examined <= budget
+        assert np.all(covered(solution, paving.inner) | covered(solution, paving.boundary))
+        assert paving.inner_volume <= RING_AREA <= paving.outer_volume
+
+
+def test_no_solution_is_an_answer() -> None:
+    for contract in (False, True):
+        paving = sivia(ring, Interval([-2.0, 1.0], [-1.0, 4.0]), Interval([-3.0, -3.0], [3.0, 3.0]), 0.5, contract=contract)
+        np.testing.assert_array_equal(paving.is_empty, [True, False])
+        np.testing.assert_array_equal(paving.complete, [True, True])
+        assert paving.outer_volume[0] == 0
+        assert paving.hull.is_empty[0].all()
+    certain = sivia(ring, Interval(0.0, 100.0), Interval([-3.0, -3.0], [3.0, 3.0]), 0.5)
+    assert certain.inner_volume == 36
+    assert certain.examined == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"tolerance": 0.0}, "tolerance 0.0: give a positive width"),
+        ({"tolerance": [0.1, 0.1, 0.1]}, "for each of the 2 variables"),
+        ({"tolerance": np.nan}, "positive width"),
+        ({"budget": 0}, "budget 0"),
+        ({"box": Interval(-3.0, 3.0)}, "last axis holds the variables"),
+        ({"box": Interval([-3.0] * 3, [3.0] * 3)}, "does not run on 3"),
+        ({"box": Interval([-np.inf, 0.0], [3.0, 3.0])}, "empty or infinite"),
+        ({"box": Interval.empty((2,))}, "empty or infinite"),
+        ({"target": [Interval(0.0, 1.0)] * 2}, "2 targets for 1 results"),
+        ({"parameters": [np.nan]}, "does not|NaN"),
+        ({"function": lambda x, y: x + np.array([1.0, 2.0]) * y}, "pass it as an argument"),
+        ({"function": lambda x, y: x if x > 0 else y}, "does not use greater"),
+        ({"function": record(ring, 2), "box": Interval([0.0] * 3, [1.0] * 3)}, "2 arguments, the box and its parameters 3"),
+    ],
+)
+def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
+    given: dict[str, Any] = {"function": ring, "target": Interval(1.0, 4.0), "box": Interval([-3.0, -3.0], [3.0, 3.0])}
+    with pytest.raises(ValueError, match=message):
+        sivia(**(given | {"tolerance": 0.1} | change))
+
+
+@needs_codac
+def test_codac_agrees() -> None:
+    box = Interval([-3.0, -3.0], [3.0, 3.0])
+    for name in ("ring", "product", "quotient", "powers", "exponential", "kinks", "two"):
+        ours, theirs = (f(EQUATIONS[name], target_of(name), box, 0.05) for f in (sivia, codac_sivia))
+        assert ours.complete, name
+        # two enclosures of one set: each inner area is at most the other outer area (volumes are sums, hence the rounding)
+        assert ours.inner_volume <= theirs.outer_volume * (1 + 1e-9), name
+        assert theirs.inner_volume <= ours.outer_volume * (1 + 1e-9), name
+        if name != "quotient":  # along y = 0, where x / y takes every value, codac keeps boxes of its own
+            np.testing.assert_allclose([ours.hull.lo, ours.hull.hi], [theirs.hull.lo, theirs.hull.hi], atol=2 * 0.05)
+        points = samples(box, 2000, 6)
+        assert not np.any(covered(points, ours.inner) & ~(covered(points, theirs.inner) | covered(points, theirs.boundary))), (
+            name
+        )
+
+
+@needs_codac
+def test_codac_refuses_what_it_cannot() -> None:
+    with pytest.raises(ValueError, match="codac has no arctanh"):
+        codac_sivia(np.arctanh, Interval(0.0, 1.0), Interval([0.0], [0.5]), 0.1)
+    with pytest.raises(ValueError, match="one problem at a time"):
+        codac_sivia(np.exp, Interval(0.0, 1.0), Interval([[0.0]], [[0.5]]), 0.1)
+
+
+@needs_codac
+def test_rounding_is_to_nearest_after_codac() -> None:
+    tenth = 0.1
+    codac_sivia(np.exp, Interval(0.0, 1.0), Interval([0.0], [0.5]), 0.1)
+    assert tenth + 2 * tenth == 0.30000000000000004
+    assert -tenth - 2 * tenth == -0.30000000000000004
+    assert (Interval(1.0) + 1.0).contains(2.0)
+
+
+@needs_codac
+def test_intervals_refuse_another_rounding_mode() -> None:
+    """In a process of its own: importing codac changes the mode."""
+    script = "import codac\nfrom fusion_sfdia.interval import Interval\nInterval(1.0) + 1.0"
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "RuntimeError: the processor does not round to nearest" in ended.stderr
