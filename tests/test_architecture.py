@@ -19,8 +19,8 @@ LAYERS = [
     {"estimators"},
     {"diagnosis_sets", "signatures"},
     {"batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
-    {"calibration", "codac_adapter", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
-    | {"diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
+    {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
+    | {"codac_adapter", "diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
     {"cli"},
 ]  # fmt: skip
 ROOT = Path(__file__).resolve().parent.parent
