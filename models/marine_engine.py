@@ -16,7 +16,7 @@ process noise only when it is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -27,6 +27,7 @@ from fusion_sfdia.discretise import discretise
 from fusion_sfdia.models import marine_engine_equations as equations
 from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine_equilibrium import LOADS, engine_variables, equilibrium, follows_law
+from fusion_sfdia.models.marine_engine_faults import ProcessFault, parameter_schedule
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
 from fusion_sfdia.plant import Block, Physics, Plant, Sensor, Signal
 
@@ -94,6 +95,7 @@ def marine_engine(
     noise: float = 0.05,
     slip: str = "law",
     parameters: EngineParameters | None = None,
+    process_faults: Sequence[ProcessFault] = (),
     substeps: int = 1,
 ) -> Plant:
     """Return the engine as a plant with the states fuel (kg), p_receiver (Pa), p_charge (Pa).
@@ -101,7 +103,8 @@ def marine_engine(
     load: fuel setting of x0 and of the nominal values, 0.2 to 1. dt: seconds between readings, which the exponential
     midpoint rule divides into as many equal steps of at most 5 ms, times `substeps`. noise: bound of each sensor's error
     over its nominal value (K24: 0.05, 0.01 to 0.1 in Fig. 5; 0.03 in K22). slip: "law" or "constant". parameters: of
-    another engine. Raises ValueError for settings that do not fit, ArithmeticError where there is no equilibrium.
+    another engine. process_faults: of an engine that starts from healthy rest; as truth, for a detector on a healthy one.
+    Raises ValueError for settings that do not fit, ArithmeticError where there is no equilibrium.
     """
     c = engine_parameters() if parameters is None else parameters
     law = follows_law(slip)
@@ -124,22 +127,27 @@ def marine_engine(
         process_cov=(np.array(PROCESS) * x0) ** 2 * (dt / 0.01),
         decay=decay_rates(c),
     )
+    parameters_at = parameter_schedule(c, process_faults, slip)
     picks = np.array([(*STATES, *ALGEBRAIC).index(v) for v in SENSORS.values()])
 
     def step(t: float, x: Array, u: Array, dt: float) -> Array:
         parts = substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
         batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        result: Array = equations.advance(rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, c, law)
+        result: Array = equations.advance(
+            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, parameters_at(t), law
+        )
         return result.reshape(*batch, len(STATES))
 
     def output(t: float, x: Array, u: Array) -> Array:
         batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         flat = rows(x, batch, u.dtype)
-        both = np.concatenate([flat, equations.algebraic(flat, c, law)], axis=-1)
+        both = np.concatenate([flat, equations.algebraic(flat, parameters_at(t), law)], axis=-1)
         return both[:, picks].reshape(*batch, picks.size)
 
     def finer() -> tuple[Plant, Callable[[Array], Array]]:
-        twin = marine_engine(load=load, dt=dt, noise=noise, slip=slip, parameters=c, substeps=FINER * substeps)
+        twin = marine_engine(
+            load=load, dt=dt, noise=noise, slip=slip, parameters=c, process_faults=process_faults, substeps=FINER * substeps
+        )
         return twin, lambda x: x
 
     return replace(plant, step=step, output=output, finer=finer)

@@ -44,7 +44,7 @@ class EngineParameters(NamedTuple):
     cylinders: float  # i_e
     revolutions_per_cycle: float  # k_e
     load: float  # W s3, c of n = sqrt(2 pi torque / c)
-    torque_nominal: float  # N m
+    speed_nominal: float  # 1/s, n_nom
     volume: float  # m3, v_1, of a cylinder when compression begins
     compression: float  # r_c, effective
     expansion_end: float  # r_eo = V_6 / V_1
@@ -95,7 +95,7 @@ def heat_release(fuel: Any, p_charge: Any, c: EngineParameters) -> Any:
 @equation
 def speed_ratio(torque: Any, c: EngineParameters) -> Any:
     """The ratio n / n_nom with n = sqrt(2 pi torque / load) (below (33)), which holds for load = 2 pi torque / n^2."""
-    return np.sqrt(torque / c.torque_nominal)
+    return np.sqrt(2.0 * np.pi / c.load * torque) / c.speed_nominal
 
 
 @equation
@@ -210,7 +210,7 @@ def receiver_inflow_at(
 
     Printed with A_eff for its square, sqrt(R_g) on the air alone, and the slip air without the trapped air.
     """
-    n = np.sqrt(2.0 * np.pi / c.load * torque)
+    n = speed_ratio(torque, c) * c.speed_nominal
     flow = n * c.cylinders / c.revolutions_per_cycle * ((1.0 + slip) * trapped_air(p_charge, T_charge, c) + fuel)
     return np.sqrt(c.p_exhaust**2 + c.R_gas * T_receiver * (flow / c.turbine_area) ** 2) / c.receiver_delay
 
@@ -401,7 +401,7 @@ def solved_torque(fuel: Any, p_charge: Any, T_charge: Any, c: EngineParameters) 
 
     A fixed number of sweeps, so that a derivative by complex numbers has settled as well as the value.
     """
-    torque = c.torque_nominal / c.fuel_nominal * fuel
+    torque = c.load * c.speed_nominal**2 / (2.0 * np.pi * c.fuel_nominal) * fuel
     for _ in range(SWEEPS):
         T_cylinder = cylinder_temperature(fuel, torque, p_charge, T_charge, c)
         torque = shaft_torque(fuel, T_cylinder, torque, p_charge, T_charge, c)

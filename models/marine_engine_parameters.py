@@ -174,7 +174,7 @@ def engine_parameters(values: Mapping[str, Value] | str | Path = ENGINE_FILE, **
         full_injection=fuel,
         fuel_nominal=fuel,
         load=v["power"] / v["speed"] ** 3,
-        torque_nominal=v["power"] / (2 * np.pi * v["speed"]),
+        speed_nominal=v["speed"],
         compression=v["volume"] / clearance,
         expansion_end=(clearance + np.pi / 4 * v["bore"] ** 2 * travel) / v["volume"],
         heat=v["heat_efficiency"] * v["heating_value"],
@@ -195,7 +195,8 @@ def closed(c: EngineParameters, peak_pressure: float) -> EngineParameters:
     T_1 from (49a); X_cv from p_3 = p_1 r^kappa (1 + X_cv q / (c_v T_2)); the losses from (33), the turbine's area from (36),
     the turbocharger's efficiency from (46). Raises ValueError where one of them comes out as no engine has it.
     """
-    fuel, torque, p_d, p_1 = c.fuel_nominal, c.torque_nominal, c.p_receiver_nominal, c.p_charge_nominal
+    fuel, p_d, p_1 = c.fuel_nominal, c.p_receiver_nominal, c.p_charge_nominal
+    torque = c.load * c.speed_nominal**2 / (2 * np.pi)
     T_1 = equations.charge_temperature(c)
     hot = c.compression ** (c.kappa_air - 1)
     per_X_cv = c.R_air / (c.cp_air - c.R_air) * equations.heat_release(fuel, p_1, c)

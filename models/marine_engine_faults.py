@@ -1,0 +1,76 @@
+"""Process faults and disturbances of the marine engine, as changes of its parameters; magnitudes and shapes are ours.
+
+K24 names process faults as future work. An engine with such a fault is another truth for the same detector:
+
+    simulate(plant, 3000, seeds, truth=marine_engine(process_faults=[ProcessFault("turbine-fouling", 0.1, onset=10.0)]))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_sfdia.models.marine_engine_equations import EngineParameters
+from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
+
+PROCESS_FAULTS = {  # kind: what a severity s does
+    "turbine-fouling": "the turbine's effective area is (1 - s) times as large",
+    "compressor-fouling": "the turbocharger's efficiency is (1 - s) times as large",
+    "injector-loss": "a cylinder gets (1 - s) times the fuel that is set",
+    "intercooler-fouling": "the intercooler leaves the air warmer by s times what the air is above T_c at full load",
+    "heavy-propeller": "the load of the propeller law is (1 + s) times as large: hull fouling, weather, pitch",
+}
+
+
+@dataclass(frozen=True)
+class ProcessFault:
+    """A fault of the engine from `onset` (s) on, which grows linearly over `rise` seconds to its severity in (0, 1)."""
+
+    kind: str
+    severity: float
+    onset: float = 0.0
+    rise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in PROCESS_FAULTS:
+            raise ValueError(f"unknown process fault {self.kind!r}; known: {', '.join(PROCESS_FAULTS)}")
+        if not 0 < self.severity < 1:
+            raise ValueError(f"{self.kind}: severity is {self.severity}; wanted above 0 and below 1")
+        if not np.isfinite(self.onset) or not (self.rise >= 0 and np.isfinite(self.rise)):
+            raise ValueError(f"{self.kind}: onset {self.onset} s and rise {self.rise} s; wanted finite, rise at least 0")
+
+    def severity_at(self, t: float) -> float:
+        """Severity at t (s)."""
+        if t < self.onset:
+            return 0.0
+        return self.severity * (min((t - self.onset) / self.rise, 1.0) if self.rise > 0 else 1.0)
+
+
+def parameter_schedule(
+    c: EngineParameters, faults: Sequence[ProcessFault], slip: str = "law"
+) -> Callable[[float], EngineParameters]:
+    """Return the engine's parameters as a function of time (s); c are those of the healthy engine."""
+    if not faults:
+        return lambda t: c
+    heat = float(engine_variables(equilibrium(1.0, c, slip), c, slip)["T_compressor"]) - c.T_cooler  # K
+
+    def at(t: float) -> EngineParameters:
+        now = c
+        for fault in faults:
+            s = fault.severity_at(t)
+            match fault.kind:
+                case "turbine-fouling":
+                    now = now._replace(turbine_area=now.turbine_area * (1 - s))
+                case "compressor-fouling":
+                    now = now._replace(turbocharger_efficiency=now.turbocharger_efficiency * (1 - s))
+                case "injector-loss":
+                    now = now._replace(full_injection=now.full_injection * (1 - s))
+                case "intercooler-fouling":
+                    now = now._replace(T_cooler=now.T_cooler + s * heat)
+                case "heavy-propeller":
+                    now = now._replace(load=now.load * (1 + s))
+        return now
+
+    return at
