@@ -43,7 +43,12 @@ def diagnose_log(
         found = diagnose(with_detector, *log)
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
-    write_diagnosis(out, plant, log.y, log.u, found)
+    try:
+        write_diagnosis(out, plant, log.y, log.u, found)
+    except BaseException:  # all files or none
+        for name in FILES:
+            (out / name).unlink(missing_ok=True)
+        raise
     return found
 
 

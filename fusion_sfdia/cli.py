@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import os
 import signal
@@ -21,7 +22,10 @@ KINDS = ("plants", "detectors", "faults", "scenarios")
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
     top = argparse.ArgumentParser(
-        prog="fusion-sfdia", description="Sensor-fault detection, isolation and accommodation.", allow_abbrev=False
+        prog="fusion-sfdia",
+        description="Sensor-fault detection, isolation and accommodation.",
+        epilog="Exit codes: 0 done, 1 some work failed or diverged, 2 input that does not fit, 130 interrupted.",
+        allow_abbrev=False,
     )
     top.add_argument("--version", action="version", version=f"fusion-sfdia {__version__}")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -98,7 +102,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what a command line says; return its exit code: 0 done, 1 some work failed, 2 it cannot be done, 130 interrupted."""
+    """Do what a command line says; return its exit code (see the parser's epilog)."""
     chosen = parser().parse_args(arguments)
     terminated = signal.signal(signal.SIGTERM, signal.default_int_handler)  # both leave nothing half-written, no worker behind
     try:
@@ -116,7 +120,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from fusion_sfdia.storage import explained
 
         print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
-        return 2 if isinstance(error, ValueError | OverflowError | OSError) else 1
+        full = getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT)
+        return 2 if isinstance(error, ValueError | OverflowError | OSError) and not full else 1
     finally:
         signal.signal(signal.SIGTERM, terminated)
 
@@ -209,6 +214,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", UserWarning)
         found = diagnose_log(
             chosen.data,
             plant(chosen.plant),

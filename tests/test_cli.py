@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -162,3 +165,61 @@ def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path
     column = 1 + PLANT.sensor_index("p_3")
     assert np.allclose((faulty - healthy)[:, column], np.where(healthy[:, 0] >= 50, 2e5, 0), rtol=0, atol=1e-8)
     assert np.array_equal(np.delete(faulty, column, 1), np.delete(healthy, column, 1))
+
+
+def altered(change: Callable[[list[list[str]]], object]) -> None:
+    """A log of a dozen readings with some of its cells changed: rows of cells, the header first, the time in front."""
+    if not Path("log.csv").exists():
+        assert main(["simulate", "--steps", "12", "--out", "log.csv"]) == 0
+    rows = [line.split(",") for line in Path("log.csv").read_text(encoding="utf-8").splitlines()]
+    change(rows)
+    Path("other.csv").write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+
+
+def filled(column: int, text: str, count: int = 1) -> Callable[[list[list[str]]], None]:
+    def change(rows: list[list[str]]) -> None:
+        for row in rows[1:]:
+            row[column : column + count] = [text] * count
+
+    return change
+
+
+INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
+
+
+@pytest.mark.parametrize(
+    ("change", "exits", "told"),
+    [
+        (filled(1, "", len(PLANT.sensors)), 0, "warning: no reading at all of p_0, p_1, .* and 55 more: the diagnosis is the"),
+        (filled(1, ""), 0, "warning: no reading at all of p_0; fill"),
+        (lambda rows: rows.pop(6), 0, ""),  # a gap is stepped through
+        (filled(INLET, "2e6"), 1, r"warning: the estimate .*\n.*diverged and does not count in \d+ of 12 samples, first at"),
+        (filled(INLET, "2e9"), 2, r"other.csv, row 2, column p_inlet: 2e\+09 Pa; plant 'gas-pipeline' holds from 1e\+06 to"),
+        (lambda rows: rows[5].__setitem__(0, "1e9"), 2, "other.csv, row 7, column time: 60.0 s after 1000000000.0 s"),
+        (lambda rows: rows[-1].__setitem__(0, "1e9"), 2, r"other.csv: 12 readings take 1e\+08 steps .* give times in seconds"),
+    ],
+    ids=["silent", "sensor", "gap", "diverged", "inlet", "order", "years"],
+)
+def test_what_a_diagnosis_cannot_say_is_told(
+    capsys: pytest.CaptureFixture[str], change: Callable[[list[list[str]]], object], exits: int, told: str
+) -> None:
+    altered(change)
+    capsys.readouterr()
+    code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
+    assert code == exits
+    assert re.match(f"fusion-sfdia: {told}", err, flags=re.DOTALL) if told else err == ""
+    assert all(line.startswith("fusion-sfdia: ") for line in err.splitlines())
+    assert ("by loo-chi2" in out) == (exits != 2) == Path("diagnosis/other/events.csv").exists()
+
+
+def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, *_: object) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    altered(len)
+    capsys.readouterr()
+    monkeypatch.setattr("fusion_sfdia.benchmarks.diagnosis.write_log", full)
+    code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
+    assert (code, out) == (1, "")
+    assert err == "fusion-sfdia: diagnosis/other/reconstructed.csv: No space left on device; make room, or name another place\n"
+    assert not list(Path("diagnosis/other").iterdir())
