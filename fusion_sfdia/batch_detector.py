@@ -84,8 +84,9 @@ class BatchDetector(ABC):
         batched = (diverged, *after)
         if single:
             batched = tuple(_only(a) for a in batched)
-            told: dict[str, Any] = {f.name: getattr(decision, f.name) for f in fields(Decision)}
-            decision = Decision(**{name: None if a is None else _only(a) for name, a in told.items()})
+            told = {f.name: getattr(decision, f.name) for f in fields(Decision)}
+            only: dict[str, Any] = {name: None if a is None else _only(a) for name, a in told.items()}
+            decision = Decision(**only)
         return (state[0], np.array(now.k), np.array(now.t), *batched), decision
 
     def _moment(self, state: State, t: float) -> Moment:
