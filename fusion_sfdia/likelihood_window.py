@@ -4,7 +4,8 @@ A unit bias on sensor i that begins at step j changes the innovation at step k b
 
     M = I - H eta,    eta <- F (eta + K M),    eta = 0 at the onset
 
-with F, H, K those of the filter as it ran. Over the steps since the onset a = sum M' S^-1 d and b = sum diag(M' S^-1 M)
+with F, H, K those of the filter as it ran; what is kept is eta before the update, whose recursion costs one product an onset:
+eta <- F (I - K H) eta + F K. Over the steps since the onset a = sum M' S^-1 d and b = sum diag(M' S^-1 M)
 give the statistic a^2 / b (chi-square with 1 degree of freedom when healthy) and the size of the bias a / b with variance
 1 / b. At the onset itself they are u and w of `leave_one_out`: an exact extension of the leave-one-out chi-square.
 """
@@ -24,20 +25,25 @@ LEAST_INFORMATION = 1e-3  # b in units of 1 / R_ii below which an onset tells no
 
 
 class Window(NamedTuple):
-    """By onset 1 .. L steps ago: eta after the last update (..., L, n, N), a and b (..., L, N)."""
+    """By onset 0 .. L - 1 steps before the last update: eta before it (..., L, n, N), a and b (..., L, N).
+
+    Of that update: I - K H (..., n, n) and the gain K (..., n, N).
+    """
 
     eta: Array
     a: Array
     b: Array
+    closed: Array
+    gain: Array
 
 
 class Evidence(NamedTuple):
-    """Window sums with the present readings: eta and M before the update (..., L, n, N), (..., L, N, N), a, b (..., L, N)."""
+    """By onset 1 .. L steps ago: eta before the update (..., L, n, N), a, b (..., L, N) with the present readings; H."""
 
     eta: Array
-    effect: Array
     a: Array
     b: Array
+    output_jacobian: Array
 
 
 class Best(NamedTuple):
@@ -52,16 +58,18 @@ class Best(NamedTuple):
 def empty(batch: tuple[int, ...], lags: int, states: int, sensors: int) -> Window:
     """Return a window that has seen nothing."""
     sums = (*batch, lags, sensors)
-    return Window(np.zeros((*batch, lags, states, sensors)), np.zeros(sums), np.zeros(sums))
+    eta, gain = np.zeros((*batch, lags, states, sensors)), np.zeros((*batch, states, sensors))
+    return Window(eta, np.zeros(sums), np.zeros(sums), np.zeros((*batch, states, states)), gain)
 
 
 def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut) -> Evidence:
     """Add the present innovations; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use."""
-    eta = tangent[..., None, :, :] @ window.eta
+    eta = (tangent @ window.closed)[..., None, :, :] @ window.eta
+    eta += (tangent @ window.gain)[..., None, :, :]
     effect = np.eye(found.used.shape[-1]) - output_jacobian[..., None, :, :] @ eta
     a = window.a + (np.swapaxes(effect, -1, -2) @ found.whitened[..., None, :, None])[..., 0]
-    b = window.b + np.sum(effect * (found.inverse[..., None, :, :] @ effect), axis=-2)
-    return Evidence(eta, effect, a, b)
+    b = window.b + np.einsum("...ij,...ij->...j", effect, found.inverse[..., None, :, :] @ effect)
+    return Evidence(eta, a, b, output_jacobian)
 
 
 def best_onset(evidence: Evidence, usable: Array, sensor_cov: Array) -> Best:
@@ -88,11 +96,11 @@ def advance(evidence: Evidence, gain: Array, found: LeaveOneOut, restart: Array)
 
     restart (...): forget, since the readings in use have changed.
     """
-    older = evidence.eta + gain[..., None, :, :] @ evidence.effect
-    eta = np.concatenate([gain[..., None, :, :], older[..., :-1, :, :]], axis=-3)
+    eta = np.concatenate([np.zeros_like(evidence.eta[..., :1, :, :]), evidence.eta[..., :-1, :, :]], axis=-3)
     a = np.concatenate([found.whitened[..., None, :], evidence.a[..., :-1, :]], axis=-2)
     b = np.concatenate([found.weight[..., None, :], evidence.b[..., :-1, :]], axis=-2)
+    closed = np.eye(gain.shape[-2]) - gain @ evidence.output_jacobian
     if not np.any(restart):
-        return Window(eta, a, b)
+        return Window(eta, a, b, closed, gain)
     keep = ~restart[..., None, None]
-    return Window(eta * keep[..., None], a * keep, b * keep)
+    return Window(eta * keep[..., None], a * keep, b * keep, closed, gain * keep)

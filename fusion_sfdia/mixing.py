@@ -59,7 +59,7 @@ def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array
     b = np.linalg.solve(factor, joint.C @ found.inverse)
     share = np.where(found.used, 1.0 / np.where(found.used, found.weight + np.sum(b * b, axis=-2), 1.0), 0.0)
     inner = count * np.eye(a.shape[-1]) - (b * share[..., None, :]) @ np.swapaxes(b, -1, -2)
-    pull = np.linalg.solve(inner, (b @ (share * found.whitened)[..., None]))
-    half = np.linalg.solve(inner, np.swapaxes(factor, -1, -2))
-    p = factor @ half
-    return x - (factor @ pull)[..., 0], (p + np.swapaxes(p, -1, -2)) / 2
+    pull = b @ (share * found.whitened)[..., None]
+    solved = factor @ np.linalg.solve(inner, np.concatenate([np.swapaxes(factor, -1, -2), pull], axis=-1))
+    p = solved[..., :-1]
+    return x - solved[..., -1], (p + np.swapaxes(p, -1, -2)) / 2
