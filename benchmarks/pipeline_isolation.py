@@ -38,7 +38,7 @@ PLANT_DT = 10.0  # s between readings (Shaheen 2024, sec. IV-A)
 
 def draw_matrices(counts: Mapping[str, Any]) -> Drawing:
     """One matrix a detector."""
-    figure, axes = panels(list(counts), columns=3, width=11.0, height=3.4)
+    figure, axes = panels(list(counts), columns=3, width=10.5, height=3.3)
     starts = {"none": 0, **{q: 1 + i * (SENSORS // 3) for i, q in enumerate(QUANTITIES)}}
     for axis, matrix in zip(axes, counts.values(), strict=True):
         isolation_matrix(axis, matrix, boundaries=starts)
@@ -82,15 +82,14 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
     figure = Figure(
         "isolation-weak-bias",
         "Isolation matrices, weak bias",
-        "Each row is a faulty sensor (63, by quantity, inlet to outlet), each column what was named; yellow on the diagonal "
-        "is right, yellow in the first column is missed. The extended bank misses pressure, as published.",
+        "Each row is a faulty sensor (63, by quantity, inlet to outlet), grey where no run has it faulty, each column what "
+        "was named; yellow on the diagonal is right, yellow in the first column is missed.",
         lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for (d,), c in weak.items()}),
-        "Five confusion matrices of 64 by 64, one a detector: the diagonal is complete for the leave-one-out banks",
+        "Five confusion matrices of 64 by 64, one a detector",
     )
     remarks = [
         "The paper shows Fig. 6 as images without numbers: the fusing EKF names no pressure sensor, the fusing UKF is weak on "
-        "temperature, the fusing EnKF names all. To expect: the printed UKF loses temperature faults, and flow faults too, "
-        "drifts the most.",
+        "temperature, the fusing EnKF names all.",
         "P0 is the paper's identity for the fusing EKF and UKF; the fusing EnKF starts from the sensors' noise instead, since "
         "members spread by 1 MPa at every node leave the gas model in their first step.",
     ]

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia import detection_metrics as metrics
+from fusion_sfdia.benchmarks.findings import listed, pick, span
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
+    AFTERMATH,
     COMMON,
     OURS,
     PAPER,
@@ -22,7 +25,8 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import panels, roc_curves
-from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.benchmarks.scenario import Figure, Row, Scenario, Settings, Summary, Task
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
 
 def roc_tasks(settings: Settings, seeds: int) -> list[Task]:
@@ -61,16 +65,19 @@ def roc_summary(settings: Settings, results: Results) -> Summary:
     """Rows, a figure a fault, and what to see in them."""
     cells = gather(results, "detector", "fault", "quantity")
     lost = {key: cell.diverged for key, cell in cells.items() if cell.diverged}
+    rows = detection_rows("pipeline/roc", cells)
+    plant = gas_pipeline(snr=str(settings["snr"]))
+    sigmas = np.abs(plant.x0) / plant.sensor_sigma  # each state has its sensor
     remarks = [
-        "The paper prints its Fig. 5 as curves without numbers, so there is nothing to set beside the areas. Its order is "
-        "found again: with unscented or ensemble filters all quantities are detected, with extended ones "
-        "pressure is the weak side.",
-        "A fault of 20 % or more of the reading is 36 to 10 000 standard deviations of its noise: all curves crowd in the "
-        "corner. pipeline/weak has the faults that tell detectors apart.",
-        "Thresholds are swept over runs in which nothing was accommodated; a pressure fault then drives the "
-        "estimate out of the "
-        "gas model, where steps are guarded. The 40 samples after a fault, in which such a filter recovers, are not judged: "
-        "what a detector does when it may accommodate is in pipeline/isolation.",
+        "The paper prints its Fig. 5 as curves without numbers, so there is nothing to set beside the areas. It finds the "
+        "unscented and ensemble filters better than the extended one, the most on pressure. Here the smallest areas are: "
+        f"{_smallest(rows)}.",
+        f"The faults, 20 to 90 % of a reading, are {span([0.2 * sigmas.min(), 0.9 * sigmas.max()])} standard deviations of its "
+        "noise: pipeline/weak has those near the noise.",
+        "Thresholds are swept over runs in which nothing was accommodated; a pressure fault then drives the estimate out of "
+        f"the gas model, where steps are guarded. The {AFTERMATH} samples after a fault, in which such a filter recovers, are "
+        f"not judged. With them (auc_all_samples) the areas are {listed(pick(rows, metric='auc_all_samples'))}; without them "
+        f"{listed(pick(rows, metric='auc'))}. What a detector does when it may accommodate is in pipeline/isolation.",
     ]
     if lost:
         cases = "; ".join(f"{d} on {f}, {q}: {n}" for (d, f, q), n in lost.items())
@@ -79,13 +86,22 @@ def roc_summary(settings: Settings, results: Results) -> Summary:
         Figure(
             f"roc-{fault}",
             f"Receiver operating characteristics, {fault.replace('-', ' ')}",
-            "Probability of detection against that of a false alarm, by samples, the threshold swept. Upper left is better.",
+            "Probability of detection against that of a false alarm, by samples, the threshold swept. Upper left is better; "
+            "grey: chance.",
             partial(draw_roc, cells, fault),
             f"Three panels, one a quantity, with the ROC curves of five detectors for {fault.replace('-', ' ')} faults",
         )
         for fault in FAULTS
     ]
-    return Summary(rows=detection_rows("pipeline/roc", cells), figures=figures, remarks=remarks)
+    return Summary(rows=rows, figures=figures, remarks=remarks)
+
+
+def _smallest(rows: list[Row]) -> str:
+    """Each detector's smallest area, and where."""
+    found = pick(rows, metric="auc")
+    detectors = dict.fromkeys(r.detector for r in found)
+    least = [min((r for r in found if r.detector == d), key=lambda r: r.value) for d in detectors]
+    return "; ".join(f"{r.detector} {span([r.value])} ({r.quantity}, {r.fault.replace('-', ' ')})" for r in least) or "unknown"
 
 
 SCENARIO = Scenario(

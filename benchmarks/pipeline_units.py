@@ -1,4 +1,4 @@
-"""pipeline/units: why the residual (20) of Shaheen 2024 fails on pressure."""
+"""pipeline/units: what the units of the states do to the residual (20) of Shaheen 2024."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.detectors import PAPER_UNITS
+from fusion_sfdia.benchmarks.findings import listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -18,7 +19,7 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.plots import bars, panels
+from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.estimators import Estimator, Extended, Unscented
 from fusion_sfdia.fusing_bank import FusingBank
@@ -78,36 +79,40 @@ def units_summary(settings: Settings, results: Results) -> Summary:
         shown[quantity, detector] = estimate
 
     def draw() -> Drawing:
-        figure, (axis,) = panels(["is the largest residual (20) that of the faulty sensor?"], columns=1, width=12.0, height=3.4)
+        figure, (axis,) = panels(["is the largest residual (20) that of the faulty sensor?"], columns=1, width=13.0, height=3.2)
         names = [d for d in (*VARIANTS, "loo-chi2") if (QUANTITIES[0], d) in shown]
         bars(axis, names, bar_series(shown, QUANTITIES, names), ylabel="faulty sensor named")
         axis.set_xticks(range(len(names)), [n.replace(", ", "\n") for n in names])
-        axis.set_ylim(0, 1.3)
-        if axis.get_legend():
-            axis.legend(fontsize=8, ncols=3, loc="upper center")
+        axis.set_ylim(0, 1.05)
+        legend_above(figure)
         return figure
 
     figure = Figure(
         "units",
-        "Why the residual (20) misses pressure",
-        "In MPa, kg/s and K a pressure fault hides below the noise of the flow, unless the filter (printed UKF) "
-        "spreads it to the "
-        "flow; divided by each sensor's sigma it is seen by all.",
+        "The residual (20) in two units",
+        "Share of faulty samples at which the faulty sensor has the largest residual, with states in MPa, kg/s and K, and "
+        "divided by each sensor's sigma. 95 % intervals over runs.",
         draw,
         "Bars: share of faulty samples at which the faulty sensor has the largest residual, by variant of the "
         "bank and quantity",
     )
     remarks = [
-        "(20) is a length in a space whose axes are MPa, kg/s and K. A pressure error of 2.5 MPa moves the "
-        "mixture by as little "
-        "as a flow error of 2.5 kg/s does, which is one standard deviation of the flow's noise.",
+        "(20) is a length in a space whose axes are MPa, kg/s and K: a pressure error of 2.5 MPa is as long as a flow error "
+        "of 2.5 kg/s, which is one standard deviation of the flow's noise at moderate SNR. A filter that spreads a pressure "
+        "fault to the flow, or states divided by their sensors' sigma, make it seen.",
+        f"Faulty sensor named, pressure: {_named(rows, 'pressure')}; mass flow: {_named(rows, 'mass flow')}; temperature: "
+        f"{_named(rows, 'temperature')}.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=remarks)
 
 
+def _named(rows: list[Row], quantity: str) -> str:
+    return listed(pick(rows, metric="isolation_recall", quantity=quantity))
+
+
 SCENARIO = Scenario(
     name="pipeline/units",
-    title="Why the published residual fails on pressure",
+    title="The units of the published residual",
     about="A bias of 30 % of the reading, detection taken for granted: does the largest residual (20) name the sensor? With "
     "states in the paper's units, and in units of the sensors' noise, for the extended filter and the unscented one with and "
     "without redrawn sigma points.",

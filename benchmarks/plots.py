@@ -27,6 +27,7 @@ DASHES = ("-", "--", "-.", ":")
 
 STYLE: dict[Any, Any] = {
     "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.axisbelow": True,
     "axes.grid": True,
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -92,7 +93,8 @@ def roc_curves(axes: Axes, curves: Mapping[str, tuple[Array, Array]]) -> None:
         axes.plot(
             false_alarm, detection, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=label
         )  # fmt: skip
-    axes.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
+    chance = np.append(0.0, np.geomspace(1e-6, 1.0, 200))  # a curve, where an axis is logarithmic
+    axes.plot(chance, chance, color="0.6", linewidth=0.8)
     axes.set(xlabel="false-alarm probability", ylabel="detection probability", xlim=(-0.01, 1.01), ylim=(-0.01, 1.01))
     axes.set_aspect("equal")
     if curves:
@@ -102,11 +104,13 @@ def roc_curves(axes: Axes, curves: Mapping[str, tuple[Array, Array]]) -> None:
 def isolation_matrix(axes: Axes, counts: Array, *, boundaries: Mapping[str, int] | None = None) -> None:
     """What was named (columns) against what was true (rows), each row in shares of its sum; index 0 is no fault.
 
+    Rows without a count are grey.
     counts (N + 1, N + 1); boundaries: {quantity: first index of it}, drawn as lines with names.
     """
     total = counts.sum(axis=1, keepdims=True)
-    share = np.divide(counts, total, out=np.zeros(counts.shape), where=total > 0)
-    image = axes.imshow(share, cmap="viridis", vmin=0, vmax=1, interpolation="nearest")
+    share = np.divide(counts, total, out=np.full(counts.shape, np.nan), where=total > 0)
+    colours = matplotlib.colormaps["viridis"].with_extremes(bad="0.8")
+    image = axes.imshow(share, cmap=colours, vmin=0, vmax=1, interpolation="nearest")
     for first in (boundaries or {}).values():
         axes.axhline(first - 0.5, color="white", linewidth=0.6)
         axes.axvline(first - 0.5, color="white", linewidth=0.6)
@@ -122,7 +126,10 @@ def isolation_matrix(axes: Axes, counts: Array, *, boundaries: Mapping[str, int]
 
 
 def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: str, log: bool = False) -> None:
-    """Bars of several series over groups, their 95 % intervals, and the published values as hollow diamonds."""
+    """Bars of several series over groups, their 95 % intervals, and the published values as hollow diamonds.
+
+    The legend is left to `legend_above`, once all panels are drawn.
+    """
     width = 0.8 / max(len(series), 1)
     told = False
     for i, one in enumerate(series):
@@ -145,10 +152,16 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
     if log:
         axes.set_yscale("log")
     axes.grid(visible=False, axis="x")
-    if series:  # in room of its own above the bars
-        bottom, top = axes.get_ylim()
-        axes.set_ylim(bottom, top * (top / bottom) ** 0.35 if log else top + 0.25 * (top - bottom))
-        axes.legend(fontsize=7, ncols=3, loc="upper center")
+
+
+def legend_above(figure: Figure) -> None:
+    """One legend for all panels of a figure, above them: each label once."""
+    entries: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(str(label), handle)
+    if entries:
+        figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=len(entries), fontsize=8)
 
 
 def time_series(

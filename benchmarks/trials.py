@@ -20,6 +20,9 @@ from fusion_sfdia.simulate import Recording, simulate
 Array = NDArray[Any]
 Arrays = dict[str, Array]
 
+# of a faulty sensor: what the detector makes of it, what it reads, and what it would read without the fault
+READINGS = ("accommodated", "faulty", "healthy")
+
 
 @dataclass(frozen=True)
 class Faulted:
@@ -78,7 +81,8 @@ def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
 
     residual, score (K, B, Q): the largest |residual| and |residual| / threshold in each quantity. alarm (K, B).
     isolated, active (K, B, N) packed into bits. square_error (K, B, Q): mean over the states read by the quantity's
-    sensors. size_error (K, B): relative error of the isolated fault's size, NaN where there is none. diverged, guarded (B,).
+    sensors. reading_square_error (K, B, 3): mean over the faulty sensors for READINGS, NaN where none is. size_error (K, B):
+    relative error of the isolated fault's size, NaN where there is none. diverged, guarded (B,).
     """
     plant = detector.plant
     decision = decide(detector, data, seed=seed)
@@ -100,10 +104,20 @@ def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
         "isolated": np.packbits(decision.isolated[..., : len(plant.sensors)], axis=-1),
         "active": np.packbits(data.active, axis=-1),
         "square_error": error,
+        "reading_square_error": _reading_errors(decision, data),
         "size_error": np.where(count > 0, np.sum(off, axis=-1) / np.maximum(count, 1), np.nan),
         "diverged": decision.diverged.any(axis=0),
         "guarded": decision.guarded.mean(axis=0),
     }
+
+
+def _reading_errors(decision: Decision, data: Faulted) -> Array:
+    """Mean over the faulty sensors of the squared error of READINGS against the noise-free signal (K, B, 3)."""
+    faulty = data.active.sum(axis=-1)[..., None]
+    readings = np.stack([decision.measured, data.y, data.recording.y], axis=-1)
+    square = (readings - data.recording.signal[..., None]) ** 2
+    total = np.where(data.active[..., None], square, 0.0).sum(axis=-2)
+    return np.where(faulty > 0, total / np.maximum(faulty, 1), np.nan)
 
 
 def unpack(arrays: Arrays, what: str, sensors: int) -> Array:

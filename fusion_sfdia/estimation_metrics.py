@@ -24,7 +24,11 @@ def rmse(estimate: Array, truth: Array, where: Array | None = None, rng: np.rand
     diverged estimate) are left out.
     """
     require_shapes(estimate=(estimate, truth.shape))
-    square = (estimate - truth) ** 2
+    return root_mean_square((estimate - truth) ** 2, where, rng)
+
+
+def root_mean_square(square: Array, where: Array | None = None, rng: np.random.Generator | int = 0) -> Estimate:
+    """Mean over runs of the root of a run's mean of squared errors (K, B, n); the rest as in `rmse`."""
     counted = np.isfinite(square)
     counted = counted if where is None else counted & where[..., None]
     entries = counted.sum(axis=(0, 2))

@@ -60,6 +60,10 @@ def test_too_few_samples_name_how_many_are_wanted() -> None:
         calibrate(bank, t, y, u, false_alarm=0.1)
     with pytest.raises(ValueError, match="0 healthy samples"):
         calibrate(bank, t, y, u, false_alarm=0.1, warm_up=30)
-    # exactly the number that the message asks for is enough
     t, _, y, u = readings(chain(4), 40, 2, seed=0)
-    calibrate(bank, t, y, u, false_alarm=0.1)
+    with pytest.raises(ValueError, match="38 healthy samples"):
+        calibrate(bank, t[:39], y[:39], u[:39], false_alarm=0.1)
+    # exactly the number that the message asks for is enough: the threshold is then the largest of them
+    enough = replace(calibrate(bank, t, y, u, false_alarm=0.1), accommodate=False)
+    _, d = run(enough, enough.init((2,)), t, y, u)
+    np.testing.assert_array_equal(d.scores[20:].max(axis=(0, 1)), np.ones(4))

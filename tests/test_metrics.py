@@ -301,6 +301,17 @@ def test_rmse_by_hand_and_as_the_frobenius_norm():
     assert hand.value == pytest.approx(np.sqrt(12.5))
 
 
+def test_rmse_of_samples_and_of_runs_that_are_counted():
+    truth, estimate = np.zeros((3, 2, 1)), np.array([3.0, 1.0, 4.0, 2.0, 5.0, np.nan]).reshape(3, 2, 1)
+    where = np.array([[True, False], [True, True], [False, True]])
+    assert estimation.rmse(estimate, truth, where).value == pytest.approx((np.sqrt((9 + 16) / 2) + 2) / 2)
+    squares = estimation.root_mean_square(estimate**2, where)
+    assert squares == estimation.rmse(estimate, truth, where)
+    assert squares.n == 2
+    where[:, 1] = False
+    assert estimation.root_mean_square(estimate**2, where)[0::3] == (pytest.approx(np.sqrt(12.5)), 1)
+
+
 def test_nees_of_the_true_covariance_is_one():
     """Mean of n K B squared standard normals over n: standard error sqrt(2 / (n K B))."""
     rng = np.random.default_rng(9)

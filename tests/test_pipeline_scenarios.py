@@ -9,9 +9,9 @@ from fusion_sfdia import detection_metrics, isolation_metrics
 from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.detectors import build
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
-from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, gather, tasks, trial
+from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, detection_rows, gather, tasks, trial
 from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
-from fusion_sfdia.benchmarks.trials import decide, faulted
+from fusion_sfdia.benchmarks.trials import decide, faulted, outcome
 from fusion_sfdia.fault_draws import FaultRange
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
@@ -64,6 +64,60 @@ def test_a_window_sees_a_pressure_bias_of_three_sigma() -> None:
     }
     assert area["loo-glr"].value >= 0.93
     assert area["loo-chi2"].high < area["loo-glr"].low  # one sample lets it in
+
+
+def test_the_reading_of_a_faulty_sensor_before_and_after_it_is_replaced() -> None:
+    """By hand from the Decisions: a bias of 8 sigma on three sensors at once, so that a mean over sensors is one."""
+    detector = build("loo-chi2", gas_pipeline())
+    fault = FaultRange("bias", (8, 8), "sigmas", length=(20, 20))
+    data = faulted(detector.plant, 90, range(2), fault, None, count=3)
+    found = outcome(detector, data)["reading_square_error"]
+    decision = decide(detector, data)
+    k, b = np.argwhere(data.active.any(axis=-1))[5]
+    of = data.active[k, b]
+    assert of.sum() == 3
+    truth = data.recording.signal[k, b, of]
+    for error, reading in zip(found[k, b], (decision.measured, data.y, data.recording.y), strict=True):
+        assert error == pytest.approx(np.mean((reading[k, b, of] - truth) ** 2), rel=1e-12)
+    np.testing.assert_array_equal(np.isnan(found).all(axis=-1), ~data.active.any(axis=-1))
+    np.testing.assert_array_equal(np.isnan(found).any(axis=-1), ~data.active.any(axis=-1))
+    scaled = (decision.measured - data.recording.signal) / detector.plant.sensor_sigma
+    # the others know a reading to within .3 sigma (NEES is 1, and P some .08 R); 8 where one of a few is missed
+    assert np.sqrt(np.nanmean(np.where(data.active, scaled, np.nan) ** 2)) < 2.0
+    healthy = outcome(detector, faulted(detector.plant, 75, range(1), None, None))
+    assert np.isnan(healthy["reading_square_error"]).all()
+
+
+def test_accommodation_tells_of_estimate_and_reading() -> None:
+    one = scenario("pipeline/accommodation")
+    settings = {**one.settings, "steps": 100}
+    chosen = [t for t in one.tasks(settings, 1) if t["detector"] == "loo-glr" and t["quantity"] in ("mass flow", "all")]
+    summary = one.summarise(settings, [(t, one.work(t)) for t in chosen])
+    found = {(r.fault, r.quantity, r.metric): r.value for r in summary.rows}
+    for fault in published.FAULTS:
+        raw, replaced = (found[fault, "mass flow readings", m] for m in ("rmse_unaccommodated", "rmse"))
+        assert replaced < 0.5 * raw and found[fault, "mass flow readings", "rmse_healthy"] < 0.5 * raw
+    assert ("none", "mass flow readings", "rmse") not in found
+    assert len(summary.tables[0].rows) == 4 and "loo-glr" in summary.highlights[0]
+    assert "in 4 of 4 cases" in " ".join(summary.remarks)
+
+
+def test_areas_are_told_with_and_without_the_samples_after_a_fault() -> None:
+    rng = np.random.default_rng(0)
+    active = np.zeros((150, 4, 63), bool)
+    active[60:75, :, 30] = True
+    score = rng.random((150, 4, 3))
+    score[60:85] += 1.0  # a detector that takes ten samples to recover
+    arrays = {
+        "active": np.packbits(active, axis=-1), "isolated": np.packbits(active, axis=-1), "score": score,
+        "diverged": np.zeros(4, bool),
+    }  # fmt: skip
+    rows = detection_rows("s", {("d", "f", "mass flow"): Cell(arrays)})
+    found = {r.metric: r.value for r in rows}
+    assert found["auc"] == 1.0
+    # 10 of the 105 healthy samples from the 30th on score as the faulty ones do: half of those pairs are lost, to 3 standard
+    # errors of the rank sum of 60 and 40 numbers
+    assert found["auc_all_samples"] == pytest.approx(1 - 0.5 * 10 / 105, abs=3 * 10 / 105 * np.sqrt((1 / 60 + 1 / 40) / 12))
 
 
 def test_published_numbers_are_in_si_and_say_where_they_stand() -> None:

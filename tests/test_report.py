@@ -14,8 +14,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure as Drawing
 from toy_scenario import NASTY, TOY
 
-from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, isolation_matrix, panels, roc_curves, write_figure
+from fusion_sfdia.benchmarks.findings import listed, pick, span
+from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, isolation_matrix, legend_above, panels, roc_curves, write_figure
 from fusion_sfdia.benchmarks.report import inline, number
+from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.runner import run_scenarios
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
@@ -132,8 +134,47 @@ def test_figures_have_the_same_bytes_whatever_the_style(tmp_path: Path) -> None:
 def test_isolation_matrix_shows_shares_of_rows() -> None:
     figure, (axes,) = panels(["isolation"])
     isolation_matrix(axes, np.array([[3.0, 1.0], [0.0, 0.0]]))
-    assert np.array_equal(axes.images[0].get_array(), [[0.75, 0.25], [0.0, 0.0]])
-    assert figure.axes
+    shown = axes.images[0].get_array()
+    assert shown is not None
+    np.testing.assert_array_equal(np.ma.filled(shown, np.nan), [[0.75, 0.25], [np.nan, np.nan]])
+    assert axes.images[0].get_cmap().get_bad()[:3] == pytest.approx([0.8] * 3)  # no such fault: grey, not "never named"
+    assert [a.get_ylabel() for a in figure.axes] == ["true", "share of the row"]
+
+
+def test_chance_is_on_the_diagonal_of_a_logarithmic_axis_too() -> None:
+    _, (axes,) = panels(["ROC"])
+    roc_curves(axes, {})
+    x, y = (np.asarray(v, float) for v in axes.lines[0].get_data())
+    np.testing.assert_array_equal(x, y)
+    assert x[0] == 0 and x[-1] == 1 and np.sum((x > 1e-4) & (x < 1e-1)) > 20  # straight pieces would leave the curve
+
+
+def test_one_legend_above_all_panels() -> None:
+    figure, axes = panels(["a", "b"])
+    nan = math.nan
+    for axis in axes:
+        bars(axis, ["x"], [Bars("ours", [1], [0.5], [2], [1.5]), Bars("theirs", [2], [nan], [nan], [nan])], ylabel="m")
+    legend_above(figure)
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["published", "ours", "theirs"]
+    assert all(axis.get_legend() is None for axis in axes)
+    empty, _ = panels(["a"])
+    legend_above(empty)
+    assert not empty.legends
+
+
+def test_sentences_are_filled_from_rows() -> None:
+    rows = [
+        Row("s", "p", "a", "none", "pressure", "auc", 0.5),
+        Row("s", "p", "b", "none", "pressure", "auc", math.nan),
+        Row("s", "p", "a", "bias", "pressure", "auc", 0.75),
+        Row("s", "p", "b", "bias", "flow", "auc", 1234.5),
+    ]
+    assert pick(rows, detector="a", fault=("bias", "drift")) == [rows[2]]
+    assert [r.detector for r in pick(rows, metric="auc")] == ["a", "a", "b"]  # what is undefined is not told
+    assert listed(pick(rows)) == "a 0.5 to 0.75, b 1234"
+    assert listed(pick(rows), "quantity") == "pressure 0.5 to 0.75, flow 1234"
+    assert (span([]), span([math.nan]), span([0.12345, 0.1234])) == ("unknown", "unknown", "0.123")
+    assert listed([]) == "unknown"
 
 
 def test_curves_differ_in_published_colours_and_in_their_lines() -> None:
