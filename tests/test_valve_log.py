@@ -1,20 +1,30 @@
 """A log that none of us made: a valve whose command and position part, behind a flow sensor that drifts with temperature."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from fusion_sfdia.diagnose import diagnose
+from fusion_sfdia.diagnose import DiagnosisWarning, diagnose
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.plant import Plant, Sensor, Signal
+
+Array = NDArray[Any]
 
 K_VALVE = 4.71967e-3  # kg/s per root of Pa, fully open
 HERE = 293.15  # K, where the flow sensor reads true
 
 
 def valve() -> Plant:
-    """Opening and drift as random walks; one sensor reads (1 + drift (T - 293.15)) times the flow, the command the opening."""
+    """Opening and drift as random walks; one sensor reads (1 + drift (T - 293.15)) times the flow, the command the opening.
 
-    def flow(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    The noises are ours, from the log's truth, rounded up: see the test of them. The command is exact, and takes 0.01 for
+    its rounding; the drift is a constant, left 2e-5 a step (2e-4 over the log) of its 0.01.
+    """
+
+    def flow(x: Array, u: Array) -> Array:
         return K_VALVE * x[..., 0] ** 2 * np.sqrt(u[..., 0])
 
     return Plant(
@@ -31,18 +41,38 @@ def valve() -> Plant:
     )
 
 
-def test_the_stuck_valve_is_named_and_the_drift_of_the_flow_sensor_taken_out(shared_fixtures) -> None:  # type: ignore[no-untyped-def]
-    path = shared_fixtures / "estimationpy_valve" / "NoisyData_ValveStuck.csv"
-    log = np.genfromtxt(path, delimiter=",", names=True)
-    y = np.stack([log["valveStuckm_flow"], log["valveStuckcmd"]], axis=1)
-    u = np.stack([log["valveStuckdp"], log["valveStuckT_in"]], axis=1)
+def read(folder: Path) -> dict[str, Array]:
+    log = np.genfromtxt(folder / "estimationpy_valve" / "NoisyData_ValveStuck.csv", delimiter=",", names=True)
+    return {name.removeprefix("valveStuck"): log[name] for name in log.dtype.names}
+
+
+def test_the_noises_of_the_plant_are_those_of_the_log(shared_fixtures: Path) -> None:
+    """Root mean squares: flow less the model's at the true opening and drift (noise of the pressure drop included) 0.022, a
+    step of the opening 0.030, 0.066 where it moves. Twice as much would not be "rounded up".
+    """
+    log, plant = read(shared_fixtures), valve()
+    opening = log["valveopening"]
+    x = np.stack([opening, log["lambda"]], axis=1)
+    error = log["m_flow"] - plant.output(0.0, x, np.stack([log["dp"], log["T_in"]], axis=1))[:, 0]
+    steps = np.diff(opening)
+    found = {"flow": np.sqrt(np.mean(error**2)), "step": np.sqrt(np.mean(steps**2))}
+    assert found["flow"] <= plant.sensor_sigma[0] <= 2 * found["flow"]
+    assert found["step"] <= np.sqrt(plant.process_cov[0]) <= 2 * found["step"]
+
+
+def test_the_stuck_valve_is_named_and_the_drift_of_the_flow_sensor_taken_out(shared_fixtures: Path) -> None:
+    log = read(shared_fixtures)
+    y = np.stack([log["m_flow"], log["cmd"]], axis=1)
+    u = np.stack([log["dp"], log["T_in"]], axis=1)
     plant = valve()
-    diagnosis = diagnose(LeaveOneOutBank(plant, window=1), log["Time"] + 3.0, y, u)
+    with pytest.warns(DiagnosisWarning, match="moved back in 2 of 121 samples"):  # nearly closed: the command is believed
+        diagnosis = diagnose(LeaveOneOutBank(plant, window=1), log["Time"] + 3.0, y, u)
     estimate = diagnosis.decisions.estimate
-    truth = log["valveStuckm_flow_real"]
+    truth = log["m_flow_real"]
     raw = np.sqrt(np.mean((y[:, 0] - truth) ** 2))
     accommodated = np.sqrt(np.mean((K_VALVE * estimate[:, 0] ** 2 * np.sqrt(u[:, 0]) - truth) ** 2))
     assert raw == pytest.approx(0.1363, abs=5e-5)
+    # less than half of the raw error; the drift is 0.01 / K
     assert accommodated <= 0.06
     assert 0.007 <= estimate[-1, 1] <= 0.0135
     # 60 % open for good while 80 to 100 % is asked: named to the end. Earlier, with two instruments and an opening that may
