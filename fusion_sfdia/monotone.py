@@ -11,9 +11,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_sfdia.expression import Expression, record
 from fusion_sfdia.interval import Interval, select
+
+Array = NDArray[Any]
 
 
 def gradient(expression: Expression, values: Sequence[Interval]) -> list[Interval]:
@@ -34,37 +37,80 @@ def gradient(expression: Expression, values: Sequence[Interval]) -> list[Interva
     return slopes[: expression.n_arguments]
 
 
-def monotone_hull(function: Callable[..., Any] | Expression, box: Interval) -> Interval:
+def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, pieces: int = 1) -> Interval:
     """Return an enclosure (...) of {function(x_1, ..., x_n): x in box}; box: (..., n).
 
-    A variable whose sign is not proved stays an interval; the result is cut to the natural inclusion and to the mean-value
-    form f(m) + sum_i f_i([x]) ([x_i] - m_i). Where f is not defined on the whole box it is the natural inclusion.
+    Variables whose sign is proved are set to the end that counts, which may prove others in turn; what stays an interval is
+    bounded by natural inclusion and mean-value form, f(m) + sum_i f_i([x]) ([x_i] - m_i). Where f is not defined on the whole
+    box it is the natural inclusion.
 
-    Raises ValueError for another number of variables than the function's, or of results than one.
+    Interval derivatives overestimate where a variable occurs often. With `pieces` > 1 everything is taken over that many
+    parts of each variable, pieces^n boxes in all.
+
+    Raises ValueError for another number of variables than the function's, of results than one, and for pieces < 1.
     """
     x = [box[..., i] for i in range(box.shape[-1])]
     expression = record(function, len(x))
     if len(expression.outputs) != 1:
         raise ValueError(f"a function of {len(expression.outputs)} results: bound one at a time")
-    out = expression.outputs[0]
-    values = expression.evaluate(x)
-    natural = values[out]
-    slopes = gradient(expression, values)
+    if pieces < 1:
+        raise ValueError(f"{pieces} pieces of each variable: give 1 or more")
+    found, slopes, defined = _bounds(expression, x, pieces)
+    lo, hi = found.lo, found.hi
+    for greatest in (False, True):
+        end, signs = x, slopes
+        for _ in x:
+            before, end = end, [_end(xi, -slope if greatest else slope) for xi, slope in zip(end, signs, strict=True)]
+            if all(((a.lo == b.lo) & (a.hi == b.hi)).all() for a, b in zip(before, end, strict=True)):
+                break
+            if all((e.lo == e.hi).all() for e in end):
+                there = expression.evaluate(end)[expression.outputs[0]]  # a corner: slopes would change nothing
+            else:
+                there, signs, _ = _bounds(expression, end, pieces)
+            lo, hi = (lo, np.minimum(hi, there.hi)) if greatest else (np.maximum(lo, there.lo), hi)
+    return select(defined, Interval.unchecked(lo, hi), found)
 
-    at_least, at_most = [], []
-    for xi, slope in zip(x, slopes, strict=True):
-        low, high = Interval.unchecked(xi.lo, xi.lo), Interval.unchecked(xi.hi, xi.hi)
-        rises, falls = slope.lo >= 0, slope.hi <= 0
-        at_least.append(select(rises, low, select(falls, high, xi)))
-        at_most.append(select(rises, high, select(falls, low, xi)))
-    ends = expression.evaluate(at_least)[out], expression.evaluate(at_most)[out]
-    middle = [Interval.unchecked(xi.mid, xi.mid) for xi in x]
+
+def _end(x: Interval, slope: Interval) -> Interval:
+    """Return the end of x at which a function with that slope is least, or x where its sign is not proved."""
+    rises, falls = slope.lo >= 0, slope.hi <= 0
+    return select(rises, Interval.unchecked(x.lo, x.lo), select(falls, Interval.unchecked(x.hi, x.hi), x))
+
+
+def _bounds(expression: Expression, x: Sequence[Interval], pieces: int) -> tuple[Interval, list[Interval], Array]:
+    """Return an enclosure of f over x, its slopes, and whether f is defined on the whole of it."""
+    n, batch = len(x), x[0].shape
+    parts, out = _parts(x, pieces), expression.outputs[0]
+    values = expression.evaluate(parts)
+    slopes = gradient(expression, values)
+    middle = [Interval.unchecked(part.mid, part.mid) for part in parts]
     mean_value = expression.evaluate(middle)[out]
-    for xi, m, slope in zip(x, middle, slopes, strict=True):
-        mean_value = mean_value + slope * (xi - m)
-    tight = natural.intersection(Interval.unchecked(ends[0].lo, ends[1].hi)).intersection(mean_value)
-    defined = np.broadcast_to(expression.is_defined(values), box.shape[:-1])
-    return select(defined, tight, natural)
+    for part, m, slope in zip(parts, middle, slopes, strict=True):
+        mean_value = mean_value + slope * (part - m)
+    defined = expression.is_defined(values)
+    tight = select(defined, values[out].intersection(mean_value), values[out])
+    everywhere = np.asarray(np.broadcast_to(defined, (pieces,) * n + batch).all(axis=tuple(range(n))))
+    return _over_parts(tight, n, batch), [_over_parts(slope, n, batch) for slope in slopes], everywhere
+
+
+def _parts(x: Sequence[Interval], pieces: int) -> list[Interval]:
+    """Return each variable cut into pieces along a leading axis of its own, which meet in shared floats."""
+    parts = []
+    for i, xi in enumerate(x):
+        share = np.linspace(0.0, 1.0, pieces + 1).reshape(-1, *(1,) * len(xi.shape))
+        edges = np.clip(xi.lo + share * (xi.hi - xi.lo), xi.lo, xi.hi)
+        edges[0], edges[-1] = xi.lo, xi.hi
+        own_axis = (1,) * i + (pieces,) + (1,) * (len(x) - 1 - i) + xi.shape
+        parts.append(Interval.unchecked(edges[:-1].reshape(own_axis), edges[1:].reshape(own_axis)))
+    return parts
+
+
+def _over_parts(y: Interval, n: int, batch: tuple[int, ...]) -> Interval:
+    """Return the hull over the n axes of the parts."""
+    shape = (1,) * (n + len(batch) - len(y.shape)) + y.shape
+    axes = tuple(range(n))
+    lo, hi = np.fmin.reduce(y.lo.reshape(shape), axis=axes), np.fmax.reduce(y.hi.reshape(shape), axis=axes)
+    return Interval.unchecked(np.broadcast_to(lo, batch), np.broadcast_to(hi, batch))
 
 
 def _of_power(z: Interval, x: Interval, y: Interval) -> Interval:

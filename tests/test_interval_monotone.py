@@ -38,11 +38,12 @@ def boxes(seed: int, n: int = 400) -> Interval:
     return Interval(middle - radius, middle + radius)
 
 
+@pytest.mark.parametrize("pieces", [1, 3])
 @pytest.mark.parametrize("name", SMOOTH | KINKED)
-def test_the_hull_contains_the_range(name: str) -> None:
+def test_the_hull_contains_the_range(name: str, pieces: int) -> None:
     function = (SMOOTH | KINKED)[name]
     box = boxes(1)
-    found = monotone_hull(function, box)
+    found = monotone_hull(function, box, pieces)
     assert found.shape == (400,)
     assert np.all(function(*(box[:, i] for i in range(3))).contains(found)) if name != "flat" else found.contains(3.0).all()
     rng = np.random.default_rng(2)
@@ -69,6 +70,15 @@ def test_monotone_functions_are_bounded_by_corners_to_rounding() -> None:
     assert tight.width < 0.6 * natural.width
 
 
+def test_pieces_prove_more_signs() -> None:
+    """x y / (x + y) rises in both; over the whole of a wide box the interval derivatives do not show it."""
+    box = Interval([1.0, 2.0], [2.0, 3.0])
+    whole, parts = (monotone_hull(lambda x, y: x * y / (x + y), box, pieces) for pieces in (1, 4))
+    np.testing.assert_allclose([parts.lo, parts.hi], [2 / 3, 6 / 5], rtol=1e-14)
+    assert whole.contains(parts)
+    assert whole.width > 1.5 * parts.width
+
+
 def test_a_sign_that_changes_inside_the_box_is_not_taken_for_proved() -> None:
     """x (1 - x) rises at the middle of [0.2, 0.7] but peaks inside: corners alone would miss 1/4."""
     found = monotone_hull(lambda x: x * (1 - x), Interval([0.2], [0.7]))
@@ -92,10 +102,10 @@ def test_interval_derivatives_contain_the_derivatives(name: str) -> None:
 
 def test_a_batch_is_a_loop_to_the_bit() -> None:
     box = boxes(5, 40)
-    for function in (SMOOTH | KINKED).values():
-        whole = monotone_hull(function, box)
+    for i, function in enumerate((SMOOTH | KINKED).values()):
+        whole = monotone_hull(function, box, 1 + i % 2)
         for k in range(40):
-            one = monotone_hull(function, box[k])
+            one = monotone_hull(function, box[k], 1 + i % 2)
             np.testing.assert_array_equal([one.lo, one.hi], [whole.lo[k], whole.hi[k]])
 
 
@@ -103,6 +113,8 @@ def test_every_function_has_its_derivative() -> None:
     assert set(DERIVATIVES) == set(KERNELS)
 
 
-def test_several_results_are_refused() -> None:
+def test_bad_input_is_refused() -> None:
+    with pytest.raises(ValueError, match="0 pieces"):
+        monotone_hull(lambda x: x, Interval([0.0], [1.0]), pieces=0)
     with pytest.raises(ValueError, match="a function of 2 results: bound one at a time"):
         monotone_hull(lambda x: (x, x), Interval([0.0], [1.0]))
