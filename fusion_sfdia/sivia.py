@@ -1,4 +1,4 @@
-"""Set inversion via interval analysis, SIVIA (Jaulin and Walter 1993; Kougiatsos 2024, sec. III-B, for sensor thresholds).
+"""Set inversion via interval analysis, SIVIA (Jaulin and Walter 1993; Kougiatsos 2024, sec. IV-B, for sensor thresholds).
 
 Which x in a box have f(x, p) in a target? Boxes are kept, dropped or cut in half until they are small. What comes back
 encloses the set from both sides: inner boxes lie in it, and outside the inner and boundary boxes there is none of it.
