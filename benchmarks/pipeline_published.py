@@ -1,4 +1,8 @@
-"""What Shaheen 2024 publishes of its pipeline, in SI: Tables IV to VII."""
+"""What Shaheen 2024 publishes of its pipeline, in SI: Tables IV to VII.
+
+Sources name the table; they name no page, since the text that the numbers were taken from has none. Its Fig. 5 to 7 (ROC
+curves, isolation matrices, RMSE under faults) have no numbers.
+"""
 
 from __future__ import annotations
 

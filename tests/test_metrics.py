@@ -215,10 +215,9 @@ def test_one_run_has_a_value_without_a_bootstrap():
     assert (value, n) == (1.5, 1)
     assert np.isnan([low, high]).all()
     rate = rate_over_runs(np.array([5]), np.array([10]))
-    assert rate.low < 0.5 < rate.high
-    assert rate.low == pytest.approx(
-        binomtest(1, 2).proportion_ci(method="wilson").low, abs=0.1
-    )  # one run says next to nothing
+    # Wilson's interval of p = 1/2 from a single trial, 1/2 -+ z / (2 sqrt(1 + z^2)): one run says next to nothing
+    half = 1.959964 / (2 * np.sqrt(1 + 1.959964**2))
+    assert (rate.low, rate.high) == (pytest.approx(0.5 - half, abs=1e-6), pytest.approx(0.5 + half, abs=1e-6))
 
 
 def test_shapes_that_do_not_fit_are_named():

@@ -132,7 +132,10 @@ def test_members_outside_the_model_get_no_weight_and_a_lost_batch_element_is_nan
     members[0, :5], members[1] = NAN, NAN
     weighed, _ = particle.update(Particles(members, cloud.log_weights), h, np.zeros(2), R, rng, threshold=1.0)
     x, P = weighed.moments
-    assert np.isfinite(x[0]).all() and np.isfinite(P[0]).all()
+    assert np.isfinite(x[0]).all() and np.isfinite(P[0]).all() and np.isfinite(weighed.members[0]).all()
+    inside = particle.weigh(Particles(cloud.members[0, 5:], np.full(15, -np.log(15))), h(cloud.members[0, 5:]), np.zeros(2), R)
+    counts = np.sum(np.all(weighed.members[0][:, None] == cloud.members[0, 5:], axis=-1), axis=0)
+    assert np.all(np.abs(counts - 20 * inside.weights) < 1 + 1e-9)  # resampled from those inside alone, by their weights
     assert np.isnan(x[1]).all() and np.isnan(weighed.effective_size[1])
 
 

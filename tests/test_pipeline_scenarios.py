@@ -139,7 +139,10 @@ def test_the_aftermath_of_a_fault_is_what_follows_its_end() -> None:
 
 @pytest.mark.slow
 def test_the_central_covariance_is_true_in_every_quantity() -> None:
-    """NEES per state within [0.9, 1.1] on truth that obeys the model."""
+    """NEES per state within [0.9, 1.1] on truth that obeys the model.
+
+    Errors of 21 states in 10 runs of 120 samples that forget themselves in some ten: standard error sqrt(2 / 2520) = 0.028.
+    """
     one = scenario("pipeline/consistency")
     settings = {**one.settings, "steps": 150}
     chosen = [t for t in one.tasks(settings, 10) if t["detector"] == "loo-chi2" and t["budget"] == 1e-3]
