@@ -24,11 +24,11 @@ def span(values: Iterable[float]) -> str:
 
 
 def listed(rows: Iterable[Row], column: str = "detector") -> str:
-    """Return the span of the values for each entry of a column: "fusing-ekf 0.67 to 0.84, loo-glr 0.98"; "unknown" for none."""
+    """Return the span of the values for each entry of a column: "fusing-ekf 0.67 to 0.84; loo-glr 0.98", or "unknown"."""
     values: dict[str, list[float]] = {}
     for r in rows:
         values.setdefault(getattr(r, column), []).append(r.value)
-    return ", ".join(f"{name} {span(found)}" for name, found in values.items()) or "unknown"
+    return "; ".join(f"{name} {span(found)}" for name, found in values.items()) or "unknown"
 
 
 def _short(value: float) -> str:

@@ -87,9 +87,8 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
     remarks = [
         "The paper does not define its accuracy. Its entries are multiples of 1/36 and 1/60, so it counts few trials; ours is "
         "the share of runs in which an alarm is raised during the fault and the sensor named most is the faulty one.",
-        f"Runs judged right, over all faults and levels: on pressure {_right(rows, 'pressure')}; on mass flow "
-        f"{_right(rows, 'mass flow')}; on temperature {_right(rows, 'temperature')}. The paper has the fusing EKF lowest on "
-        "pressure: (20) adds MPa to kg/s (pipeline/units).",
+        "The paper has the fusing EKF lowest on pressure: its (20) adds MPa to kg/s (pipeline/units). Runs judged right here, "
+        "over all faults and levels: " + " ".join(f"{q}: {_right(rows, q)}." for q in QUANTITIES),
     ]
     return Summary(rows=rows, figures=[figure] if shown else [], remarks=remarks)
 

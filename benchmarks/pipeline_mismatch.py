@@ -105,11 +105,9 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
     remarks = [
         "The budget of false alarms is one for a model that is true; a detector that is certain of its model takes its errors "
         "for faults, and leaves out as many sensors as it may (a quarter). Samples with a false alarm: "
-        + "; ".join(f"{t}: {listed(pick(rows, metric='false_alarm_probability', quantity=t))}" for t in TRUTHS)
-        + ".",
-        "Fewer alarms may come of finding less. Faulty samples with the sensor named, over all truths: weak bias "
-        f"{listed(pick(rows, metric='isolation_recall', fault='weak-bias'))}; bias of 5 sigma "
-        f"{listed(pick(rows, metric='isolation_recall', fault='bias-5-sigma'))}.",
+        + " ".join(f"{t}: {listed(pick(rows, metric='false_alarm_probability', quantity=t))}." for t in TRUTHS),
+        "Fewer alarms may come of finding less. Faulty samples with the sensor named, over all truths: "
+        + " ".join(f"{f}: {listed(pick(rows, metric='isolation_recall', fault=f))}." for f in ("weak-bias", "bias-5-sigma")),
         "Where the model is uncertain, give the filter the process noise that says so, or estimate the parameter as a state.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=remarks)

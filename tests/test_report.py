@@ -171,8 +171,8 @@ def test_sentences_are_filled_from_rows() -> None:
     ]
     assert pick(rows, detector="a", fault=("bias", "drift")) == [rows[2]]
     assert [r.detector for r in pick(rows, metric="auc")] == ["a", "a", "b"]  # what is undefined is not told
-    assert listed(pick(rows)) == "a 0.5 to 0.75, b 1234"
-    assert listed(pick(rows), "quantity") == "pressure 0.5 to 0.75, flow 1234"
+    assert listed(pick(rows)) == "a 0.5 to 0.75; b 1234"
+    assert listed(pick(rows), "quantity") == "pressure 0.5 to 0.75; flow 1234"
     assert (span([]), span([math.nan]), span([0.12345, 0.1234])) == ("unknown", "unknown", "0.123")
     assert listed([]) == "unknown"
 
