@@ -89,6 +89,45 @@ def test_calibration_keeps_the_stated_rate_on_fresh_data() -> None:
         calibrate(bank, t[:10], y[:10], u[:10], false_alarm=1e-4)
 
 
+def test_who_is_named_depends_on_the_units_of_the_states_as_printed_and_not_in_units_of_their_scale() -> None:
+    """(20) of Shaheen 2024 is a length in a space whose axes are unlike quantities; a scale for each state makes it pure."""
+    plant = chain(6)
+    size = np.array([1e3, 1.0, 1.0, 1.0, 1.0, 1.0])  # the first state in thousandths of its unit
+
+    other = replace(
+        plant,
+        step=lambda t, x, u, dt: plant.step(t, x / size, u, dt) * size,
+        output=lambda t, x, u: plant.output(t, x / size, u),
+        step_jacobian=None,
+        output_jacobian=None,
+        x0=plant.x0 * size,
+        initial_cov=plant.initial_cov * size**2,
+        process_cov=plant.process_cov * size**2,
+    )
+    t, _, y, u = readings(plant, 40, 5, seed=6)
+    y = y.copy()
+    y[20:, :, 3] += 15.0
+    named = {}
+    for units, model in (("one", plant), ("other", other)):
+        for scale in (None, (1.0,) * 6):
+            bank = FusingBank(model, Extended(), thresholds=(1e-3,) * 6, residual_scale=scale, accommodate=False)
+            named[units, scale is None] = run(bank, bank.init((5,)), t, y, u)[1].isolated[20:]
+    np.testing.assert_array_equal(named["one", True], named["other", True])
+    assert named["one", True][..., 3].all() and named["one", False][..., 3].all()
+    assert named["other", False][..., 3].mean() < 0.1 and named["other", False].any(axis=-1).all()
+
+
+def test_a_bank_without_thresholds_warns_that_it_never_alarms_unless_told_so() -> None:
+    plant = chain(3)
+    bank = FusingBank(plant, Extended())
+    with pytest.warns(UserWarning, match=r"no thresholds and will never raise an alarm; set them with calibrate\(\)"):
+        state = bank.init()
+    _, d = bank.step(state, 1.0, np.full(3, 1e6), np.zeros(0))  # a step does not repeat it
+    assert np.isinf(d.threshold).all() and not d.alarm
+    silent = replace(bank, thresholds=(np.inf,) * 3)
+    assert not silent.step(silent.init(), 1.0, np.full(3, 1e6), np.zeros(0))[1].alarm
+
+
 def test_bad_settings_are_named() -> None:
     plant = chain(4)
     with pytest.raises(ValueError, match="beta must be 4 positive numbers"):
