@@ -147,7 +147,8 @@ class Extended(_Moments):
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
-        return ekf.joint(x, p, lambda s: readings_of(plant, t, s, u), plant.output_jacobian_at(t, x, u), plant.sensor_cov)
+        expected = readings_of(plant, t, x, u)
+        return ekf.joint(x, p, lambda s: expected, plant.output_jacobian_at(t, x, u), plant.sensor_cov)
 
 
 @dataclass(frozen=True)

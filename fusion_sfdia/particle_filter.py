@@ -23,7 +23,7 @@ from fusion_sfdia import particle
 from fusion_sfdia.arguments import probability, whole
 from fusion_sfdia.batch_detector import BatchDetector, Moment
 from fusion_sfdia.detector import Decision, State
-from fusion_sfdia.estimators import guarded_points, step_stream
+from fusion_sfdia.estimators import guarded_points, readings_of, step_stream
 from fusion_sfdia.gaussian import add, whiten
 from fusion_sfdia.health import broken
 from fusion_sfdia.particle import Particles
@@ -72,7 +72,7 @@ class ParticleFilter(BatchDetector):
         rng, over = step_stream(now.seed, now.k), np.expand_dims(u, -2)
         _, ahead, guarded, lost = guarded_points(plant, now.last, core[0], u, now.dt)
         cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(now.dt), rng)
-        predicted = plant.output(now.t, cloud.members, over)
+        predicted = readings_of(plant, now.t, cloud.members, over)
         judged, named = self._eliminated(cloud, predicted, y)
         used = np.isfinite(y) & ~(named & self.accommodate)
         weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)

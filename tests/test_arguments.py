@@ -1,0 +1,248 @@
+"""What callers hand over: taken where it can mean one thing only, refused in one line that names it where not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_plants import Array, chain, readings, tanks
+
+from fusion_sfdia.arguments import batch_shape, floats, number, probability, shown, whole
+from fusion_sfdia.calibration import calibrate
+from fusion_sfdia.central_filter import CentralFilter
+from fusion_sfdia.detector import Detector, run
+from fusion_sfdia.enkf import EnKFSettings
+from fusion_sfdia.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.fusing_bank import FusingBank
+from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.particle_filter import ParticleFilter
+from fusion_sfdia.plant import Plant, Sensor, Signal
+from fusion_sfdia.ukf import SigmaPoints
+
+PLANT = tanks()
+DETECTORS: list[Detector] = [
+    CentralFilter(PLANT),
+    CentralFilter(PLANT, Unscented()),
+    CentralFilter(PLANT, Ensemble()),
+    LeaveOneOutBank(PLANT, window=5),
+    FusingBank(PLANT, Extended(), thresholds=(1.0,) * 4),
+    FusingBank(PLANT, Extended(), thresholds=(1.0,) * 4, literal=True),
+    ParticleFilter(PLANT, size=100),
+]
+IDS = ["central", "central-ukf", "central-enkf", "loo", "fusing", "fusing-literal", "particles"]
+every_detector = pytest.mark.parametrize("detector", DETECTORS, ids=IDS)
+
+
+def one_line(error: pytest.ExceptionInfo[ValueError]) -> None:
+    text = str(error.value)
+    assert "\n" not in text and len(text) < 250, text
+
+
+@pytest.mark.parametrize("value", ["1", None, True, [1.0], np.zeros(2), 1j, Sensor], ids=repr)
+def test_a_number_is_a_number(value: object) -> None:
+    for read in (lambda: number("sigma", value), lambda: whole("sigma", value, 0), lambda: probability("sigma", value)):
+        with pytest.raises(ValueError, match=r"sigma is .*; wanted a "):
+            read()
+    assert number("sigma", np.array(2)) == number("sigma", np.float32(2)) == 2.0 and whole("n", np.int8(2), 2) == 2
+    assert np.isnan(number("sigma", np.nan))  # whether it may be NaN is not the type's question
+    for bad in (2.0, np.nan, 1):
+        with pytest.raises(ValueError, match=r"n is .*; wanted a whole number of at least 2"):
+            whole("n", bad, 2)
+
+
+def test_numbers_of_any_kind_become_floats_and_what_is_missing_nan() -> None:
+    same = np.zeros(3)
+    assert floats("y", same) is same
+    for given in ([1, 2.0, None], (1, 2, np.nan), np.ma.array([1, 2, 3], mask=[0, 0, 1]), np.array([1, 2, None], object)):
+        np.testing.assert_array_equal(floats("y", given), [1.0, 2.0, np.nan])
+        assert floats("y", given).dtype == np.float64
+    assert floats("y", np.array([1, 2], np.float32)).dtype == np.float64 and floats("y", []).shape == (0,)
+    for bad in ("abc", ["1", "2"], [1, "x"], [[1.0], [1.0, 2.0]], [1j], {"a": 1}, [{}], np.zeros(2, "M8[s]")):
+        with pytest.raises(ValueError, match=r"^y is .*; wanted an array of numbers$") as error:
+            floats("y", bad)
+        one_line(error)
+    assert len(shown(np.zeros((50, 50)))) == 60 and shown("a") == "'a'"
+
+
+def test_a_batch_is_a_shape_or_a_length() -> None:
+    assert batch_shape(()) == () and batch_shape(3) == batch_shape([3]) == batch_shape((np.int64(3),)) == (3,)
+    for bad in (-1, (2, -1), 2.0, "3", None, (2.0,), True):
+        with pytest.raises(ValueError, match=r"batch is .*; wanted a shape: \(\) for a single run"):
+            batch_shape(bad)
+
+
+def test_lists_make_the_same_plant() -> None:
+    plant = replace(chain(3), x0=np.array([1.0, 2.0, 3.0]), process_cov=np.diag([1.0, 2.0, 3.0]))
+    lists: Any = {
+        "states": list(plant.states), "sensors": list(plant.sensors), "x0": [1, 2, 3], "initial_cov": [1, 1, 1],
+        "process_cov": [[1, 0, 0], [0, 2, 0], [0, 0, 3]], "process_bound": [1, 2, 3],
+    }  # fmt: skip
+    other: Plant = replace(plant, **lists)
+    assert other.states == plant.states and other.sensors == plant.sensors
+    for name in ("x0", "initial_cov", "process_cov"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(plant, name))
+        assert getattr(other, name).dtype == np.float64
+    t, y, u = np.arange(1.0, 4.0), np.zeros((3, 3)), np.zeros((3, 0))
+    for estimator in (Extended(), Unscented(), Ensemble()):
+        a, b = CentralFilter(plant, estimator), CentralFilter(other, estimator)
+        np.testing.assert_array_equal(run(a, a.init(), t, y, u)[1].estimate, run(b, b.init(), t, y, u)[1].estimate)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sensor("s", "x", sigma="x"), "sensor 's': sigma is 'x'; wanted a number"),  # type: ignore[arg-type]
+        (lambda: Sensor("s", "x", bound=[1.0]), r"sensor 's': bound is \[1.0\]; wanted a number"),  # type: ignore[arg-type]
+        (lambda: Signal("p", nominal="1"), "signal 'p': nominal is '1'; wanted a number"),  # type: ignore[arg-type]
+        (lambda: Signal("p", low=None), "signal 'p': low is None; wanted a number"),  # type: ignore[arg-type]
+        (lambda: replace(PLANT, dt="1"), "plant 'tanks': dt is '1'; wanted a number"),
+        (lambda: replace(PLANT, max_dt=None), "plant 'tanks': max_dt is None; wanted a number"),
+        (lambda: replace(PLANT, max_dt=np.nan), "max_dt is nan s; it must be positive"),
+        (lambda: replace(PLANT, x0="ab"), "plant 'tanks': x0 is 'ab'; wanted an array of numbers"),
+        (lambda: replace(PLANT, x0=[1.0, None]), "wanted 2 finite values"),
+        (lambda: replace(PLANT, initial_cov=[[1.0], [0.0, 1.0]]), "initial_cov is .*; wanted an array of numbers"),
+        (lambda: replace(PLANT, process_cov=None), r"process_cov has shape \(\); wanted \(2,\) variances"),
+        (lambda: replace(PLANT, states=("level_1", "level_2")), "states is .'level_1', 'level_2'.; wanted a tuple of Signal"),
+        (lambda: replace(PLANT, sensors="l1"), "sensors is 'l1'; wanted a tuple of Sensor objects"),
+        (lambda: replace(PLANT, inputs=None), "inputs is None; wanted a tuple of Signal objects"),
+        (lambda: replace(PLANT, step=None), "plant 'tanks': step is None; wanted a function"),
+        (lambda: replace(PLANT, output=3), "plant 'tanks': output is 3; wanted a function"),
+        (lambda: replace(PLANT, operation=lambda t: [1.0, 2.0]).input_at(0.0), r"operation .* gives shape \(2,\); wanted \(1"),
+        (lambda: replace(PLANT, operation=lambda t: "x").input_at(0.0), "that operation of plant 'tanks' gives is 'x'"),
+        (lambda: PLANT.in_units({"l1": ("mm", "1")}), "scale of sensor 'l1' is '1'; wanted a number"),  # type: ignore[dict-item]
+        (lambda: LeaveOneOutBank(PLANT, window=np.nan), "window, in samples, is nan; wanted a whole number"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, window=2.5), "window, in samples, is 2.5; wanted"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, window="a"), "window, in samples, is 'a'; wanted"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, max_faults=1.5), "max_faults is 1.5; wanted a whole number"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, max_faults=4), "max_faults is 4; plant 'tanks' has 4 sensors"),
+        (lambda: LeaveOneOutBank(PLANT, false_alarm="x"), "false_alarm is 'x'; wanted a number"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, Extended), "estimator is <class .*Extended'>; wanted Extended()"),  # type: ignore[arg-type]
+        (lambda: CentralFilter(PLANT, "ekf"), "estimator is 'ekf'; wanted Extended()"),  # type: ignore[arg-type]
+        (lambda: CentralFilter("tanks"), "plant is 'tanks'; wanted a Plant"),  # type: ignore[arg-type]
+        (lambda: FusingBank(PLANT, thresholds="abcd"), "thresholds is 'abcd'; wanted an array of numbers"),  # type: ignore[arg-type]
+        (lambda: FusingBank(PLANT, thresholds=1.0), r"thresholds must be 4 positive numbers; got shape \(\)"),  # type: ignore[arg-type]
+        (lambda: FusingBank(PLANT, residual_scale=(1.0, np.nan)), "residual_scale must be 2 positive numbers; got shape"),
+        (lambda: FusingBank(PLANT, None), "estimator is None; wanted Extended()"),  # type: ignore[arg-type]
+        (lambda: ParticleFilter(PLANT, size=10.0), "size is 10.0; wanted a whole number"),  # type: ignore[arg-type]
+        (lambda: EnKFSettings(size=8.0), "size of the ensemble is 8.0; wanted a whole number"),  # type: ignore[arg-type]
+        (lambda: EnKFSettings(inflation="1"), "inflation is '1'; wanted a number"),  # type: ignore[arg-type]
+        (lambda: SigmaPoints(alpha="1"), "alpha is '1'; wanted a number"),  # type: ignore[arg-type]
+    ],
+)  # fmt: skip
+def test_a_wrong_setting_is_named(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        make()
+    one_line(error)
+
+
+def test_settings_may_be_arrays() -> None:
+    bank = FusingBank(PLANT, Extended(), np.full(4, 0.25), PLANT.sensor_sigma, np.ones(2))  # type: ignore[arg-type]
+    assert bank == FusingBank(PLANT, Extended(), (0.25,) * 4, tuple(PLANT.sensor_sigma.tolist()), (1.0, 1.0))
+
+
+@every_detector
+def test_a_start_that_makes_no_sense_is_named(detector: Detector) -> None:
+    for arguments, message in (
+        ({"batch": 2.5}, "batch is 2.5; wanted a shape"), ({"batch": -1}, "batch is -1"), ({"seed": -1}, "seed is -1; wanted"),
+        ({"seed": 1.5}, "seed is 1.5"), ({"seed": None}, "seed is None"), ({"seed": 2**64}, "a seed below 2.64"),
+        ({"t": "0"}, "t is '0'; wanted a number"), ({"t": np.nan}, "t is nan.*; wanted a finite time"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=message) as error:
+            detector.init(**arguments)  # type: ignore[arg-type]
+        one_line(error)
+    assert detector.init(3)[3].shape == (3,)  # type: ignore[arg-type]
+
+
+@every_detector
+def test_readings_come_as_lists_and_anything_else_is_named(detector: Detector) -> None:
+    y, u = PLANT.output(5.0, PLANT.x0, PLANT.input_at(0.0)), PLANT.input_at(0.0)
+    state = detector.init()
+    _, wanted = detector.step(state, 5.0, np.where(np.arange(4) == 2, np.nan, y), u)
+    for given in ([*y[:2], None, y[3]], np.ma.array(y, mask=[0, 0, 1, 0])):
+        _, got = detector.step(state, 5, given, u.tolist())  # type: ignore[arg-type]
+        np.testing.assert_array_equal(got.estimate, wanted.estimate)
+        np.testing.assert_array_equal(got.residual, wanted.residual)
+    for arguments, message in (
+        ((5.0, None, u), r"y has shape \(\); wanted \(4,\): .* pass NaN for a missing one"),
+        ((5.0, "abcd", u), "y is 'abcd'; wanted an array of numbers"),
+        ((5.0, ["a", 1, 2, 3], u), "y is .*; wanted an array of numbers"),
+        ((5.0, y, None), r"u has shape \(\); plant 'tanks' has 1 inputs"),
+        ((5.0, y, ["on"]), "u is .'on'.; wanted an array of numbers"),
+        (("5", y, u), "t is '5'; wanted a number"),
+        ((None, y, u), "t is None; wanted a number"),
+    ):
+        with pytest.raises(ValueError, match=message) as error:
+            detector.step(state, *arguments)  # type: ignore[arg-type]
+        one_line(error)
+
+
+@every_detector
+def test_the_state_of_another_detector_is_refused(detector: Detector) -> None:
+    y, u = np.ones(4), PLANT.input_at(0.0)
+    own = detector.init()
+    others = [replace(d, plant=chain(3)) for d in DETECTORS if not isinstance(d, FusingBank)]  # type: ignore[type-var]
+    strangers = [d.init() for d in (*others, *DETECTORS)]
+    foreign = [s for s in strangers if [np.shape(a) for a in s] != [np.shape(a) for a in own]]
+    assert len(foreign) >= 7
+    for state in (*foreign, own[:-1], (), None, "state", own[3], detector.init((2,))[:-1] + own[-1:]):
+        with pytest.raises(
+            ValueError, match=rf"no state of {type(detector).__name__} on plant 'tanks' .*; take it from"
+        ) as error:
+            detector.step(state, 5.0, y, u)  # type: ignore[arg-type]
+        one_line(error)
+
+
+@every_detector
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"step": lambda t, x, u, dt: x[..., :1]}, r"step of plant 'tanks' gives shape .*1\) for states .*2\); wanted"),
+        ({"step": lambda t, x, u, dt: np.ones(2)}, r"step of plant 'tanks' gives shape \(2,\)"),
+        ({"step": lambda t, x, u, dt: None}, r"step of plant 'tanks' gives shape \(\)"),
+        ({"output": lambda t, x, u: x}, r"output of plant 'tanks' gives shape .*2\) for states .*; wanted .*4\), a column"),
+        ({"output": lambda t, x, u: x[..., 0]}, "output of plant 'tanks' gives shape"),
+        ({"step_jacobian": lambda t, x, u, dt: np.eye(3)}, r"step_jacobian .* gives shape \(3, 3\); wanted .*2, 2"),
+        ({"output_jacobian": lambda t, x, u: np.eye(2)}, r"output_jacobian .* gives shape \(2, 2\); wanted .*4, 2"),
+    ],
+)  # fmt: skip
+def test_a_model_of_another_width_is_named_at_its_first_use(detector: Detector, change: dict[str, Any], message: str) -> None:
+    wide = replace(detector, plant=replace(PLANT, **change))  # type: ignore[type-var]
+    state, y, u = wide.init((3,)), np.ones((3, 4)), PLANT.input_at(0.0)
+    if "jacobian" in message and not isinstance(getattr(detector, "estimator", None), Extended):
+        wide.step(state, 5.0, y, u)  # these filters take no Jacobian
+        return
+    with pytest.raises(ValueError, match=message) as error:
+        wide.step(state, 5.0, y, u)
+    one_line(error)
+
+
+def test_runs_and_calibrations_take_lists_and_name_what_does_not_fit() -> None:
+    t, _, y, u = readings(PLANT, 30, 1, seed=0)
+    y, u = y[:, 0], u[:, 0]
+    detector = CentralFilter(PLANT)
+    lists: Any = (t.tolist(), y.tolist(), u.tolist())
+    np.testing.assert_array_equal(
+        run(detector, detector.init(), *lists)[1].estimate, run(detector, detector.init(), t, y, u)[1].estimate
+    )
+    bank = FusingBank(PLANT, Extended())
+    assert calibrate(bank, *lists, false_alarm=0.2).thresholds == calibrate(bank, t, y, u, false_alarm=0.2).thresholds
+    for read in (lambda *a: run(detector, detector.init(), *a), lambda *a: calibrate(bank, *a, false_alarm=0.2)):
+        for arguments in ((t, y[:-1], u), (t[:-1], y, u), (t, y, u[:-1]), (t[0], y, u)):
+            with pytest.raises(ValueError, match="do not fit; wanted") as error:
+                read(*arguments)
+            one_line(error)
+        with pytest.raises(ValueError, match=r"t is .*; wanted an array of numbers"):
+            read("noon", y, u)
+    with pytest.raises(ValueError, match="warm_up is -1; wanted a whole number of at least 0"):
+        calibrate(bank, t, y, u, false_alarm=0.2, warm_up=-1)
+
+
+def test_an_array_of_readings_is_not_written_to() -> None:
+    detector = CentralFilter(PLANT)
+    y: Array = np.ones(4)
+    y.flags.writeable = False
+    _, d = detector.step(detector.init(), 5.0, y, PLANT.input_at(0.0))
+    assert not np.shares_memory(d.measured, y)
