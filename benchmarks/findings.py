@@ -31,5 +31,16 @@ def listed(rows: Iterable[Row], column: str = "detector") -> str:
     return "; ".join(f"{name} {span(found)}" for name, found in values.items()) or "unknown"
 
 
+def left_out(rows: Iterable[Row]) -> list[str]:
+    """Return a sentence on the runs that diverged, which no other number counts; none where there are none."""
+    lost = [r for r in rows if r.metric.startswith("diverged") and r.value > 0]
+    cases = [
+        f"{r.detector} {r.value:.0%} ({r.quantity}, {r.fault}{', without diagnosis' * r.metric.endswith('unaccommodated')})"
+        for r in lost
+    ]
+    told = "Where the estimate diverged the run is left out, and a cell without runs has no value or bar"
+    return [f"{told}: {'; '.join(cases)} of the runs."] if cases else []
+
+
 def _short(value: float) -> str:
     return f"{value:.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.3g}"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import listed, pick, span
+from fusion_sfdia.benchmarks.findings import left_out, listed, pick, span
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -86,7 +86,11 @@ def accommodation_summary(settings: Settings, results: Results) -> Summary:
         "Three panels of bars, one a quantity: the root mean square error of four detectors with and without diagnosis",
     )
     return Summary(
-        rows=rows, figures=[figure], tables=[readings_table(rows)], highlights=_highlights(rows), remarks=_remarks(rows)
+        rows=rows,
+        figures=[figure],
+        tables=[readings_table(rows)],
+        highlights=_highlights(rows),
+        remarks=[*_remarks(rows), *left_out(rows)],
     )
 
 
@@ -98,7 +102,7 @@ def readings_table(rows: list[Row]) -> Table:
             of = pick(rows, fault=fault, quantity=f"{quantity} readings")
             value = {(r.detector, r.metric): r.value for r in of}
             if value:
-                any_of = {metric: v for (_, metric), v in value.items()}
+                any_of = {r.metric: r.value for r in sorted(of, key=lambda r: r.n)}  # of the detector with the most runs left
                 replaced = [value.get((d, "rmse"), float("nan")) for d in NAMES]
                 lines.append((f"{quantity}, {unit}", fault, any_of["rmse_unaccommodated"], *replaced, any_of["rmse_healthy"]))
     return Table(

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks import pipeline_published as published
-from fusion_sfdia.benchmarks.findings import listed, pick
+from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -90,7 +90,7 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
         "The paper has the fusing EKF lowest on pressure: its (20) adds MPa to kg/s (pipeline/units). Runs judged right here, "
         "over all faults and levels: " + " ".join(f"{q}: {_right(rows, q)}." for q in QUANTITIES),
     ]
-    return Summary(rows=rows, figures=[figure] if shown else [], remarks=remarks)
+    return Summary(rows=rows, figures=[figure] if shown else [], remarks=[*remarks, *left_out(rows)])
 
 
 def _right(rows: list[Row], quantity: str) -> str:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
-from fusion_sfdia.benchmarks.findings import listed, pick
+from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -105,7 +105,7 @@ def estimation_summary(settings: Settings, results: Results) -> Summary:
         "The paper's process noise, 10 % lower than the measurement noise, may mean a tenth or nine tenths of the sensors' "
         "sigma; `--set process_noise=nine-tenths` takes the other.",
     ]
-    return Summary(rows=rows, figures=[figure], remarks=remarks)
+    return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
 
 def _over_basic(rows: list[Row]) -> list[Row]:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia import detection_metrics as metrics
+from fusion_sfdia.benchmarks.findings import left_out
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -100,7 +101,7 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
         for d in (*PAPER, *OURS)
         if any(r.detector == d for r in named)
     ]
-    return Summary(rows=rows, figures=[figure], highlights=highlights, remarks=remarks)
+    return Summary(rows=rows, figures=[figure], highlights=highlights, remarks=[*remarks, *left_out(rows)])
 
 
 def _size_error(relative: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia import detection_metrics as metrics
-from fusion_sfdia.benchmarks.findings import listed, pick, span
+from fusion_sfdia.benchmarks.findings import left_out, listed, pick, span
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     AFTERMATH,
@@ -64,7 +64,6 @@ def draw_roc(cells: Mapping[tuple[Any, ...], Cell], fault: str) -> Drawing:
 def roc_summary(settings: Settings, results: Results) -> Summary:
     """Rows, a figure a fault, and what to see in them."""
     cells = gather(results, "detector", "fault", "quantity")
-    lost = {key: cell.diverged for key, cell in cells.items() if cell.diverged}
     rows = detection_rows("pipeline/roc", cells)
     plant = gas_pipeline(snr=str(settings["snr"]))
     sigmas = np.abs(plant.x0) / plant.sensor_sigma  # each state has its sensor
@@ -79,9 +78,6 @@ def roc_summary(settings: Settings, results: Results) -> Summary:
         f"not judged. With them (auc_all_samples) the areas are {listed(pick(rows, metric='auc_all_samples'))}; without them "
         f"{listed(pick(rows, metric='auc'))}. What a detector does when it may accommodate is in pipeline/isolation.",
     ]
-    if lost:
-        cases = "; ".join(f"{d} on {f}, {q}: {n}" for (d, f, q), n in lost.items())
-        remarks.append(f"Runs that diverged and are left out: {cases}.")
     figures = [
         Figure(
             f"roc-{fault}",
@@ -93,7 +89,7 @@ def roc_summary(settings: Settings, results: Results) -> Summary:
         )
         for fault in FAULTS
     ]
-    return Summary(rows=rows, figures=figures, remarks=remarks)
+    return Summary(rows=rows, figures=figures, remarks=[*remarks, *left_out(rows)])
 
 
 def _smallest(rows: list[Row]) -> str:

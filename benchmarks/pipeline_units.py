@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.detectors import PAPER_UNITS
-from fusion_sfdia.benchmarks.findings import listed, pick
+from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -102,7 +102,7 @@ def units_summary(settings: Settings, results: Results) -> Summary:
         "it to the flow, or where states are divided by their sensors' sigma.",
         *(f"Faulty samples at which the {q} sensor is named: {_named(rows, q)}." for q in QUANTITIES),
     ]
-    return Summary(rows=rows, figures=[figure], remarks=remarks)
+    return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
 
 def _named(rows: list[Row], quantity: str) -> str:

@@ -6,7 +6,7 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import listed, pick
+from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -84,7 +84,7 @@ def weak_summary(settings: Settings, results: Results) -> Summary:
         "Three sensors that fail at once: the leave-one-out banks eliminate one after the other, the paper's rule names one. "
         f"Exact set named: {listed(pick(rows, metric='exact_isolation'))} of the faulty samples.",
     ]
-    return Summary(rows=rows, figures=[figure], remarks=remarks)
+    return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
 
 SCENARIO = Scenario(

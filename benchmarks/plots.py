@@ -14,6 +14,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from fusion_sfdia.storage import atomic_write
@@ -151,6 +152,8 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
     axes.set_ylabel(ylabel)
     if log:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # labels where decades are few
     axes.grid(visible=False, axis="x")
 
 

@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure as Drawing
 from toy_scenario import NASTY, TOY
 
-from fusion_sfdia.benchmarks.findings import listed, pick, span
+from fusion_sfdia.benchmarks.findings import left_out, listed, pick, span
 from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, isolation_matrix, legend_above, panels, roc_curves, write_figure
 from fusion_sfdia.benchmarks.report import inline, number
 from fusion_sfdia.benchmarks.results import Row
@@ -175,6 +175,17 @@ def test_sentences_are_filled_from_rows() -> None:
     assert listed(pick(rows), "quantity") == "pressure 0.5 to 0.75; flow 1234"
     assert (span([]), span([math.nan]), span([0.12345, 0.1234])) == ("unknown", "unknown", "0.123")
     assert listed([]) == "unknown"
+
+
+def test_runs_that_are_left_out_are_told() -> None:
+    rows = [
+        Row("s", "p", "a", "bias", "pressure", "diverged", 0.5),
+        Row("s", "p", "a", "bias", "pressure", "diverged_unaccommodated", 1.0),
+        Row("s", "p", "b", "bias", "pressure", "diverged", 0.0),
+    ]
+    (told,) = left_out(rows)
+    assert told.endswith(": a 50% (pressure, bias); a 100% (pressure, bias, without diagnosis) of the runs.")
+    assert left_out(rows[2:]) == []
 
 
 def test_curves_differ_in_published_colours_and_in_their_lines() -> None:
