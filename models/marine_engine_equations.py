@@ -11,7 +11,8 @@ al. 2017. As printed it does not run; each docstring names the equation and what
 
 K24's text swaps the labels of z1(4) and z2(4); its equations do not. The engine's speed is no variable: the propeller law
 ties it to the torque, n = sqrt(2 pi torque / load). The argument names of an equation, but for the parameters c, are its
-structure. Nothing branches on a value and everything is analytic, so floats, complex numbers, batches and intervals serve.
+structure. Nothing branches on a value and everything is analytic, but for a kink where the slip stops, so floats, complex
+numbers, batches and intervals serve.
 Where the model has no solution (a negative pressure) real numbers give NaN.
 """
 
@@ -29,8 +30,8 @@ Array = NDArray[Any]
 
 STATES = ("fuel", "p_receiver", "p_charge")
 ALGEBRAIC = ("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_charge", "T_compressor")
-SMOOTHING = 1e-3  # of the square of the nozzle function, whose slope is infinite at equal pressures; ours
-SWEEPS = 14  # of the torque, which shrink errors by 0.08 at full load and by less below: to rounding
+LEAST_SQUARE = 1e-6  # of the nozzle function, whose slope is infinite at equal pressures; ours
+CHORDS = 5  # steps of the chord method for the torque: to rounding, also from a quarter off in the states
 
 
 class EngineParameters(NamedTuple):
@@ -162,13 +163,12 @@ def shaft_torque(fuel: Any, T_cylinder: Any, torque: Any, p_charge: Any, T_charg
 
 @equation
 def nozzle(ratio: Any, c: EngineParameters) -> Any:
-    """Psi of isentropic flow through a nozzle, 0 where the pressure behind is the higher: the square is cut off smoothly.
+    """Psi of isentropic flow through a nozzle, its square cut off where the pressure behind is no lower.
 
     Subcritical, which a slip is: behind it stands more than half the pressure before it.
     """
     k = c.kappa_air
-    square = 2.0 * k / (k - 1.0) * (ratio ** (2.0 / k) - ratio ** ((k + 1.0) / k))
-    return np.sqrt(0.5 * (square + np.sqrt(square**2 + SMOOTHING**2)))
+    return np.sqrt(np.maximum(2.0 * k / (k - 1.0) * (ratio ** (2.0 / k) - ratio ** ((k + 1.0) / k)), LEAST_SQUARE))
 
 
 @equation
@@ -396,15 +396,24 @@ def variables_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 @equation
-def solved_torque(fuel: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
-    """The torque that solves torque = shaft_torque(..., torque, ...) with T_6 at the speed of that torque.
+def swept_torque(fuel: Any, torque: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """The shaft_torque at the speed of the torque given, N m, in T_6 as well: this shrinks errors by 0.08 at full load."""
+    return shaft_torque(fuel, cylinder_temperature(fuel, torque, p_charge, T_charge, c), torque, p_charge, T_charge, c)
 
-    A fixed number of sweeps, so that a derivative by complex numbers has settled as well as the value.
+
+@equation
+def solved_torque(fuel: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
+    """The fixed point of swept_torque: one sweep, then the chord method, which shrinks errors by 1e-3 each time.
+
+    A fixed number of times, so that a derivative by complex numbers has settled as well as the value.
     """
-    torque = c.load * c.speed_nominal**2 / (2.0 * np.pi * c.fuel_nominal) * fuel
-    for _ in range(SWEEPS):
-        T_cylinder = cylinder_temperature(fuel, torque, p_charge, T_charge, c)
-        torque = shaft_torque(fuel, T_cylinder, torque, p_charge, T_charge, c)
+    start = c.load * c.speed_nominal**2 / (2.0 * np.pi * c.fuel_nominal) * fuel
+    torque = swept_torque(fuel, start, p_charge, T_charge, c)
+    beside = 1.001 * torque
+    rise = swept_torque(fuel, beside, p_charge, T_charge, c) - swept_torque(fuel, torque, p_charge, T_charge, c)
+    slope = rise / (beside - torque)
+    for _ in range(CHORDS):
+        torque = torque + (swept_torque(fuel, torque, p_charge, T_charge, c) - torque) / (1.0 - slope)
     return torque
 
 

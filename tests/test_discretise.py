@@ -11,7 +11,14 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 from toy_plants import tank_physics, tanks
 
-from fusion_sfdia.discretise import discretise, linear_plant, runge_kutta_4, solve_algebraic, zero_order_hold
+from fusion_sfdia.discretise import (
+    discretise,
+    exponential_midpoint,
+    linear_plant,
+    runge_kutta_4,
+    solve_algebraic,
+    zero_order_hold,
+)
 from fusion_sfdia.equation import complex_step_jacobian
 from fusion_sfdia.plant import Physics, Plant, Sensor, Signal
 
@@ -45,6 +52,46 @@ def test_runge_kutta_4_is_of_order_4() -> None:
         errors.append(np.abs(x - exact).max())
     order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
     assert order == pytest.approx(4.0, abs=0.15)  # the next term of the error tilts the line by its share at 10 steps
+
+
+def test_the_exponential_midpoint_rule_is_exact_for_a_constant_level_however_stiff() -> None:
+    decay, level = np.array([1e-3, 1.0, 1e6]), np.array([2.0, -3.0, 4.0])
+    start = np.array([[1.0, 1.0, 1.0], [0.0, -5.0, 9.0]])
+    ours = exponential_midpoint(lambda t, x: decay * (level - x), 0.0, start, 0.7, decay)
+    np.testing.assert_allclose(ours, level + (start - level) * np.exp(-decay * 0.7), rtol=0, atol=50 * EPS)  # of values up to 9
+
+
+def test_the_exponential_midpoint_rule_is_of_order_2() -> None:
+    decay = np.array([3.0, 50.0])
+
+    def slope(t: float, x: np.ndarray) -> np.ndarray:
+        return np.stack([np.cos(x[..., 1] + t), 50 * np.sin(x[..., 0])], axis=-1) - decay * x
+
+    start = np.array([0.5, 0.5])
+    exact = solve_ivp(slope, (0, 1), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    counts = np.array([80, 160, 320, 640])
+    errors = []
+    for count in counts:
+        x, dt = start, 1 / count
+        for k in range(count):
+            x = exponential_midpoint(slope, k * dt, x, dt, decay)
+        errors.append(np.abs(x - exact).max())
+    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert order == pytest.approx(2.0, abs=0.15)  # the stiff state's next terms tilt the line by their share at 80 steps
+
+
+@pytest.mark.parametrize("decay", [np.ones(1), np.array([1.0, 0.0]), np.array([1.0, np.nan])])
+def test_rates_of_decay_that_do_not_fit_are_named(decay: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"decay of 'tanks' is .*; wanted 2 positive rates in 1/s, one a state"):
+        discretise(
+            tank_physics(),
+            tanks().sensors,
+            dt=1.0,
+            x0=np.ones(2),
+            initial_cov=np.ones(2),
+            process_cov=np.ones(2),
+            decay=decay,
+        )
 
 
 def test_substeps_divide_the_step_and_see_the_right_times() -> None:
