@@ -35,6 +35,10 @@ PLANTS: dict[str, tuple[str, str]] = {
         "150 km of high-pressure natural gas under transient flow, 21 nodes, 63 sensors (Shaheen 2024)",
         "fusion_sfdia.models.gas_pipeline:gas_pipeline",
     ),
+    "marine-engine": (
+        "four-stroke marine diesel engine with turbocharger in 4 blocks, 10 sensors (Kougiatsos and Reppa 2024)",
+        "fusion_sfdia.models.marine_engine:marine_engine",
+    ),
 }
 
 
