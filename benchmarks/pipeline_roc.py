@@ -52,12 +52,13 @@ def draw_roc(cells: Mapping[tuple[Any, ...], Cell], fault: str) -> Drawing:
             if (kind, of) == (fault, quantity):
                 score = cell["score"][..., QUANTITIES.index(quantity)]
                 curve = metrics.roc(score, cell.active, cell.judged)
-                curves[f"{detector}  {metrics.auc(score, cell.active, cell.judged).value:.3f}"] = curve[:2]
+                area = metrics.auc(score, cell.active, cell.judged)
+                curves[f"{detector}  {f'{area.value:.3f}' if area.n else 'no runs left'}"] = curve[:2]
         roc_curves(axis, curves)
         axis.set_aspect("auto")
         axis.set(xscale="log", xlim=(1e-4, 1.05))
         if curves:
-            axis.legend(fontsize=7, title="area under curve", title_fontsize=7, loc="lower right")
+            axis.legend(fontsize=7, title="area under curve", title_fontsize=7, loc="lower left")
     return figure
 
 

@@ -55,8 +55,8 @@ def trial_accuracy(alarm: Array, isolated: Array, active: Array, where: Array | 
 
     A run with faults is right where an alarm is raised while one is active and the sensors named on more than half of
     the samples that name any, of those with an active fault, are exactly the sensors that were faulty. A run without
-    faults is right where no alarm is raised. Shaheen 2024 does not define the accuracy of its Tables V to VII; their
-    entries are multiples of 1/36 or 1/60, which a share of samples would not be.
+    faults is right where no alarm is raised. Shaheen 2024 does not define the accuracy of its Tables V to VII; the entries
+    of V and VII (but for one) are multiples of 1/36 or 1/60, which shares of samples would not be.
     """
     faulty = _faulty(alarm, active)
     require_shapes(isolated=(isolated, active.shape))
