@@ -2,8 +2,9 @@
 
 A core is what a filter carries from step to step, a tuple of arrays: (x, P) for the extended and unscented filters,
 (ensemble,) for the ensemble filter. Each keeps the plant's limits: a prediction starts from the state moved into them, told
-as `guarded`. An estimate whose step ends in no number, or most of whose points' steps do, is `lost`: it stays where it is so
-that the rest of the batch goes on, and the detector calls it diverged.
+as `guarded`. An estimate whose step ends in no number, or most of whose points' steps do, stays where it is. It is `guarded`
+where the model has a number for the plant's x0 (a faulty reading has pulled the estimate to where the model does not hold,
+and the next may pull it back), and `lost` where it has none: then the detector calls it diverged.
 """
 
 from __future__ import annotations
@@ -67,12 +68,14 @@ class Reading(NamedTuple):
 
 class Stepped(NamedTuple):
     """States (..., n) within the plant's limits from which a step began, and those at which it ended, `start` itself where it
-    ended in no number; whether a state had to be moved into the limits (...); whether its step ended in no number (...).
+    ended in no number; whether a state had to be moved into the limits (...); whether its step ended in no number (...);
+    whether a step from the plant's x0 does so too (...).
     """
 
     start: Array
     ahead: Array
     moved: Array
+    stuck: Array
     lost: Array
 
 
@@ -85,22 +88,31 @@ def guarded_step(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepp
             f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; wanted the same: "
             "a batch is leading axes"
         )
-    lost = ~np.all(np.isfinite(ahead), axis=-1)
-    return Stepped(start, np.where(lost[..., None], start, ahead) if np.any(lost) else ahead, moved, lost)
+    stuck = ~np.all(np.isfinite(ahead), axis=-1)
+    if not np.any(stuck):
+        return Stepped(start, ahead, moved, stuck, stuck)
+    return Stepped(start, np.where(stuck[..., None], start, ahead), moved, stuck, stuck & ~_holds(plant, t, u, dt))
+
+
+def _holds(plant: Plant, t: float, u: Array, dt: float) -> Array:
+    """Whether the model has a number for the plant's x0 under the inputs u (..., m)."""
+    x = np.broadcast_to(plant.x0, (*u.shape[:-1], plant.x0.size))
+    return np.asarray(np.all(np.isfinite(plant.step(t, x, u, dt)), axis=-1))
 
 
 def guarded_points(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepped:
     """Step the points x (..., M, n) that together stand for an estimate, under its input u (..., m); moved and lost are (...).
 
-    It is lost where more than half of them have no step. A point without one goes along with the mean of the others, else
-    it would spread them by all that they have moved.
+    They are stuck where more than half of them have no step. A point without one goes along with the mean of the others,
+    else it would spread them by all that they have moved.
     """
-    start, ahead, moved, lost = guarded_step(plant, t, x, np.expand_dims(u, -2), dt)
-    if np.any(lost):
-        sound = np.maximum(np.sum(~lost, axis=-1), 1)[..., None]
-        drift = np.sum(ahead - start, axis=-2) / sound  # the lost ones have not moved
-        ahead = np.where(lost[..., None], start + drift[..., None, :], ahead)
-    return Stepped(start, ahead, np.any(moved | lost, axis=-1), 2 * np.sum(lost, axis=-1) > x.shape[-2])
+    start, ahead, moved, stuck, lost = guarded_step(plant, t, x, np.expand_dims(u, -2), dt)
+    if np.any(stuck):
+        sound = np.maximum(np.sum(~stuck, axis=-1), 1)[..., None]
+        drift = np.sum(ahead - start, axis=-2) / sound  # those without a step have not moved
+        ahead = np.where(stuck[..., None], start + drift[..., None, :], ahead)
+    most = 2 * np.sum(stuck, axis=-1) > x.shape[-2]
+    return Stepped(start, ahead, np.any(moved, axis=-1), np.any(stuck, axis=-1), most & np.any(lost, axis=-1))
 
 
 def readings_of(plant: Plant, t: float, x: Array, u: Array) -> Array:
@@ -138,9 +150,9 @@ class Extended(_Moments):
     consistent: bool = field(default=True, init=False, repr=False)
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        start, ahead, moved, lost = guarded_step(plant, t, core[0], u, dt)
+        start, ahead, moved, stuck, lost = guarded_step(plant, t, core[0], u, dt)
         jacobian = plant.step_jacobian_at(t, start, u, dt)
-        if np.any(beyond := moved | lost):  # beyond its limits the model has no slope to speak of
+        if np.any(beyond := moved | stuck):  # beyond its limits the model has no slope to speak of
             jacobian = np.where(beyond[..., None, None], np.eye(start.shape[-1]), jacobian)
         x, p = ekf.predict(start, core[1], lambda s: ahead, jacobian, plant.process_cov_over(dt))
         return Prior((x, p), beyond, lost, tangent=jacobian)
@@ -169,9 +181,9 @@ class Unscented(_Moments):
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         start, moved = plant.guard(core[0])
         points = ukf.draw(self.points, start, core[1])
-        _, ahead, any_moved, lost = guarded_points(plant, t, points, u, dt)
+        _, ahead, any_moved, stuck, lost = guarded_points(plant, t, points, u, dt)
         x, p = ukf.moments(self.points, ahead, plant.process_cov_over(dt))
-        return Prior((x, p), moved | any_moved, lost, propagated=None if self.redraw else ahead)
+        return Prior((x, p), moved | any_moved | stuck, lost, propagated=None if self.redraw else ahead)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
@@ -192,9 +204,9 @@ class Ensemble:
         return (plant.x0 + gaussian.sample(plant.initial_cov, rng, (*batch, self.settings.size)),)
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        _, ahead, guarded, lost = guarded_points(plant, t, core[0], u, dt)
+        _, ahead, moved, stuck, lost = guarded_points(plant, t, core[0], u, dt)
         members = enkf.predict(ahead, lambda s: s, plant.process_cov_over(dt), rng)
-        return Prior((members,), guarded, lost)
+        return Prior((members,), moved | stuck, lost)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         over = np.expand_dims(u, -2)

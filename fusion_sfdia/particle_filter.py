@@ -70,7 +70,7 @@ class ParticleFilter(BatchDetector):
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         plant = self.plant
         rng, over = step_stream(now.seed, now.k), np.expand_dims(u, -2)
-        _, ahead, guarded, lost = guarded_points(plant, now.last, core[0], u, now.dt)
+        _, ahead, moved, stuck, lost = guarded_points(plant, now.last, core[0], u, now.dt)
         cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(now.dt), rng)
         predicted = readings_of(plant, now.t, cloud.members, over)
         judged, named = self._eliminated(cloud, predicted, y)
@@ -87,7 +87,7 @@ class ParticleFilter(BatchDetector):
             isolated=named,
             fault_size=np.where(named, judged.residual, np.nan),
             diverged=lost | broken(x, p),
-            guarded=guarded,
+            guarded=moved | stuck,
             nis=self._nis(cloud, predicted, np.where(used, y, np.nan)),
             covariance=p,
         )
