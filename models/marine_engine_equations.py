@@ -168,7 +168,8 @@ def nozzle(ratio: Any, c: EngineParameters) -> Any:
     Subcritical, which a slip is: behind it stands more than half the pressure before it.
     """
     k = c.kappa_air
-    return np.sqrt(np.maximum(2.0 * k / (k - 1.0) * (ratio ** (2.0 / k) - ratio ** ((k + 1.0) / k)), LEAST_SQUARE))
+    square = 2.0 * k / (k - 1.0) * ratio ** (2.0 / k) * (1.0 - ratio ** ((k - 1.0) / k))
+    return np.sqrt(np.maximum(square, LEAST_SQUARE))
 
 
 @equation
