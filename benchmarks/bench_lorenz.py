@@ -21,7 +21,9 @@ from fusion_sfdia.benchmarks.bench_filterpy import MEMBERS, Model, step_call
 from fusion_sfdia.discretise import discretise
 from fusion_sfdia.equation import complex_step_jacobian
 from fusion_sfdia.gaussian import condition
-from fusion_sfdia.plant import Physics, Plant, Sensor, Signal
+from fusion_sfdia.physics import Physics
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 Call = Callable[[], Array]

@@ -1,8 +1,8 @@
 """Sensor-fault detection, isolation and accommodation: three schools on one state-space interface.
 
 The names below are loaded when they are first used, so that importing the package is cheap. Where a name is that of a
-module too (simulate, discretise, diagnose), `fusion_sfdia.simulate` is always the function; the module's other names come by
-`from fusion_sfdia.simulate import ...`.
+module too (simulate, discretise, diagnose, sivia), `fusion_sfdia.simulate` is always the function; the module's other names
+come by `from fusion_sfdia.simulate import ...`.
 """
 
 import sys
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.diagnose import Diagnosis as Diagnosis
     from fusion_sfdia.diagnose import Event as Event
     from fusion_sfdia.diagnose import diagnose as diagnose
+    from fusion_sfdia.diagnosis_sets import DiagnosisLogic as DiagnosisLogic
     from fusion_sfdia.discretise import discretise as discretise
     from fusion_sfdia.discretise import linear_plant as linear_plant
     from fusion_sfdia.equation import equation as equation
@@ -34,19 +35,30 @@ if TYPE_CHECKING:
     from fusion_sfdia.faults import load_faults as load_faults
     from fusion_sfdia.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
     from fusion_sfdia.fusing_bank import FusingBank as FusingBank
+    from fusion_sfdia.interval import Interval as Interval
     from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
     from fusion_sfdia.logs import Log as Log
     from fusion_sfdia.logs import read_log as read_log
     from fusion_sfdia.logs import write_log as write_log
     from fusion_sfdia.models.gas_pipeline import gas_pipeline as gas_pipeline
+    from fusion_sfdia.models.marine_engine import marine_engine as marine_engine
+    from fusion_sfdia.monotone import monotone_hull as monotone_hull
     from fusion_sfdia.particle_filter import ParticleFilter as ParticleFilter
-    from fusion_sfdia.plant import Block as Block
-    from fusion_sfdia.plant import Physics as Physics
+    from fusion_sfdia.physics import Block as Block
+    from fusion_sfdia.physics import Physics as Physics
     from fusion_sfdia.plant import Plant as Plant
-    from fusion_sfdia.plant import Sensor as Sensor
-    from fusion_sfdia.plant import Signal as Signal
+    from fusion_sfdia.signals import Sensor as Sensor
+    from fusion_sfdia.signals import Signal as Signal
+    from fusion_sfdia.signatures import Agent as Agent
+    from fusion_sfdia.signatures import SignatureMatrix as SignatureMatrix
+    from fusion_sfdia.signatures import global_signatures as global_signatures
+    from fusion_sfdia.signatures import local_signatures as local_signatures
+    from fusion_sfdia.signatures import sensors_read as sensors_read
+    from fusion_sfdia.signatures import signature_matrix as signature_matrix
     from fusion_sfdia.simulate import Recording as Recording
     from fusion_sfdia.simulate import simulate as simulate
+    from fusion_sfdia.sivia import Paving as Paving
+    from fusion_sfdia.sivia import sivia as sivia
     from fusion_sfdia.storage import load_state as load_state
     from fusion_sfdia.storage import save_state as save_state
 
@@ -55,6 +67,7 @@ _MODULES = {
     "central_filter": ("CentralFilter",),
     "detector": ("Decision", "Detector", "run"),
     "diagnose": ("Diagnosis", "Event", "diagnose"),
+    "diagnosis_sets": ("DiagnosisLogic",),
     "discretise": ("discretise", "linear_plant"),
     "equation": ("equation",),
     "estimators": ("Ensemble", "Extended", "Unscented"),
@@ -62,12 +75,19 @@ _MODULES = {
     "faults": ("Fault", "apply_faults:apply", "load_faults"),
     "filterpy_adapter": ("plant_from_filterpy",),
     "fusing_bank": ("FusingBank",),
+    "interval": ("Interval",),
     "leave_one_out_bank": ("LeaveOneOutBank",),
     "logs": ("Log", "read_log", "write_log"),
     "models.gas_pipeline": ("gas_pipeline",),
+    "models.marine_engine": ("marine_engine",),
+    "monotone": ("monotone_hull",),
     "particle_filter": ("ParticleFilter",),
-    "plant": ("Block", "Physics", "Plant", "Sensor", "Signal"),
+    "physics": ("Block", "Physics"),
+    "plant": ("Plant",),
+    "signals": ("Sensor", "Signal"),
+    "signatures": ("Agent", "SignatureMatrix", "global_signatures", "local_signatures", "sensors_read", "signature_matrix"),
     "simulate": ("Recording", "simulate"),
+    "sivia": ("Paving", "sivia"),
     "storage": ("load_state", "save_state"),
 }
 _PUBLIC = {

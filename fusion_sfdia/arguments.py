@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -63,3 +65,10 @@ def batch_shape(batch: object) -> tuple[int, ...]:
     if any(isinstance(b, bool) or not isinstance(b, int | np.integer) or b < 0 for b in given):
         raise ValueError(f"batch is {shown(batch)}; wanted a shape: () for a single run, (3,) or 3 for three side by side")
     return tuple(int(b) for b in given)
+
+
+def require_unique(what: str, names: Sequence[str]) -> None:
+    """Raise ValueError where a name stands twice."""
+    twice = sorted(n for n, count in Counter(names).items() if count > 1)
+    if twice:
+        raise ValueError(f"{what}: the names {', '.join(twice)} stand more than once; names must differ")

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from fusion_sfdia.plant import Physics, Plant, Sensor, Signal
+from fusion_sfdia.physics import Physics
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

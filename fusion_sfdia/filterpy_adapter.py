@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.discretise import linear_plant
 from fusion_sfdia.equation import difference_jacobian
-from fusion_sfdia.plant import Plant, Sensor, Signal
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 from fusion_sfdia.ukf import SigmaPoints
 
 Array = NDArray[Any]

@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.plant import Plant, Sensor, Signal, require_unique
+from fusion_sfdia.arguments import require_unique
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 from fusion_sfdia.storage import atomic_write
 
 Array = NDArray[Any]

@@ -1,125 +1,26 @@
-"""Plants: named signals, sensors, physics and the discretised model on which every detector runs.
+"""Plants: the discretised model, with its states and sensors, on which every detector runs.
 
 Everything is SI inside. A batch (seeds, ensemble members, sigma points) is leading axes everywhere.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.arguments import floats, number, shown
+from fusion_sfdia.arguments import floats, number, require_unique, shown
 from fusion_sfdia.equation import complex_step_jacobian
+from fusion_sfdia.physics import Block
+from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 StepFunction = Callable[[float, Array, Array, float], Array]
 OutputFunction = Callable[[float, Array, Array], Array]
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A physical variable: its name, unit, nominal value and the limits between which the model holds."""
-
-    name: str
-    unit: str = "1"
-    nominal: float = 0.0
-    low: float = -np.inf
-    high: float = np.inf
-
-    def __post_init__(self) -> None:
-        for what in ("nominal", "low", "high"):
-            number(f"signal {self.name!r}: {what}", getattr(self, what))
-        if not (self.low <= self.nominal <= self.high and np.isfinite(self.nominal)):
-            raise ValueError(
-                f"signal {self.name!r}: nominal {self.nominal} is not finite and within [{self.low}, {self.high}]; "
-                "correct it or the limits"
-            )
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """An instrument that reads one variable, with noise stated as a standard deviation, a bound, or both.
-
-    What is not stated follows: sigma of a uniform error within the bound (bound/sqrt 3); no bound (inf) for a sigma.
-    `owner` is the block that reads the sensor, `quantity` the kind of thing it measures ("pressure"), by which results
-    are grouped.
-    """
-
-    name: str
-    measures: str
-    unit: str = "1"
-    sigma: float | None = None
-    bound: float | None = None
-    owner: str = ""
-    quantity: str = ""
-
-    def __post_init__(self) -> None:
-        for what, value in (("sigma", self.sigma), ("bound", self.bound)):
-            if value is not None and not 0 < number(f"sensor {self.name!r}: {what}", value) < np.inf:
-                raise ValueError(f"sensor {self.name!r}: {what} is {value}; it must be positive and finite, or left out")
-        if self.sigma is None and self.bound is None:
-            raise ValueError(f"sensor {self.name!r} states no noise; give sigma, bound or both")
-
-    @property
-    def noise_sigma(self) -> float:
-        """Standard deviation of the reading, in the sensor's unit."""
-        return self.sigma if self.sigma is not None else float(self.bound or 0.0) / np.sqrt(3.0)
-
-    @property
-    def noise_bound(self) -> float:
-        """Largest error of the reading, in the sensor's unit; inf where none is stated."""
-        return np.inf if self.bound is None else self.bound
-
-
-@dataclass(frozen=True)
-class Block:
-    """A named part of the physics: the variables it computes and the blocks from which it needs variables."""
-
-    name: str
-    variables: tuple[str, ...]
-    neighbours: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Physics:
-    """Continuous-time physics: dx/dt = f(t, x, z, u, c) and, for a DAE of index 1, z = phi(t, x, z, u, c).
-
-    states, inputs, algebraic: the signals of x (..., n), u (..., m) and z (..., k).
-    f, phi: functions of batches, analytic in x, z and u so that Jacobians come from the complex step.
-    parameters: c, usually a NamedTuple of floats.
-    equations: the scalar equations behind f and phi by the variable they give; their argument names are the structure.
-    blocks: the parts of the physics and their neighbours.
-    """
-
-    name: str
-    states: tuple[Signal, ...]
-    f: Callable[[float, Array, Array, Array, Any], Array]
-    inputs: tuple[Signal, ...] = ()
-    algebraic: tuple[Signal, ...] = ()
-    phi: Callable[[float, Array, Array, Array, Any], Array] | None = None
-    parameters: Any = None
-    equations: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
-    blocks: tuple[Block, ...] = ()
-
-    def __post_init__(self) -> None:
-        names = [s.name for s in (*self.states, *self.inputs, *self.algebraic)]
-        require_unique(f"physics {self.name!r}", names)
-        if bool(self.algebraic) != (self.phi is not None):
-            raise ValueError(f"physics {self.name!r}: algebraic variables and phi go together; give both or neither")
-        block_names = {b.name for b in self.blocks}
-        for block in self.blocks:
-            unknown = [v for v in block.variables if v not in names] + [b for b in block.neighbours if b not in block_names]
-            if unknown:
-                raise ValueError(f"block {block.name!r} names unknown variables or neighbours: {', '.join(unknown)}")
-        unknown = [v for v in self.equations if v not in names]
-        if unknown:
-            raise ValueError(f"physics {self.name!r}: equations for unknown variables {', '.join(unknown)}")
 
 
 @dataclass(frozen=True)
@@ -297,13 +198,6 @@ class Plant:
 def diagonal(cov: Array) -> Array:
     """Variances (..., n) of a covariance given as its diagonal (n,) or as a matrix (..., n, n)."""
     return cov if cov.ndim == 1 else np.diagonal(cov, axis1=-2, axis2=-1)
-
-
-def require_unique(what: str, names: Sequence[str]) -> None:
-    """Raise ValueError where a name stands twice."""
-    twice = sorted(n for n, count in Counter(names).items() if count > 1)
-    if twice:
-        raise ValueError(f"{what}: the names {', '.join(twice)} stand more than once; names must differ")
 
 
 def require_covariance(what: str, cov: Array, n: int) -> None:

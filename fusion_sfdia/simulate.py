@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from fusion_sfdia.plant import Plant, Sensor, diagonal
+from fusion_sfdia.plant import Plant, diagonal
 from fusion_sfdia.random_streams import require_seeds, stream
+from fusion_sfdia.signals import Sensor
 
 Array = NDArray[Any]
 

@@ -41,7 +41,9 @@ from fusion_sfdia.models.gas_pipeline_physics import (
     steady_state,
 )
 from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES
-from fusion_sfdia.plant import Block, Plant, Sensor, Signal
+from fusion_sfdia.physics import Block
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

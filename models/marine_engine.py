@@ -29,7 +29,9 @@ from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, CONSTANT_SLIP
 from fusion_sfdia.models.marine_engine_equilibrium import LOADS, engine_variables, equilibrium, follows_law
 from fusion_sfdia.models.marine_engine_faults import ProcessFault, parameter_schedule
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
-from fusion_sfdia.plant import Block, Physics, Plant, Sensor, Signal
+from fusion_sfdia.physics import Block, Physics
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

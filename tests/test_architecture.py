@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-INTERFACE = {"arguments", "equation", "plant", "discretise", "detector", "storage"}
+INTERFACE = {"arguments", "equation", "signals", "physics", "plant", "discretise", "detector", "storage"}
 # modules of fusion_sfdia by layer, lowest first; a module imports only its own layer and those below
 LAYERS = [
     INTERFACE,

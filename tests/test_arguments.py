@@ -19,7 +19,8 @@ from fusion_sfdia.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.fusing_bank import FusingBank
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.particle_filter import ParticleFilter
-from fusion_sfdia.plant import Plant, Sensor, Signal
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 from fusion_sfdia.ukf import SigmaPoints
 
 PLANT = tanks()

@@ -20,7 +20,9 @@ from fusion_sfdia.discretise import (
     zero_order_hold,
 )
 from fusion_sfdia.equation import complex_step_jacobian
-from fusion_sfdia.plant import Physics, Plant, Sensor, Signal
+from fusion_sfdia.physics import Physics
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 
 EPS = np.finfo(float).eps
 NONE = np.zeros(0)

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from toy_plants import chain, tanks
 
 from fusion_sfdia.logs import read_log, write_log
-from fusion_sfdia.plant import Signal
+from fusion_sfdia.signals import Signal
 
 HEADER = "time,l1,l2,q12,q2"
 ROW = "1,1.0,1.0,6e-4,6e-4"

@@ -60,10 +60,10 @@ def test_type_checkers_see_the_same_names(root: Path) -> None:
 
 @pytest.mark.parametrize("first", ["import fusion_sfdia.simulate", "from fusion_sfdia.simulate import Recording", "pass"])
 def test_a_function_is_not_replaced_by_its_module(tmp_path: Path, first: str) -> None:
-    code = f"{first}; import fusion_sfdia; from fusion_sfdia import simulate, discretise, diagnose; "
-    code += "import fusion_sfdia.discretise; "
-    code += "print(*(callable(f) for f in (simulate, discretise, diagnose, fusion_sfdia.simulate, fusion_sfdia.discretise)))"
-    assert python(code, tmp_path).split() == ["True"] * 5
+    code = f"{first}; import fusion_sfdia; from fusion_sfdia import simulate, discretise, diagnose, sivia; "
+    code += "import fusion_sfdia.discretise, fusion_sfdia.sivia; "
+    code += "print(*(callable(f) for f in (simulate, discretise, diagnose, sivia, fusion_sfdia.simulate, fusion_sfdia.sivia)))"
+    assert python(code, tmp_path).split() == ["True"] * 6
 
 
 def test_the_command_runs_as_a_module(tmp_path: Path) -> None:

@@ -15,7 +15,8 @@ from fusion_sfdia.central_filter import CentralFilter
 from fusion_sfdia.detector import Decision, Detector, run
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.particle_filter import ParticleFilter
-from fusion_sfdia.plant import Plant, Sensor, Signal
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 from fusion_sfdia.storage import load_state, save_state
 
 Array = NDArray[Any]

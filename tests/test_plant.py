@@ -9,7 +9,9 @@ from toy_plants import chain, tank_physics, tanks
 
 from fusion_sfdia.discretise import linear_plant
 from fusion_sfdia.equation import complex_step_jacobian
-from fusion_sfdia.plant import Block, Physics, Plant, Sensor, Signal, diagonal, require_covariance
+from fusion_sfdia.physics import Block, Physics
+from fusion_sfdia.plant import Plant, diagonal, require_covariance
+from fusion_sfdia.signals import Sensor, Signal
 
 NAN, INF = float("nan"), float("inf")
 

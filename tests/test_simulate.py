@@ -11,8 +11,9 @@ from toy_plants import chain, tanks
 
 from fusion_sfdia.discretise import linear_plant
 from fusion_sfdia.models.gas_pipeline import coarse_state, gas_pipeline
-from fusion_sfdia.plant import Plant, Sensor, Signal
+from fusion_sfdia.plant import Plant
 from fusion_sfdia.random_streams import require_seeds, stream
+from fusion_sfdia.signals import Sensor, Signal
 from fusion_sfdia.simulate import simulate
 
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.diagnose import DiagnosisWarning, diagnose
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.plant import Plant, Sensor, Signal
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.discretise import discretise, linear_plant
-from fusion_sfdia.plant import Block, Physics, Plant, Sensor, Signal
+from fusion_sfdia.physics import Block, Physics
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 
