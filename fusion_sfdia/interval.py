@@ -21,6 +21,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from fusion_sfdia import interval_kernels as kernels
+from fusion_sfdia.rounding import MAX, above, rounds_to_nearest
 
 Array = NDArray[Any]
 
@@ -79,7 +80,7 @@ class Interval(NDArrayOperatorsMixin):
                 f"intervals have no {ufunc.__name__}{'' if method == '__call__' else '.' + method}; an equation does not "
                 f"compare values and uses {', '.join(sorted(f.__name__ for f in kernels.KERNELS))}"
             )
-        if not kernels.rounds_to_nearest():
+        if not rounds_to_nearest():
             raise RuntimeError(
                 "the processor does not round to nearest, so no bound would hold: a library changed the mode (codac does "
                 "when imported; call it through fusion_sfdia.codac_adapter) and has to set it back"
@@ -110,7 +111,7 @@ class Interval(NDArrayOperatorsMixin):
     @property
     def mid(self) -> Array:
         """A finite point inside: the middle, 0 for the real line, the largest float on a half-line; NaN for empty."""
-        lo, hi = np.maximum(self.lo, -kernels.MAX), np.minimum(self.hi, kernels.MAX)
+        lo, hi = np.maximum(self.lo, -MAX), np.minimum(self.hi, MAX)
         middle = np.minimum(np.maximum(0.5 * lo + 0.5 * hi, lo), hi)
         upward, downward = np.isinf(self.hi), np.isinf(self.lo)
         return np.where(upward & ~downward, hi, np.where(downward & ~upward, lo, middle))
@@ -119,14 +120,14 @@ class Interval(NDArrayOperatorsMixin):
     def width(self) -> Array:
         """Upper minus lower bound, rounded up; 0 for a point, NaN for empty."""
         with np.errstate(all="ignore"):
-            return np.where(self.lo == self.hi, 0.0, kernels.above(self.hi - self.lo))
+            return np.where(self.lo == self.hi, 0.0, above(self.hi - self.lo))
 
     @property
     def radius(self) -> Array:
         """The least float with [mid - radius, mid + radius] around the interval, to a unit in the last place."""
         with np.errstate(all="ignore"):
             half = np.maximum(self.hi - self.mid, self.mid - self.lo)
-            return np.where(self.lo == self.hi, 0.0, kernels.above(half))
+            return np.where(self.lo == self.hi, 0.0, above(half))
 
     def intersection(self, other: Interval) -> Interval:
         return Interval.unchecked(*kernels.intersection((self.lo, self.hi), (other.lo, other.hi)))

@@ -2,12 +2,8 @@
 
 A kernel maps bounds (lo, hi), two float arrays, to bounds. NaN, NaN is the empty set; a point may come as one array
 twice (lo is hi), which saves half of the corners. The flavour is IEEE 1788's set-based one: an argument is cut to the
-function's domain, and where nothing remains the result is empty. What leaves this file encloses the exact range:
-
-- operations that IEEE 754 rounds correctly (+ - * / sqrt square) go out by one unit in the last place, by the predecessor and
-  successor of Rump, Zimmermann, Boldo and Melquiond 2009 (BIT 49:419-431), alg. 1; sums and products that are 0 stay 0;
-- library functions (exp, log, power, ...) go out by `LIBRARY_ULPS` + 1 units: NumPy states no bound, so this one is an
-  assumption about the library, which the tests check against decimal arithmetic.
+function's domain, and where nothing remains the result is empty. What leaves this file encloses the exact
+range, rounded outward as `rounding` does; sums and products that are 0 stay 0.
 
 Kernels expect floating-point warnings to be off, subnormal numbers to be on and rounding to nearest.
 """
@@ -21,32 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.rounding import EPS, HALF_ULP, LIBRARY_ULPS, MAX, above, below
+
 Array = NDArray[Any]
 Bounds = tuple[Array, Array]
 Kernel = Callable[..., Bounds]
-
-LIBRARY_ULPS = 4
-EPS = 2.0**-52
-HALF_ULP = 2.0**-53 * (1 + 2.0**-52)
-TINY = 5e-324
-MAX = float(np.finfo(float).max)
-
-
-def rounds_to_nearest() -> bool:
-    """Whether the processor rounds to nearest, as every bound here assumes: some libraries leave another mode behind."""
-    return 1.0 + TINY == 1.0 == 1.0 - TINY
-
-
-def below(x: Array, ulps: int = 0) -> Array:
-    """Return a lower bound of what x is the rounded value of; ulps 0: correctly rounded."""
-    x = np.minimum(x, MAX)  # the exact value behind an overflow is at least so large
-    size = np.abs(x)
-    return x - ((ulps + 1) * (size * EPS + TINY) if ulps else size * HALF_ULP + TINY)
-
-
-def above(x: Array, ulps: int = 0) -> Array:
-    """Return an upper bound of what x is the rounded value of."""
-    return -below(-x, ulps)
 
 
 def is_empty(a: Bounds) -> Array:

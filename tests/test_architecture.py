@@ -15,7 +15,7 @@ LAYERS = [
     INTERFACE,
     {"ekf", "enkf", "exclusion", "gaussian", "health", "leave_one_out", "likelihood_window", "mixing"}
     | {"particle", "random_streams", "ukf"}
-    | {"contractors", "expression", "interval", "interval_kernels", "monotone", "sivia"},
+    | {"contractors", "expression", "interval", "interval_kernels", "monotone", "rounding", "sivia"},
     {"estimators"},
     {"diagnosis_sets", "signatures"},
     {"batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},

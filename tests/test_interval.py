@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.interval import Interval, select
-from fusion_sfdia.interval_kernels import LIBRARY_ULPS
+from fusion_sfdia.rounding import LIBRARY_ULPS
 
 Function = Callable[..., Any]
 UNARY: list[tuple[str, Function]] = [
