@@ -1,29 +1,20 @@
 """Run scenarios on all cores: finished pieces are kept, so an interrupted run goes on where it stood, with the same bits.
 
-Every piece of work runs with one thread for linear algebra, in this process or in another, so that its bits, and those of
-metrics.csv, do not depend on the number of workers.
+The bits of metrics.csv do not depend on the number of workers: see `workers`.
 """
 
 from __future__ import annotations
 
-import os
 import platform
-import signal
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
 
-from joblib import Parallel, delayed
-from joblib.externals.loky.process_executor import BrokenProcessPool
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from scipy import linalg  # noqa: F401  # its linear algebra is limited to one thread too, once it is loaded
 from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
@@ -36,12 +27,13 @@ from fusion_sfdia.benchmarks.output import (
     remove_other_parts,
     write_manifest,
 )
-from fusion_sfdia.benchmarks.parts import part_name, read_part, write_part
+from fusion_sfdia.benchmarks.parts import part_name, read_part
 from fusion_sfdia.benchmarks.plots import write_figure
 from fusion_sfdia.benchmarks.provenance import cores, git_commit, sources_digest, versions
 from fusion_sfdia.benchmarks.report import Section, write_report
 from fusion_sfdia.benchmarks.results import Row, write_rows
 from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Task, adjust
+from fusion_sfdia.benchmarks.workers import Piece, work_off
 
 
 @dataclass(frozen=True)
@@ -65,12 +57,6 @@ class _Plan:
     resumed: int = 0
     seconds: float = 0.0
     errors: dict[str, str] = field(default_factory=dict)
-
-
-class _Done(NamedTuple):
-    part: str
-    seconds: float
-    error: str | None
 
 
 def run_scenarios(
@@ -169,56 +155,22 @@ def _work_off(plans: list[_Plan], out: Path, workers: int) -> None:
     for plan in plans:
         for part in plan.parts:
             asking.setdefault(part, []).append(plan)
-    calls = []
+    pieces = []
     for part, those in asking.items():
         path = out / "parts" / part
         if read_part(path) is not None:
             for plan in those:
                 plan.resumed += 1
         else:
-            calls.append(delayed(_do)(path, those[0].scenario.work, those[0].parts[part], os.getpid()))
-    parallel = Parallel(n_jobs=min(workers, max(len(calls), 1)), return_as="generator_unordered", batch_size=1, max_nbytes=None)
-    with _progress(len(asking), len(asking) - len(calls)) as bar:
-        try:
-            for done in parallel(calls):
-                those = asking[done.part]
-                those[0].seconds += done.seconds
-                if done.error is not None:
-                    for plan in those:
-                        plan.errors[done.part] = done.error
-                bar.advance(bar.task_ids[0])
-        except BrokenProcessPool as error:
-            raise RuntimeError(
-                "a worker process was killed, most often for want of memory; what it finished is kept: run the same command "
-                f"again with fewer workers than {workers}"
-            ) from error
-
-
-def _do(path: Path, work: Any, task: Task, parent: int) -> _Done:
-    """One piece of work, where it is run; its arrays go to disk and an error is told, not raised."""
-    if os.getpid() != parent:
-        _follow(parent)
-    start = time.perf_counter()
-    error = None
-    try:
-        with threadpool_limits(1):
-            write_part(path, work(task))
-    except Exception as problem:
-        error = f"{type(problem).__name__}: {problem}"
-    return _Done(path.name, time.perf_counter() - start, error)
-
-
-@cache
-def _follow(parent: int) -> None:
-    """In a worker, once: leave Ctrl-C to the parent, and end when the parent is gone, which may not be able to say so."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+            pieces.append(Piece(path, those[0].scenario.work, those[0].parts[part]))
+    with _progress(len(asking), len(asking) - len(pieces)) as bar:
+        for done in work_off(pieces, workers):
+            those = asking[done.path.name]
+            those[0].seconds += done.seconds
+            if done.error is not None:
+                for plan in those:
+                    plan.errors[done.path.name] = done.error
+            bar.advance(bar.task_ids[0])
 
 
 def _summarise(plan: _Plan, out: Path) -> Section:

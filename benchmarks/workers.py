@@ -1,0 +1,84 @@
+"""Pieces of work on all cores, each kept on disk as soon as it is done.
+
+Every piece runs with one thread for linear algebra, in this process or in another, so that its bits do not depend on the
+number of workers.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from joblib import Parallel, delayed
+from joblib.externals.loky.process_executor import BrokenProcessPool
+from scipy import linalg  # noqa: F401  # its linear algebra is limited to one thread too, once it is loaded
+from threadpoolctl import threadpool_limits
+
+from fusion_sfdia.benchmarks.parts import write_part
+from fusion_sfdia.benchmarks.scenario import Arrays, Task
+
+
+class Piece(NamedTuple):
+    """What is to be done, and the file that takes the arrays."""
+
+    path: Path
+    work: Callable[[Task], Arrays]
+    task: Task
+
+
+class Done(NamedTuple):
+    """A piece that was done, or the error that ended it, and the seconds it took."""
+
+    path: Path
+    seconds: float
+    error: str | None
+
+
+def work_off(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
+    """Do the pieces in at most `workers` processes and tell of each when it is done, in any order.
+
+    Raises RuntimeError where a process is killed.
+    """
+    parallel = Parallel(
+        n_jobs=min(workers, max(len(pieces), 1)), return_as="generator_unordered", batch_size=1, max_nbytes=None
+    )
+    try:
+        yield from parallel(delayed(_do)(piece, os.getpid()) for piece in pieces)
+    except BrokenProcessPool as error:
+        raise RuntimeError(
+            "a worker process was killed, most often for want of memory; what it finished is kept: run the same command "
+            f"again with fewer workers than {workers}"
+        ) from error
+
+
+def _do(piece: Piece, parent: int) -> Done:
+    """One piece, where it is run; its arrays go to disk and an error is told, not raised."""
+    if os.getpid() != parent:
+        _follow(parent)
+    start = time.perf_counter()
+    error = None
+    try:
+        with threadpool_limits(1):
+            write_part(piece.path, piece.work(piece.task))
+    except Exception as problem:
+        error = f"{type(problem).__name__}: {problem}"
+    return Done(piece.path, time.perf_counter() - start, error)
+
+
+@cache
+def _follow(parent: int) -> None:
+    """In a worker, once: leave Ctrl-C to the parent, and end when the parent is gone, which may not be able to say so."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
