@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.calibration import calibrate
 from fusion_sfdia.central_filter import CentralFilter
 from fusion_sfdia.detector import Detector
@@ -40,6 +41,15 @@ def calibrated(bank: FusingBank) -> FusingBank:
     return calibrate(bank, healthy.t, healthy.y, u, FALSE_ALARM, WARM_UP)
 
 
+def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
+    """Monitoring modules with thresholds as the mode says; ValueError for a plant without modules."""
+    detector = AdaptiveThreshold(plant)  # refuses a plant without modules
+    assert plant.modules is not None
+    if mode == "paper":
+        return replace(detector, observer_bounds=plant.modules.observer_bounds)
+    return replace(detector, margins=plant.modules.margins) if mode == "calibrated" else detector
+
+
 DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     "fusing-ekf": (
         "extended Kalman filters, one without each sensor, with information mixture: statistics (19), (20) of "
@@ -62,6 +72,19 @@ DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     "kf-chi2": (
         "one extended Kalman filter with a test of each innovation; names the largest, accommodates nothing",
         lambda plant: CentralFilter(plant, false_alarm=FALSE_ALARM),
+    ),
+    "adaptive-threshold": (
+        "observers and algebraic residuals with thresholds that bounded noise cannot cross, and diagnosis sets "
+        "(Kougiatsos 2024); for plants that say their scalar equations",
+        lambda plant: adaptive_threshold(plant, "valid"),
+    ),
+    "adaptive-threshold:paper": (
+        "the same with the constants of (10) as published",
+        lambda plant: adaptive_threshold(plant, "paper"),
+    ),
+    "adaptive-threshold:calibrated": (
+        "the same with margins under which the published pattern of modules fires",
+        lambda plant: adaptive_threshold(plant, "calibrated"),
     ),
 }
 

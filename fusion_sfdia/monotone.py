@@ -37,6 +37,19 @@ def gradient(expression: Expression, values: Sequence[Interval]) -> list[Interva
     return slopes[: expression.n_arguments]
 
 
+def derivative(expression: Expression, values: Sequence[Interval], argument: int) -> Interval:
+    """Return d f / d x_i for one argument over the box of the values, accumulated forward; else as `gradient`."""
+    zero = Interval(0.0)
+    slopes = [zero] * len(values)
+    slopes[argument] = Interval(1.0)
+    for i, ufunc, operands in expression.operations:
+        for k, partial in zip(operands, DERIVATIVES[ufunc], strict=True):
+            if slopes[k] is not zero:
+                term = slopes[k] * partial(values[i], *(values[j] for j in operands))
+                slopes[i] = term if slopes[i] is zero else slopes[i] + term
+    return slopes[expression.outputs[0]]
+
+
 def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, pieces: int = 1) -> Interval:
     """Return an enclosure (...) of {function(x_1, ..., x_n): x in box}; box: (..., n).
 

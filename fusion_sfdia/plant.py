@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.arguments import floats, number, require_unique, shown
 from fusion_sfdia.equation import complex_step_jacobian
+from fusion_sfdia.modules import Modules
 from fusion_sfdia.physics import Block
 from fusion_sfdia.signals import Sensor, Signal
 
@@ -36,6 +37,8 @@ class Plant:
     finer(): a truer twin with the same sensors and inputs (a finer grid, say) and the map from its states to these, from
     which simulations take their readings unless told otherwise; None where there is none.
     fixed_dt: whether the model holds for its nominal dt only.
+    modules: its scalar equations as monitoring modules, in SI; None where it does not say them.
+    sensor_scale: what a sensor shows over what it measures in SI (N,); `in_units` sets it.
     """
 
     name: str
@@ -56,6 +59,8 @@ class Plant:
     finer: Callable[[], tuple[Plant, Callable[[Array], Array]]] | None = None
     fixed_dt: bool = False
     max_dt: float = np.inf
+    modules: Modules | None = None
+    sensor_scale: Array | float = 1.0
 
     def __post_init__(self) -> None:
         for what, kind in (("states", Signal), ("inputs", Signal), ("sensors", Sensor)):
@@ -192,6 +197,7 @@ class Plant:
             output=lambda t, x, u: self.output(t, x, u) * factor,
             output_jacobian=None if jacobian is None else lambda t, x, u: jacobian(t, x, u) * factor[:, None],
             finer=None if finer is None else lambda: (finer()[0].in_units(units), finer()[1]),
+            sensor_scale=self.sensor_scale * factor,
         )
 
 

@@ -29,6 +29,7 @@ from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, CONSTANT_SLIP
 from fusion_sfdia.models.marine_engine_equilibrium import LOADS, engine_variables, equilibrium, follows_law
 from fusion_sfdia.models.marine_engine_faults import ProcessFault, parameter_schedule
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.modules import Modules, ObserverBound
 from fusion_sfdia.physics import Block, Physics
 from fusion_sfdia.plant import Plant
 from fusion_sfdia.signals import Sensor, Signal
@@ -87,6 +88,18 @@ MODULES = {
     "M(4,1)": Module("p_charge", ("S(4){1}", "S(4){2}")),
     "M(4,2)": Module("T_charge", ("S(4){2}",)),
     "M(4,3)": Module("T_compressor", ("S(4){2}", "S(4){3}")),
+}
+
+
+GAINS = {"fuel": 1.16, "p_receiver": 900.0, "p_charge": 499.98}  # 1/s, L of the observers: K24, sec. VII
+OBSERVER_BOUNDS = {  # K24, sec. VII; rho < 1 and rho_d < L, of the last two, contradict what they stand for
+    "fuel": ObserverBound(1.0, 25.0, 2.0, 20.0),
+    "p_receiver": ObserverBound(0.05, 600.0, 900.0, 1000.0),
+    "p_charge": ObserverBound(0.03, 500.0, 320.0, 450.0),
+}
+MARGINS = {  # by which thresholds are wider where the paper's pattern of modules that fire is to be shown; ours
+    "p_receiver": 0.037,  # 2.95 noise bounds in all
+    **dict.fromkeys(("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_compressor"), 0.03),
 }
 
 
@@ -152,7 +165,29 @@ def marine_engine(
         )
         return twin, lambda x: x
 
-    return replace(plant, step=step, output=output, finer=finer)
+    return replace(plant, step=step, output=output, finer=finer, modules=engine_modules(c, slip, nominal))
+
+
+def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -> Modules:
+    """The ten monitoring modules of K24 with the gains of its sec. VII."""
+    law = follows_law(slip)
+    table = engine_equations(slip)
+
+    def monitor(*arguments: Any) -> Any:
+        return equations.monitor(*arguments, c, law)  # type: ignore[call-arg]
+
+    return Modules(
+        equations={v: table[v] for v in (*STATES, *ALGEBRAIC)},
+        rates=decay_rates(c),
+        nominal={v: float(nominal[v]) for v in (*STATES, *ALGEBRAIC)},
+        parameters=c,
+        inputs=("fuel_setting",),
+        names={module.variable: name for name, module in MODULES.items()},
+        gains=GAINS,
+        observer_bounds=OBSERVER_BOUNDS,
+        margins=MARGINS,
+        monitor=monitor,
+    )
 
 
 def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:

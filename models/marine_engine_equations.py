@@ -116,7 +116,8 @@ def end_of_cycle(fuel: Any, n: Any, p_charge: Any, c: EngineParameters) -> Any:
     X_cv = share_at_constant_volume(n, c)
     X_ct = c.X_ct_nominal / c.fuel_nominal * fuel
     T_3 = c.compression ** (c.kappa_air - 1.0) + c.R_air / (c.cp_air - c.R_air) * X_cv * g
-    T_4 = T_3 + c.R_air / c.cp_air * (1.0 - X_cv - X_ct) * g
+    per_X_cv = c.R_air / (c.cp_air - c.R_air) - c.R_air / c.cp_air
+    T_4 = c.compression ** (c.kappa_air - 1.0) + (per_X_cv * X_cv + c.R_air / c.cp_air * (1.0 - X_ct)) * g
     stretch = T_4 / T_3 * np.exp(X_ct * g / T_4) / (c.expansion_end * c.compression)
     return T_4 * stretch ** (c.n_expansion - 1.0)
 
@@ -224,11 +225,9 @@ def receiver_temperature_at(
 
     In (40) x(3) stands for tau_pd h(3): equal at equilibrium, and T_d does not depend on itself.
     """
-    air = trapped_air(p_charge, T_charge, c)
-    psi_2 = c.cp_air * slip * air
-    psi_3 = c.cp_gas * (fuel + air)
+    psi_3_by_psi_2 = c.cp_gas / c.cp_air * (1.0 + fuel / trapped_air(p_charge, T_charge, c)) / slip
     blown_down = T_cylinder / c.n_blowdown * (1.0 + (c.n_blowdown - 1.0) * p_receiver / p_cylinder)
-    return blown_down + psi_2 / (psi_2 + psi_3) * (c.slip_temperature - blown_down)
+    return blown_down - (blown_down - c.slip_temperature) / (1.0 + psi_3_by_psi_2)
 
 
 @equation
@@ -479,3 +478,88 @@ def algebraic(states: Any, c: EngineParameters, law: bool) -> Array:
         result[b, 0], result[b, 1], result[b, 2] = z[0], z[1], z[2]
         result[b, 3], result[b, 4], result[b, 5], result[b, 6] = z[3], z[4], z[5], z[6]
     return result
+
+
+@compiled
+def value_at(variable: int, v: Array, c: EngineParameters, law: bool) -> Any:
+    """The equation of a variable, by its place in (*STATES, *ALGEBRAIC), at v (11,): these variables and the fuel setting."""
+    fuel, p_receiver, p_charge, p_cylinder, T_cylinder, torque, T_receiver, _, T_charge, _, setting = v
+    if variable == 0:
+        return fuel_inflow(setting, c)
+    if variable == 3:
+        return cylinder_pressure(fuel, torque, p_charge, c)
+    if variable == 4:
+        return cylinder_temperature(fuel, torque, p_charge, T_charge, c)
+    if variable == 5:
+        return shaft_torque(fuel, T_cylinder, torque, p_charge, T_charge, c)
+    if variable == 7:
+        return turbine_temperature(p_receiver, T_receiver, p_charge, c)
+    if variable == 8:
+        return charge_temperature(c)
+    slip = slip_law(torque, p_receiver, p_charge, T_charge, c) if law else c.slip_nominal
+    if variable == 1:
+        return receiver_inflow_at(fuel, torque, slip, T_receiver, p_charge, T_charge, c)
+    if variable == 2:
+        return charge_inflow_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
+    if variable == 6:
+        return receiver_temperature_at(fuel, p_cylinder, T_cylinder, slip, p_receiver, p_charge, T_charge, c)
+    return compressor_temperature_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
+
+
+@compiled
+def bounds_at(
+    variable: int, middle: Array, radius: Array, own: float, own_radius: float, s: Any, c: EngineParameters, law: bool
+) -> Any:
+    """Lower bound, value in the middle and upper bound of an equation over a box (11,): corner_bounds, compiled."""
+    v = np.empty(11)
+    lower = value = upper = 0.0
+    for k in (-1.0, 0.0, 1.0):
+        slack = 0.0
+        for j in range(11):
+            v[j] = middle[j] + k * s.signs[variable, j] * radius[j]
+            slack += s.unproved[variable, j] * radius[j]
+        v[variable] = own + k * s.signs[variable, variable] * own_radius
+        slack += s.unproved[variable, variable] * (own_radius - radius[variable])
+        f = value_at(variable, v, c, law)
+        if k < 0:
+            lower = f
+        elif k == 0:
+            value = f
+        else:
+            upper = f
+    slack += s.rounding * max(abs(lower), abs(value), abs(upper))
+    return min(lower, value) - slack, value, max(upper, value) + slack
+
+
+@compiled
+def monitor(
+    x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Any, c: EngineParameters, law: bool
+) -> Any:
+    """What monitoring.monitor gives, compiled."""
+    size = x.shape[0]
+    ahead, bound = np.empty((size, 3)), np.empty((size, 3))
+    lower, upper = np.empty((size, 7)), np.empty((size, 7))
+    middle, radius = np.empty(11), np.empty(11)
+    for b in range(size):
+        middle[10], radius[10] = u[b, 0], 0.0
+        for j in range(10):
+            y0, y1 = before[b, j], reading[b, j]
+            missing = np.isnan(y0) or np.isnan(y1)
+            middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
+            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + s.bound[j]
+        for e in range(3):
+            low, h, high = bounds_at(e, middle, radius, x[b, e], abs(middle[e] - x[b, e]) + radius[e], s, c, law)
+            known = not np.isnan(before[b, e])
+            gain = s.gains[e] if known else 0.0
+            a = s.rates[e] + gain
+            lam = np.exp(-a * dt)
+            ahead[b, e] = lam * x[b, e] + (1 - lam) / a * (h + gain * (before[b, e] if known else 0.0))
+            bound[b, e] = lam * error[b, e] + (1 - lam) / a * (max(high - h, h - low) + gain * s.bound[e])
+        for j in range(10):
+            missing = np.isnan(reading[b, j])
+            middle[j] = s.nominal[j] if missing else reading[b, j]
+            radius[j] = s.half_width[j] if missing else s.bound[j]
+        for e in range(3, 10):
+            low, _, high = bounds_at(e, middle, radius, middle[e], radius[e], s, c, law)
+            lower[b, e - 3], upper[b, e - 3] = low, high
+    return ahead, bound, lower, upper

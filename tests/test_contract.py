@@ -21,6 +21,7 @@ from fusion_sfdia.simulate import simulate
 from fusion_sfdia.storage import load_state, save_state
 
 TOYS = ("chain", "tanks")
+WITH_MODULES = {"marine-engine"}
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
 
 # Faults of 30 sigma that a method misses, by quantity. Shaheen 2024, (20), adds MPa to kg/s, so the extended filter's bank
@@ -58,6 +59,8 @@ def detector_of(plant: str, name: str) -> Detector:
 def pairs() -> Iterator[object]:
     for plant in plants():
         for name in DETECTORS:
+            if name.startswith("adaptive-threshold") and plant not in WITH_MODULES:
+                continue  # it has no scalar equations to monitor, see the test that says so
             marks = [pytest.mark.slow] if (plant, name) in SLOW else []
             yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)
 
@@ -216,6 +219,8 @@ def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, st
             missed.add(quantity)
             continue
         assert during[0, i] and np.all(d.alarm[35:55, run_index][during[:, i]])
+        if pair[1].startswith("adaptive-threshold"):
+            continue  # its diagnosis sets hold every sensor whose fault would explain the decisions
         # at most two of the twenty samples name another sensor, too
         assert np.sum(np.any(np.delete(during, i, axis=-1), axis=-1)) <= 2
         size = d.fault_size[35, run_index, i] / plant.sensor_sigma[i]
