@@ -21,15 +21,21 @@ from fusion_sfdia.detector import Decision, State
 from fusion_sfdia.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
 from fusion_sfdia.gaussian import Joint
 from fusion_sfdia.health import broken
-from fusion_sfdia.leave_one_out import local_estimates, normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.leave_one_out import (
+    LeaveOneOut,
+    eliminate,
+    local_estimates,
+    normalised_innovation_squared,
+    posterior,
+    statistics,
+)
 
 Array = NDArray[Any]
 
 
 class Mixed(NamedTuple):
-    """Local estimates (..., N, n), the mixture's x (..., n) and P (..., n, n), the core fed back, and the NIS (...)."""
+    """The mixture's x (..., n) and P (..., n, n), the core fed back, and the NIS (...)."""
 
-    local: Array
     x: Array
     p: Array
     core: Core
@@ -100,17 +106,22 @@ class FusingBank(BatchDetector):
         prior = self._predict(core, y.ndim - 1, now, u)
         joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
         used = np.isfinite(y)
-        mixed = self._mix(prior, joints, now, y, u, used)
-        seen = plant.output(now.t, mixed.local, u[..., None, :])
+        founds, local = self._update(joints, y, used)
+        mixed = self._mix(prior, joints, founds, local, now, y, u)
+        seen = plant.output(now.t, local, u[..., None, :])
         state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
         residual = np.where(used, np.sqrt(state_variance), np.nan)
         threshold = np.broadcast_to(np.inf if self.thresholds is None else np.asarray(self.thresholds), y.shape)
-        distance = np.linalg.norm((mixed.local - mixed.x[..., None, :]) / scale, axis=-1)  # (20)
+        distance = np.linalg.norm((local - mixed.x[..., None, :]) / scale, axis=-1)  # (20)
         alarm = np.any(residual > threshold, axis=-1)
         suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
         isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
         if self.accommodate and np.any(isolated):
-            mixed = self._mix(prior, joints, now, y, u, used & ~isolated)
+            if self.runs_literally:
+                founds, local = self._update(joints, y, used & ~isolated)
+            else:
+                founds = [eliminate(founds[0], suspect, np.any(isolated, axis=-1))]
+            mixed = self._mix(prior, joints, founds, local, now, y, u)
         without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
         expected = plant.output(now.t, mixed.x, u)
         decision = Decision(
@@ -135,28 +146,42 @@ class FusingBank(BatchDetector):
         est, plant = self.estimator, self.plant
         return [est.predict(plant, c, now.last, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
 
-    def _mix(self, priors: list[Prior], joints: list[Joint], now: Moment, y: Array, u: Array, used: Array) -> Mixed:
-        """Steps 2 to 4: local updates, mixture, feedback."""
+    def _update(self, joints: list[Joint], y: Array, used: Array) -> tuple[list[LeaveOneOut], Array]:
+        """Step 2: the statistics of the readings in use (of each filter, when literal), and the local estimates (..., N, n)."""
+        if self.runs_literally:
+            count = len(self.plant.sensors)
+            founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
+            return founds, np.stack([posterior(j, f)[0] for j, f in zip(joints, founds, strict=True)], axis=-2)
+        found = statistics(joints[0], y, used)
+        return [found], local_estimates(joints[0], found)[0]
+
+    def _mix(
+        self,
+        priors: list[Prior],
+        joints: list[Joint],
+        founds: list[LeaveOneOut],
+        local: Array,
+        now: Moment,
+        y: Array,
+        u: Array,
+    ) -> Mixed:
+        """Steps 3 and 4: mixture, feedback."""
         plant, est, count = self.plant, self.estimator, len(self.plant.sensors)
         beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
+        used = np.any([f.used for f in founds], axis=0)
         reading = Reading(now.t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
-        founds = [statistics(joints[0], y, used)]
         if self.runs_literally:
-            founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
-            parts = [posterior(joint, found) for joint, found in zip(joints, founds, strict=True)]
-            local, p = np.stack([x for x, _ in parts], axis=-2), np.stack([p for _, p in parts], axis=-3)
+            p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
             # LAPACK's eigenvalues give up on the whole batch where one has no numbers; its local estimates have none either
             sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
             x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
+        elif est.consistent:
+            x, p = mixing.mixture(joints[0], y, used, plant.sensor_cov)
         else:
-            local, _ = local_estimates(joints[0], founds[0])
-            if est.consistent:
-                x, p = mixing.mixture(joints[0], y, used, plant.sensor_cov)
-            else:
-                x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
+            x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
         cores = [
             est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(now.seed, now.k + 2**32))
             for prior, b in zip(priors, beta, strict=False)
         ]
         core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))
-        return Mixed(local, x, p, core, normalised_innovation_squared(joints[0], founds[0], y))
+        return Mixed(x, p, core, normalised_innovation_squared(joints[0], founds[0], y))
