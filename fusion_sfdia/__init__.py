@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from fusion_sfdia.adaptive_threshold import AdaptiveThreshold as AdaptiveThreshold
     from fusion_sfdia.calibration import calibrate as calibrate
     from fusion_sfdia.central_filter import CentralFilter as CentralFilter
     from fusion_sfdia.detector import Decision as Decision
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.storage import save_state as save_state
 
 _MODULES = {
+    "adaptive_threshold": ("AdaptiveThreshold",),
     "calibration": ("calibrate",),
     "central_filter": ("CentralFilter",),
     "detector": ("Decision", "Detector", "run"),

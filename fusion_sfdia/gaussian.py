@@ -70,12 +70,6 @@ def inverse(A: Array) -> Array:
     return U @ np.swapaxes(U, -1, -2)
 
 
-def masked_inverse(A: Array, used: Array) -> Array:
-    """Inverse of positive definite A (..., n, n) over the rows and columns used (..., n); the others are zero."""
-    U = half_inverse(A, used)
-    return U @ np.swapaxes(U, -1, -2)
-
-
 def half_inverse(A: Array, used: Array | None = None) -> Array:
     """U with U U' = A^-1 (..., n, n); an element of the batch that is not positive definite is NaN, it alone.
 
