@@ -29,8 +29,9 @@ FAULT_KINDS = {
     "spikes": "y + b or y - b, at each sample with `probability`, else y",
     "freeze": "the last reading before the onset; not found by its mean until the signal has moved by several sigma",
     "dropout": "missing (NaN), at each sample with `probability`",
+    "replay": "the readings of the `period` seconds before the onset, again and again: an attack that hides what happens",
 }
-WITHOUT_MAGNITUDE = ("freeze", "dropout")
+WITHOUT_MAGNITUDE = ("freeze", "dropout", "replay")
 RANDOM = ("noise", "spikes", "dropout")
 
 
@@ -40,7 +41,8 @@ class Fault:
 
     magnitude: b, in the sensor's unit (a factor for scale). relative: b is that many times the absolute value of the
     noise-free signal at the first faulty sample, so that its sign is the error's. rise: seconds in which a drift reaches
-    b (None: its whole length). probability: of spikes and dropouts at each sample.
+    b (None: its whole length). probability: of spikes and dropouts at each sample. period: seconds of readings that a
+    replay repeats (None: its whole length), or as many as there are.
 
     Shaheen 2024, sec. IV-B: a bias of M samples has length = M dt; a drift that reaches b in M samples and holds it for
     K has rise = M dt, length = (M + K) dt. Its printed ranges (0 <= k - m <= M) are M + 1 samples and overlap, with a
@@ -55,12 +57,19 @@ class Fault:
     relative: bool = False
     rise: float | None = None
     probability: float = 1.0
+    period: float | None = None
 
     def __post_init__(self) -> None:
         who = f"{self.kind} of sensor {self.sensor!r}"
         if not isinstance(self.kind, str) or self.kind not in FAULT_KINDS:
             raise ValueError(f"sensor {self.sensor!r}: unknown fault kind {self.kind!r}; known: {', '.join(FAULT_KINDS)}")
-        for what in ("onset", "length", "magnitude", "probability", *(() if self.rise is None else ("rise",))):
+        for what in (
+            "onset",
+            "length",
+            "magnitude",
+            "probability",
+            *(w for w in ("rise", "period") if getattr(self, w) is not None),
+        ):
             if isinstance(value := getattr(self, what), bool) or not isinstance(value, int | float | np.integer | np.floating):
                 raise ValueError(f"{who}: {what} is {value!r}; wanted a number")
             try:
@@ -85,6 +94,10 @@ class Fault:
             raise ValueError(f"{who}: rise is {self.rise}; it belongs to a drift and is a positive number of seconds")
         if self.kind == "drift" and self.rise is None and np.isinf(self.length):
             raise ValueError(f"{who}: neither rise nor length is given; wanted the seconds in which it reaches its magnitude")
+        if self.period is not None and (self.kind != "replay" or not 0 < self.period < np.inf):
+            raise ValueError(f"{who}: period is {self.period}; it belongs to a replay and is a positive number of seconds")
+        if self.kind == "replay" and self.period is None and np.isinf(self.length):
+            raise ValueError(f"{who}: neither period nor length is given; wanted the seconds of readings that it repeats")
         if not 0 < self.probability <= 1 or (self.probability != 1 and self.kind not in ("spikes", "dropout")):
             raise ValueError(f"{who}: probability is {self.probability}; wanted in (0, 1], and only for spikes and dropouts")
 
@@ -207,6 +220,12 @@ def _dropout(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: f
     return np.asarray(np.where(missing, np.nan, column[rows]))
 
 
+def _replay(fault: Fault, b: float, column: Array, rows: Array, t: Array, dt: float, rng: Any) -> Array:
+    samples = max(1, round((fault.length if fault.period is None else fault.period) / dt))
+    recorded = column[max(0, rows[0] - samples) : rows[0]]
+    return np.resize(recorded if recorded.size else column[rows[0]], rows.size)
+
+
 _BEHAVIOUR: dict[str, Behaviour] = {
     "bias": lambda fault, b, column, rows, t, dt, rng: column[rows] + b,
     "drift": _drift,
@@ -215,6 +234,7 @@ _BEHAVIOUR: dict[str, Behaviour] = {
     "spikes": _spikes,
     "freeze": _freeze,
     "dropout": _dropout,
+    "replay": _replay,
 }
 
 

@@ -28,6 +28,8 @@ def faulted(*faults, y=Y, rng=None, **options):
         (Fault("s0", "drift", 3.0, 2.0, 6.0), [100, 101, 105, 109, 104, 105, 106, 107, 108, 109]),
         (Fault("s0", "scale", 3.0, 2.0, 0.5), [100, 101, 51, 51.5, 104, 105, 106, 107, 108, 109]),
         (Fault("s0", "freeze", 3.0, 2.0), [100, 101, 101, 101, 104, 105, 106, 107, 108, 109]),
+        (Fault("s0", "replay", 5.0, 5.0, period=2.0), [100, 101, 102, 103, 102, 103, 102, 103, 102, 109]),
+        (Fault("s0", "replay", 3.0, 3.0), [100, 101, 100, 101, 100, 105, 106, 107, 108, 109]),  # 3 s, of which 2 are there
         (Fault("s0", "dropout", 3.0, 2.0), [100, 101, np.nan, np.nan, 104, 105, 106, 107, 108, 109]),
         (Fault("s0", "bias", 3.0, 2.0, 0.1, relative=True), [100, 101, 112.2, 113.2, 104, 105, 106, 107, 108, 109]),
     ],
@@ -129,7 +131,8 @@ def test_several_faults_on_one_sensor_act_in_order():
     assert faulted(scale, bias).y[2, 0] == 102 * 2 + 5
     frozen = faulted(Fault("s0", "dropout", 2.0, 1.0), Fault("s0", "freeze", 3.0, 2.0))
     np.testing.assert_array_equal(frozen.y[1:4, 0], [np.nan, 100, 100])  # the last reading there was
-    assert faulted(Fault("s0", "freeze", 1.0, 3.0)).y[2, 0] == 100  # from the first sample on: the first reading
+    for kind in ("freeze", "replay"):
+        assert faulted(Fault("s0", kind, 1.0, 3.0)).y[2, 0] == 100  # from the first sample on: the first reading
 
 
 def test_relative_size_is_of_the_noise_free_signal_and_keeps_its_sign():
@@ -200,6 +203,9 @@ def test_samples_on_an_edge_are_on_it_in_spite_of_rounding():
         ({"kind": "drift", "rise": -3.0}, "positive number of seconds"),
         ({"kind": "drift", "length": np.inf}, "neither rise nor length"),
         ({"kind": "freeze"}, "no magnitude"),
+        ({"period": 3.0}, "belongs to a replay"),
+        ({"kind": "replay", "magnitude": 0.0, "period": 0.0}, "positive number of seconds"),
+        ({"kind": "replay", "magnitude": 0.0, "length": np.inf}, "neither period nor length"),
         ({"kind": "scale", "relative": True}, "a factor already"),
         ({"kind": "noise", "magnitude": -1.0}, "wanted a positive size"),
         ({"probability": 0.5}, "only for spikes and dropouts"),
@@ -254,7 +260,7 @@ def test_registries_describe_every_entry():
 
 def test_every_kind_can_be_applied_and_drawn():
     for kind in FAULT_KINDS:
-        size = (0.0, 0.0) if kind in ("freeze", "dropout") else (2.0, 3.0)
+        size = (0.0, 0.0) if kind in ("freeze", "dropout", "replay") else (2.0, 3.0)
         (fault,) = draw(FaultRange(kind, size, length=(3, 3)), chain(3), 1, window=(2, 4))
         assert faulted(fault, rng=0).active.sum() == 3
 
