@@ -1,0 +1,122 @@
+"""How a power network is run: steps of its loads, faults of its areas, areas that join and leave, as functions of time.
+
+An event of time T acts from T on: on the step that begins at T, and on what is read of the ties at T.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.models.power_network_model import NetworkModel
+from fusion_sfdia.models.power_network_parameters import LoadStep
+
+Array = NDArray[Any]
+
+AREA_FAULTS = {  # kind: what a value does
+    "governor": "the governor's time constant is `value` s (B18, scenario 1: 1000 instead of 0.1)",
+    "input-gain": "`value` times the reference reaches the area (B18, scenario 2: -1, or 2 or 10)",
+    "load-loss": "`value` per unit of the load that the area reckons with is lost",
+}
+
+
+@dataclass(frozen=True)
+class AreaFault:
+    """A fault of an area from `onset` until `end` (s)."""
+
+    kind: str
+    area: str
+    value: float
+    onset: float = 0.0
+    end: float = np.inf
+
+    def __post_init__(self) -> None:
+        if self.kind not in AREA_FAULTS:
+            raise ValueError(f"unknown fault {self.kind!r} of area {self.area}; known: {', '.join(AREA_FAULTS)}")
+        who = f"{self.kind} of area {self.area}"
+        if not np.isfinite(self.value) or (self.kind == "governor" and self.value <= 0):
+            raise ValueError(f"{who}: value is {self.value}; wanted a finite number, positive for a time constant")
+        if self.value == {"input-gain": 1.0, "load-loss": 0.0}.get(self.kind):
+            raise ValueError(f"{who}: a value of {self.value:g} is no fault; give another")
+        if not (np.isfinite(self.onset) and self.end > self.onset):
+            raise ValueError(f"{who}: onset {self.onset} s, end {self.end} s; wanted a finite onset before the end")
+
+
+@dataclass(frozen=True)
+class Switch:
+    """Areas that are plugged in and unplugged at `time` (s), at once."""
+
+    time: float
+    plug_in: tuple[str, ...] = ()
+    unplug: tuple[str, ...] = ()
+
+
+class Condition(NamedTuple):
+    """The network at a time: its model as all know it, the true one, and what acts on the true inputs, (N,) each."""
+
+    known: NetworkModel
+    true: NetworkModel
+    gain: Array  # of the reference
+    lost: Array  # load, per unit
+
+    def step(self, x: Array, reference: Array, load: Array) -> Array:
+        """The true state (..., N, 4) after dt, of the reference that was commanded and the load as it is known."""
+        return self.true.step(x, self.gain * reference, load - self.lost)
+
+
+def conditions(
+    model: NetworkModel, faults: Sequence[AreaFault] = (), switches: Sequence[Switch] = ()
+) -> Callable[[float], Condition]:
+    """The condition of a network as a function of time (s); each is made once.
+
+    ValueError for an unknown area, a switch that does not fit what is plugged in by then, or faults of a kind that overlap
+    in one area.
+    """
+    for j, fault in enumerate(faults):
+        model.network.topology.index(fault.area)
+        for other in faults[:j]:
+            alike = (fault.kind, fault.area) == (other.kind, other.area)
+            if alike and fault.onset < other.end and other.onset < fault.end:
+                raise ValueError(f"two faults {fault.kind!r} of area {fault.area} overlap in time; give one after the other")
+    ordered = sorted(switches, key=lambda s: s.time)
+    times = sorted({s.time for s in ordered} | {f.onset for f in faults} | {f.end for f in faults if np.isfinite(f.end)})
+    made = [_condition(model, faults, ordered, t) for t in (-np.inf, *times)]
+    return lambda t: made[bisect_right(times, t + 1e-9)]
+
+
+def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Sequence[Switch], t: float) -> Condition:
+    known = model
+    for switch in switches:
+        if switch.time <= t:
+            known = known.switched(plug_in=switch.plug_in, unplug=switch.unplug)
+    true, gain, lost = known, np.ones(len(model.names)), np.zeros(len(model.names))
+    for fault in faults:
+        if fault.onset <= t < fault.end:
+            i = model.network.topology.index(fault.area)
+            match fault.kind:
+                case "governor":
+                    true = true.altered(fault.area, governor_time=fault.value)
+                case "input-gain":
+                    gain[i] = fault.value
+                case "load-loss":
+                    lost[i] = fault.value
+    return Condition(known, true, gain, lost)
+
+
+def load_profile(model: NetworkModel, steps: Sequence[LoadStep]) -> Callable[[float], Array]:
+    """The loads (N,) as a function of time (s), the sum of the steps so far; ValueError for an unknown area."""
+    areas = [model.network.topology.index(step.area) for step in steps]
+
+    def at(t: float) -> Array:
+        load = np.zeros(len(model.names))
+        for step, i in zip(steps, areas, strict=True):
+            if step.time <= t + 1e-9:
+                load[i] += step.change
+        return load
+
+    return at
