@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.arguments import number, whole
+from fusion_sfdia.arguments import number, require_unique, whole
 from fusion_sfdia.network import Topology
 
 Array = NDArray[Any]
@@ -91,6 +91,7 @@ def load_network(path: str | Path = NETWORK_FILE) -> NetworkParameters:
     names = document["names"]
     if not isinstance(names, list) or not all(isinstance(n, str) and n and "-" not in n for n in names):
         raise ValueError(f"{path}: names is {names!r}; wanted the areas' names as texts without a hyphen")
+    require_unique(str(path), names)
     table = document["area"]
     if not isinstance(table, Mapping) or set(table) != set(UNITS):
         raise ValueError(f"{path}: area has {', '.join(table)}; wanted {', '.join(UNITS)}")
@@ -167,7 +168,9 @@ def generate_network(areas: int, seed: int, degree: float = 34 / 15) -> NetworkP
     mean degree with which they are not connected or that their number does not allow.
     """
     n = whole("areas", areas, 2)
-    ties = round(n * number("degree", degree) / 2)
+    if not np.isfinite(number("degree", degree)):
+        raise ValueError(f"degree is {degree}; wanted the mean number of ties of an area")
+    ties = round(n * degree / 2)
     if not n - 1 <= ties <= n * (n - 1) // 2:
         raise ValueError(
             f"a mean degree of {degree:g} gives {n} areas {ties} ties; wanted {n - 1} to {n * (n - 1) // 2}, that is a degree "
