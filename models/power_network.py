@@ -10,8 +10,8 @@ What the paper leaves out or gets wrong, and what stands here instead:
   are the steps of the loads.
 - "sigma_w^2 = 0.0001 and sigma_rho^2 = 0.0001 for noises associated with P_m and P_v, and sigma_rho^2 = 0.00001 for theta and
   omega" can be read in two ways: noise="lit" for a process variance of 1e-4 in all states, "small" for 1e-5 in theta, omega.
-- How it is discretised is not said. Area by area at dt = 1 s (the default) is what local diagnosers can do; "exact" is for
-  asking how much that matters.
+- How it is discretised is not said. Area by area at dt = 1 s (the default) is what local diagnosers can do; "exact" is the
+  truth of a simulation unless another is asked for.
 - With the reference and the neighbours' angles held, theta_i+ depends on all of x_i, P_ref, P_L and these angles, so those
   who share theta_i need of area i one number more: theta_i+ without the term of theta_i itself. And they must know the loads.
 - Sec. VI-A sets to zero what an unplugged area sent. That is not enough: A_ii contains sum_j P_ij and loses its part with it.
@@ -22,7 +22,7 @@ The angles have one common mode without restoring force, so an open loop drifts;
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,8 @@ def power_network(
         c = areas
     else:
         c = load_network() if areas == PAPER_AREAS else generate_network(areas, seed)
-    model = network_model(c, unplugged=unplugged, dt=dt, noise=noise, discretisation=discretisation)
+    away = tuple(unplugged)
+    model = network_model(c, unplugged=away, dt=dt, noise=noise, discretisation=discretisation)
     model.require_dense()
     names, n = model.names, len(model.names)
     condition = conditions(model, faults, switches)
@@ -89,6 +90,12 @@ def power_network(
         after = condition(t).step(x.reshape(*x.shape[:-1], n, 4), u[..., :n], u[..., n:])
         return after.reshape(*after.shape[:-2], 4 * n)
 
+    def finer() -> tuple[Plant, Callable[[Array], Array]]:
+        twin = power_network(
+            c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults, switches=switches
+        )
+        return twin, lambda x: x
+
     return Plant(
         name="power-network",
         states=states,
@@ -102,6 +109,7 @@ def power_network(
         x0=np.zeros(4 * n),
         initial_cov=own,
         process_cov=np.tile(model.process_cov, n),
+        finer=None if discretisation == "exact" else finer,
         operation=lambda t: np.tile(profile(t), 2),
         blocks=network_blocks(model),
         fixed_dt=True,

@@ -313,6 +313,14 @@ def test_a_step_of_load_with_a_reference_that_follows_shifts_angles_and_nothing_
     assert settled[:, 2] == pytest.approx(power_network().input_at(2000.0)[:15], abs=1e-9)
 
 
+def test_simulations_take_the_exact_network_for_the_truth() -> None:
+    plant, exact = power_network(unplugged=iter(["15"])), power_network(unplugged=["15"], discretisation="exact")
+    assert exact.finer is None
+    a, b = simulate(plant, 30, [0]), simulate(exact, 30, [0], truth="model")
+    assert np.array_equal(a.y, b.y)
+    assert a.x is not None and not np.array_equal(a.x, simulate(plant, 30, [0], truth="model").x)
+
+
 def test_faults_and_switches_make_another_truth() -> None:
     settings = {"faults": [AreaFault("governor", "4", 1000.0, onset=42.0)], "switches": [Switch(60.0, unplug=("4",))]}
     healthy, faulty = power_network(), power_network(**settings)  # type: ignore[arg-type]
