@@ -27,6 +27,14 @@ SCENARIOS: dict[str, str] = {
         "mismatch",
         "consistency",
     )
+} | {
+    f"engine/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.engine_{name}:SCENARIO"
+    for name in (
+        "three_faults",
+        "two_faults",
+        "minimum_fault",
+        "signatures",
+    )
 }
 
 # name: what it is, and "module:function" that returns the Plant with its usual settings
@@ -38,10 +46,6 @@ PLANTS: dict[str, tuple[str, str]] = {
     "marine-engine": (
         "four-stroke marine diesel engine with turbocharger in 4 blocks, 10 sensors (Kougiatsos and Reppa 2024)",
         "fusion_sfdia.models.marine_engine:marine_engine",
-    ),
-    "power-network": (
-        "15 generation areas joined by tie lines, 94 sensors, of which 34 read a neighbour's angle (Boem 2018)",
-        "fusion_sfdia.models.power_network:power_network",
     ),
 }
 

@@ -1,4 +1,4 @@
-"""The marine engine's signature matrices as printed, and the structure of its equations.
+"""The marine engine's signature matrices as printed (benchmarks/engine_published.py), and the structure of its equations.
 
 K24: Kougiatsos and Reppa 2024, Tables I-IV. K22: Kougiatsos et al. 2022, Tables 1-3. f3(2) is the fault of sensor
 S(2){3}, E(2,3) the residual of module M(2,3). Only single faults are printed; a column that is not printed is 0.
@@ -6,6 +6,7 @@ S(2){3}, E(2,3) the residual of module M(2,3). Only single faults are printed; a
 
 from __future__ import annotations
 
+from fusion_sfdia.benchmarks.engine_published import SIGNATURES
 from fusion_sfdia.signatures import Agent
 
 SENSORS = ("f1(1)", "f1(2)", "f2(2)", "f3(2)", "f1(3)", "f2(3)", "f3(3)", "f1(4)", "f2(4)", "f3(4)")
@@ -14,44 +15,7 @@ AGENT_1 = """
         f1(1)
 E(1,1)  1
 """
-K24_TABLE_I = """
-        f1(2)  f2(2)  f3(2)  f1(1)  f1(4)  f2(4)
-E(2,1)  *      0      0      *      *      0
-E(2,2)  0      *      0      *      *      *
-E(2,3)  0      *      *      *      *      *
-"""
-K24_TABLE_II = """
-        f1(3)  f2(3)  f3(3)  f1(1)  f1(2)  f2(2)  f3(2)  f1(4)  f2(4)
-E(3,1)  1      *      0      *      0      0      *      *      *
-E(3,2)  *      *      0      *      *      *      *      *      *
-E(3,3)  *      *      *      0      0      0      0      0      0
-"""
-K24_TABLE_III = """
-        f1(4)  f2(4)  f3(4)  f1(1)  f3(2)  f1(3)  f2(3)
-E(4,1)  1      *      0      *      *      *      *
-E(4,2)  0      *      0      0      0      0      0
-E(4,3)  *      *      *      *      *      *      *
-"""
-K24_TABLE_IV = """
-     f1(1)  f1(2)  f2(2)  f3(2)  f1(3)  f2(3)  f3(3)  f1(4)  f2(4)  f3(4)
-1    1      0      0      0      0      0      0      0      0      0
-2    *      1      1      1      0      0      0      *      *      0
-3    *      *      *      *      1      1      1      *      *      0
-4    *      0      0      *      *      *      0      1      1      1
-"""
-K22_TABLE_1 = """
-        f1(3)  f2(3)  f3(3)  f1(1)  f1(2)  f2(2)  f3(2)  f1(4)  f2(4)
-E(3,1)  1      1      0      *      0      0      *      *      *
-E(3,2)  *      *      0      *      *      *      *      *      *
-E(3,3)  *      *      *      0      0      0      0      0      0
-"""
-K22_TABLE_2 = """
-        f1(4)  f2(4)  f3(4)  f1(1)  f3(2)  f1(3)  f2(3)
-E(4,1)  1      1      0      *      *      *      *
-E(4,2)  0      *      0      0      0      0      0
-E(4,3)  *      *      *      *      *      *      *
-"""
-K22_TABLE_3 = K24_TABLE_IV  # entry for entry the same
+K24_TABLE_IV, K22_TABLE_3 = SIGNATURES["K24 Table IV"], SIGNATURES["K22 Table 3"]
 
 
 def parse(*tables: str) -> dict[str, dict[str, str]]:
@@ -63,10 +27,12 @@ def parse(*tables: str) -> dict[str, dict[str, str]]:
     return found
 
 
-K24_LOCAL = parse(AGENT_1, K24_TABLE_I, K24_TABLE_II, K24_TABLE_III)
-K22_LOCAL = parse(AGENT_1, K24_TABLE_I, K22_TABLE_1, K22_TABLE_2)  # K22 prints no matrix of agent 2
+K24_LOCAL = parse(AGENT_1, *(SIGNATURES[f"K24 Table {n}"] for n in ("I", "II", "III")))
+# K22 prints no matrix of agent 2
+K22_LOCAL = parse(AGENT_1, *(SIGNATURES[name] for name in ("K24 Table I", "K22 Table 1", "K22 Table 2")))
 AGENTS = {
-    agent: Agent(tuple(m for m in K24_LOCAL if m[2] == agent), tuple(s for s in SENSORS if s[3] == agent)) for agent in "1234"
+    f"E({agent})": Agent(tuple(m for m in K24_LOCAL if m[2] == agent), tuple(s for s in SENSORS if s[3] == agent))
+    for agent in "1234"
 }
 
 # Sensor subsets S(I,q) of the observers, K22 sec. 5 and K24 sec. VII; a 1 stands for the observer's own state (K24) or

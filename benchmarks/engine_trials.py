@@ -1,0 +1,190 @@
+"""What the engine scenarios share: runs with offsets of sensors, watched by the monitoring modules, and the arrays kept.
+
+The papers' setting: constant full load, a truth that obeys the detector's model, noise redrawn at each reading. Decisions are
+latched, (16), so when each module fired first says all that was decided in a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.benchmarks.detectors import build
+from fusion_sfdia.benchmarks.engine_published import DESIGNS, Offset
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.corner_bounds import Slopes
+from fusion_sfdia.detector import run
+from fusion_sfdia.faults import Fault, apply
+from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.models.marine_engine import MODULES, marine_engine
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.simulate import Recording, simulate
+
+Array = NDArray[Any]
+Results = Sequence[tuple[Task, Arrays]]
+
+PLANT = "marine-engine"
+DETECTORS = ("adaptive-threshold", "adaptive-threshold:paper", "adaptive-threshold:calibrated")
+NAMES = tuple(MODULES)  # of the modules, each that of one sensor, in the same order
+CHUNK = 25  # runs in one task
+BLOCK = 1000  # samples that are stacked at a time
+BIN = 10  # samples of a trace of which two are kept
+MOST_NOISE = 0.12  # of the nominal values: the envelope is twice as wide and must not hold negative pressures
+
+
+@cache
+def engine(noise: float, design: str) -> Plant:
+    """The engine at full load with readings of that noise and observers as designed in K24 or K22."""
+    plant = marine_engine(noise=noise)
+    assert plant.modules is not None
+    gains, bounds = DESIGNS[design]
+    return replace(plant, modules=replace(plant.modules, gains=gains, observer_bounds=bounds))
+
+
+@cache
+def engine_detector(name: str, noise: float, design: str = "K24") -> AdaptiveThreshold:
+    """A named detector on that engine, built once for all tasks of a process."""
+    detector = build(name, engine(noise, design))
+    assert isinstance(detector, AdaptiveThreshold)
+    vars(detector)["slopes"] = proof(noise)  # the cached property: seconds, and the same for all modes and designs
+    return detector
+
+
+@cache
+def proof(noise: float) -> Slopes:
+    """The slopes of the engine's equations over the readings' range at that noise."""
+    return AdaptiveThreshold(engine(noise, "K24")).slopes
+
+
+@lru_cache(maxsize=1)
+def recording(noise: float, steps: int, seeds: tuple[int, ...]) -> Recording:
+    """Healthy readings, the same for every detector."""
+    return simulate(engine(noise, "K24"), steps, seeds, truth="model")
+
+
+def offsets(plant: Plant, t: Array, y: Array, faults: Iterable[Sequence[Any]]) -> Array:
+    """The readings y (K, B, N) at t (K,) with permanent offsets (sensor, onset in s, magnitude)."""
+    listed = [Fault(sensor, "bias", onset, magnitude=magnitude) for sensor, onset, magnitude in faults]
+    return apply(plant, t, y, listed).y if listed else y
+
+
+def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str = "K24") -> list[Task]:
+    """CHUNK runs and one detector a task; ValueError for settings that no run can be made of."""
+    if not 0 < settings["noise"] <= MOST_NOISE:
+        raise ValueError(
+            f"setting noise is {settings['noise']}; wanted a share of the nominal values, above 0, at most {MOST_NOISE}"
+        )
+    last = max((f.onset for f in faults), default=0.0)
+    if not settings["duration"] > last + 1:
+        raise ValueError(
+            f"setting duration is {settings['duration']} s; wanted more than {last + 1:g}, a second after the last fault"
+        )
+    if unknown := [d for d in settings["detectors"] if d not in DETECTORS]:
+        raise ValueError(f"setting detectors has {', '.join(unknown)}; known: {', '.join(DETECTORS)}")
+    common = {
+        "noise": settings["noise"],
+        "duration": settings["duration"],
+        "design": design,
+        "faults": [list(f) for f in faults],
+    }
+    return [common | {"detector": d, "seeds": block} for block in seed_blocks(seeds, CHUNK) for d in settings["detectors"]]
+
+
+def trial(task: Task) -> Arrays:
+    """The runs of a task through its detector; arrays as in `watch`."""
+    detector = engine_detector(task["detector"], task["noise"], task["design"])
+    healthy = recording(task["noise"], round(task["duration"] / detector.plant.dt), tuple(task["seeds"]))
+    y = offsets(detector.plant, healthy.t, healthy.y, task["faults"])
+    onset = min((onset for _, onset, _ in task["faults"]), default=np.inf)
+    return watch(detector, healthy.t, y, healthy.u, onset)
+
+
+def watch(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, onset: float) -> Arrays:
+    """What the modules say of readings y (K, B, N) at t (K,) under u (K, m), BLOCK samples at a time.
+
+    first (B, M): when each module fired first, s, inf for never. healthy, faulty (B, M): its largest |residual| / threshold
+    before `onset` and from then on. trace (3, 2 K / BIN, M): time (s), residual and threshold of the first run at the samples
+    of each BIN where the residual is nearest to the upper and to the lower threshold.
+    """
+    runs = y.shape[1]
+    state = detector.init((runs,), float(t[0]) - detector.plant.dt)
+    first = np.full((runs, len(NAMES)), np.inf)
+    largest = np.zeros((2, runs, len(NAMES)))
+    traces = []
+    for k in range(0, t.size, BLOCK):
+        now = slice(k, k + BLOCK)
+        applied = np.broadcast_to(u[now, None], (t[now].size, runs, u.shape[-1]))
+        state, decision = run(detector, state, t[now], y[now], applied)
+        with np.errstate(invalid="ignore"):
+            firing = np.abs(decision.residual) > decision.threshold
+        first = np.minimum(first, np.where(firing.any(axis=0), t[now][np.argmax(firing, axis=0)], np.inf))
+        begun = t[now] >= onset - detector.plant.dt / 2
+        for part, chosen in enumerate((~begun, begun)):
+            largest[part] = np.maximum(largest[part], decision.scores[chosen].max(axis=0, initial=0.0))
+        traces.append(extremes(t[now], decision.residual[:, 0], decision.threshold[:, 0]))
+    return {"first": first, "healthy": largest[0], "faulty": largest[1], "trace": np.concatenate(traces, axis=1)}
+
+
+def extremes(t: Array, residual: Array, threshold: Array) -> Array:
+    """Time, residual, threshold (3, 2 K', M) at the samples of each BIN with the largest and least residual / threshold."""
+    bins = t.size // BIN
+    if not bins:
+        return np.empty((3, 0, residual.shape[-1]), np.float32)
+    shape = (bins, BIN, residual.shape[-1])
+    every = np.stack([np.broadcast_to(t[:, None], residual.shape), residual, threshold])[:, : bins * BIN].reshape(3, *shape)
+    ratio = every[1] / every[2]
+    at = np.sort(np.stack([np.argmax(ratio, axis=1), np.argmin(ratio, axis=1)], axis=1), axis=1)
+    kept = np.take_along_axis(every, at[None], axis=2)
+    return kept.reshape(3, 2 * bins, -1).astype(np.float32)
+
+
+def gather(results: Results) -> dict[str, Arrays]:
+    """The arrays of each detector: its runs side by side, and the trace of the first of them."""
+    parts: dict[str, list[Arrays]] = {}
+    for task, arrays in results:
+        parts.setdefault(task["detector"], []).append(arrays)
+    return {
+        name: {k: found[0][k] if k == "trace" else np.concatenate([p[k] for p in found]) for k in found[0]}
+        for name, found in parts.items()
+    }
+
+
+class Timeline(NamedTuple):
+    """Latched decisions at the times at which something changes: t (E,) s; decisions (E, B, M), active, isolated (E, B, N)."""
+
+    t: Array
+    decisions: Array
+    active: Array
+    isolated: Array
+
+
+def timeline(first: Array, faults: Sequence[Offset], duration: float) -> Timeline:
+    """What was decided in runs (B, M) whose modules fired first at these times (s), and what was true."""
+    plant = engine(0.05, "K24")
+    times = np.concatenate([[0.0, duration], [f.onset for f in faults], first[np.isfinite(first)]])
+    t = np.unique(times[times <= duration])
+    decisions = first <= t[:, None, None]
+    active = np.zeros((t.size, len(first), len(NAMES)), bool)
+    for fault in faults:
+        active[..., plant.sensor_index(fault.sensor)] |= (t >= fault.onset)[:, None]
+    return Timeline(t, decisions, active, AdaptiveThreshold(plant).logic.isolated(decisions))
+
+
+def row(
+    scenario: str, detector: str, fault: str, quantity: str, metric: str, estimate: Estimate, published: Published | None = None
+) -> Row:
+    """A row of metrics.csv on this plant."""
+    value, source = (None, "") if published is None else (published.value, published.source)
+    return Row(scenario, PLANT, detector, fault, quantity, metric, *estimate, published=value, source=source)
+
+
+def published_first(fired: Mapping[str, float]) -> Array:
+    """First firing times (1, M) of a run that is told, inf for the silent modules."""
+    return np.array([[fired.get(name, np.inf) for name in NAMES]])

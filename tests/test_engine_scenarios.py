@@ -1,0 +1,182 @@
+"""The engine scenarios end to end: published numbers, decision logic on the papers' timelines, smallest faults, matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from engine_signatures import K22_LOCAL, K24_LOCAL
+
+from fusion_sfdia.benchmarks import engine_minimum_fault as minimum
+from fusion_sfdia.benchmarks import engine_signatures
+from fusion_sfdia.benchmarks.engine_published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
+from fusion_sfdia.benchmarks.engine_trials import (
+    BIN,
+    DETECTORS,
+    NAMES,
+    engine_detector,
+    extremes,
+    gather,
+    published_first,
+    recording,
+    tasks,
+    timeline,
+    trial,
+)
+from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Arrays, Summary
+from fusion_sfdia.detector import run
+from fusion_sfdia.diagnosis_metrics import smallest_detectable
+
+MINE = ("engine/three-faults", "engine/two-faults", "engine/minimum-fault", "engine/signatures")
+SHORT = {"engine/three-faults": 72.0, "engine/two-faults": 22.0, "engine/minimum-fault": 1.5}  # s
+
+
+def summary(name: str, seeds: int, **changes: object) -> Summary:
+    one = scenario(name)
+    settings = {**one.settings, **changes}
+    return one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, seeds)])
+
+
+def value(rows: list[Row], **wanted: str) -> float:
+    (found,) = [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
+    return found.value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MINE)
+def test_a_scenario_runs_to_its_rows_and_figures(name: str) -> None:
+    found = summary(name, 2 if name in SHORT else 1, **({"duration": SHORT[name]} if name in SHORT else {}))
+    assert found.rows and found.figures and found.tables and found.remarks
+    assert {(r.scenario, r.plant) for r in found.rows} == {(name, "marine-engine")}
+    keys = [(r.detector, r.fault, r.quantity, r.metric) for r in found.rows]
+    assert len(set(keys)) == len(keys)
+    for r in found.rows:
+        assert np.isnan(r.low) or r.low <= r.value <= r.high, r
+    for figure in found.figures:
+        assert figure.draw().axes and figure.alt and figure.caption
+
+
+def test_published_numbers_say_where_they_stand() -> None:
+    assert [minimum_fault(m).value for m in NAMES] == [5.06, 20.36, 14.06, 63.68, 5.0, 50.8, 11.37, 4.88, 0.03, 68.97]
+    assert "Table V" in minimum_fault("M(1,1)").source
+    first = THREE_FAULTS.first_alarm("M(3,1)")
+    assert first is not None and first.value == 45.06 and "Fig. 4" in first.source
+    assert TWO_FAULTS.first_alarm("M(1,1)") is None
+    assert set(THREE_FAULTS.fired) | set(TWO_FAULTS.fired) <= set(NAMES)
+
+
+def test_the_printed_timelines_by_hand() -> None:
+    """K24: 2, 4, 5, 6 sensors accused from 20, 45.06, 69.9, 70.01 s on. K22: 2, 3, 3, 4 from 10, 20, 22.1, 25.3 s on."""
+    for told, counts in ((THREE_FAULTS, [2, 4, 5, 6]), (TWO_FAULTS, [2, 3, 3, 4])):
+        lines = timeline(published_first(told.fired), told.faults, told.duration)
+        at = np.searchsorted(lines.t, sorted(told.fired.values()))
+        assert lines.isolated[at, 0].sum(axis=-1).tolist() == counts
+        assert lines.active.any(axis=-1)[:, 0].tolist() == (lines.t >= told.faults[0].onset).tolist()
+    one = scenario("engine/three-faults")
+    rows = list(one.summarise(one.settings, []).rows)
+    ours = {m: value(rows, metric=f"{m}_performance_percent") for m in ("isolation", "exoneration")}
+    # as in test_diagnosis_metrics: durations 25.06, 24.84, 0.11, 29.99 s of 80
+    length, faulty, named = np.array([25.06, 24.84, 0.11, 29.99]), np.array([1, 2, 2, 3]), np.array([2, 4, 5, 6])
+    assert ours["isolation"] == pytest.approx(100 * length @ (faulty / named) / 80, abs=1e-9)
+    assert ours["exoneration"] == pytest.approx(100 * length @ (1 - named / 10) / 80, abs=1e-9)
+
+
+def test_first_alarms_are_those_of_the_decisions() -> None:
+    """A fault at 1 s: the module of its sensor fires with it; what is kept follows from the Decisions."""
+    faults = (Offset("S(2){3}", 1.0, -3.8e4),)
+    settings = {"noise": 0.05, "duration": 2.5, "detectors": DETECTORS[:1]}
+    (task,) = tasks(settings, faults, 3)
+    found = trial(task)
+    detector = engine_detector(DETECTORS[0], 0.05)
+    healthy = recording(0.05, 250, (0, 1, 2))
+    y = healthy.y + np.where((healthy.t >= 1.0 - 1e-9)[:, None, None] & (np.arange(10) == 3), -3.8e4, 0.0)
+    u = np.broadcast_to(healthy.u[:, None], (*y.shape[:2], 1))
+    decision = run(detector, detector.init((3,)), healthy.t, y, u)[1]
+    fired = np.abs(decision.residual) > decision.threshold
+    expected = np.where(fired.any(axis=0), healthy.t[np.argmax(fired, axis=0)], np.inf)
+    np.testing.assert_array_equal(found["first"], expected)
+    np.testing.assert_allclose(found["first"][:, 3], 1.0, rtol=1e-12)
+    np.testing.assert_array_equal(found["healthy"], decision.scores[:99].max(axis=0))
+    np.testing.assert_array_equal(found["faulty"], decision.scores[99:].max(axis=0))
+    assert np.all(found["healthy"] <= 1)
+    lines = timeline(found["first"], faults, 2.5)
+    last = np.searchsorted(healthy.t, lines.t[1:], side="right") - 1
+    np.testing.assert_array_equal(lines.isolated[1:], decision.isolated[last])
+    assert gather([(task, found), (task, found)])[DETECTORS[0]]["first"].shape == (6, 10)
+
+
+def test_a_trace_keeps_the_samples_nearest_to_the_thresholds() -> None:
+    rng = np.random.default_rng(0)
+    t, residual, threshold = np.arange(4 * BIN) * 0.01, rng.normal(size=(4 * BIN, 3)), rng.uniform(1, 2, (4 * BIN, 3))
+    kept = extremes(t, residual, threshold)
+    assert kept.shape == (3, 8, 3)
+    ratio, found = residual / threshold, kept[1] / kept[2]
+    for j in range(3):
+        for b in range(4):
+            inside, pair = ratio[b * BIN : (b + 1) * BIN, j], found[2 * b : 2 * b + 2, j]
+            # stored in single precision: a quotient of two rounded numbers
+            assert sorted(pair) == pytest.approx([inside.min(), inside.max()], rel=3e-7)
+    assert np.all(np.diff(kept[0], axis=0)[::2] >= 0)
+    assert extremes(t[:3], residual[:3], threshold[:3]).shape == (3, 0, 3)
+
+
+def test_the_smallest_fault_is_the_slack_where_a_module_does_not_read_its_own_sensor() -> None:
+    detector = engine_detector(DETECTORS[0], 0.05)
+    healthy = recording(0.05, 80, (0, 1))
+    u = np.broadcast_to(healthy.u[:, None], (80, 2, 1))
+    decision = run(detector, detector.init((2,)), healthy.t, healthy.y, u)[1]
+    late = healthy.t >= minimum.ONSET
+    algebraic = [NAMES.index(m) for m in ("M(2,1)", "M(2,2)", "M(3,2)", "M(3,3)", "M(4,3)")]
+    nominal = np.array([detector.plant.modules.nominal[s.measures] for s in detector.plant.sensors])  # type: ignore[union-attr]
+    slack = smallest_detectable(decision.residual[late], -decision.threshold[late], decision.threshold[late]) / nominal
+    found = minimum.smallest(detector, healthy.t, healthy.y, u=healthy.u)
+    resolution = minimum.LARGEST / 2**minimum.HALVINGS
+    assert np.all(
+        (found[:, algebraic] > slack[:, algebraic]) & (found[:, algebraic] <= slack[:, algebraic] + 1.001 * resolution)
+    )
+    quiet = minimum.smallest(detector, healthy.t, healthy.signal[:, :1], u=healthy.u)
+    # no other sensor: the noise bound itself
+    assert 0.05 < quiet[0, NAMES.index("M(4,2)")] <= 0.05 + 1.001 * resolution
+
+
+def test_a_module_that_alarms_by_itself_has_no_smallest_fault() -> None:
+    detector = engine_detector(DETECTORS[1], 0.05)  # the printed constants: M(4,1) alarms within a second or two
+    healthy = recording(0.05, 300, (0,))
+    found = minimum.smallest(detector, healthy.t, healthy.y, u=healthy.u)
+    assert np.isinf(found[0, NAMES.index("M(4,1)")]) and np.isfinite(found[0, NAMES.index("M(2,1)")])
+
+
+def test_matrices_differ_from_the_printed_in_three_entries() -> None:
+    found: dict[str, set[tuple[str, str]]] = {}
+    for task in engine_signatures.signature_tasks({}, 1):
+        arrays: Arrays = engine_signatures.signature_work(task)
+        lines, faults = list(signatures(task["table"])), list(engine_signatures.FAULTS)
+        found[task["table"]] = {(lines[i], faults[j]) for i, j in np.argwhere(arrays["ours"] != arrays["printed"])}
+    turbine, speed = {("E(3,3)", "f1(4)")}, {("E(2,1)", "f3(2)"), ("E(2,2)", "f3(2)")}
+    assert found == {name: set() for name in SIGNATURES} | {
+        "K24 Table I": speed,
+        "K24 Table II": turbine,
+        "K22 Table 1": turbine,
+    }
+    rows = summary("engine/signatures", 1).rows
+    assert sum(r.value for r in rows if r.metric == "entries_equal") == 230 - 4
+    assert set(K24_LOCAL) == set(K22_LOCAL) == set(engine_signatures.ROWS)
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({"noise": 0.0}, "wanted a share of the nominal values"),
+        ({"duration": 71.0}, "a second after the last fault"),
+        ({"detectors": ("limits",)}, "setting detectors has limits; known"),
+    ],
+)
+def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], wanted: str) -> None:
+    one = scenario("engine/three-faults")
+    with pytest.raises(ValueError, match=wanted):
+        one.tasks({**one.settings, **changes}, 1)
+
+
+def test_the_scenarios_are_on_the_command_line() -> None:
+    assert set(MINE) <= set(SCENARIOS)
