@@ -47,6 +47,10 @@ PLANTS: dict[str, tuple[str, str]] = {
         "four-stroke marine diesel engine with turbocharger in 4 blocks, 10 sensors (Kougiatsos and Reppa 2024)",
         "fusion_sfdia.models.marine_engine:marine_engine",
     ),
+    "power-network": (
+        "15 generation areas joined by tie lines, 94 sensors, of which 34 read a neighbour's angle (Boem 2018)",
+        "fusion_sfdia.models.power_network:power_network",
+    ),
 }
 
 
