@@ -1,19 +1,21 @@
 """Detector: observers and algebraic residuals with adaptive thresholds, and diagnosis sets from their decisions.
 
 Kougiatsos and Reppa 2024 (K24). A module compares the sensor of one variable with the equation that computes it. A state
-has a Luenberger observer (6), here sampled: exact for its linear part, with h held over a step,
+has a Luenberger observer (6), here sampled: exact for its linear part, with h and the reading y held over a step,
 
     x+ = lam x + (1 - lam)/a (h + L y),   a = rate + L,   lam = exp(-a dt),
 
 an algebraic variable its equation at the readings, (11)-(13). A threshold bounds what noise within the sensors' bounds d can
 do: the state's error e obeys
 
-    |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d),   |y - x| <= |e| + d
+    |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d) + moved,   |y - x| <= |e| + d
 
-and the supremum, as the interval of an algebraic residual, comes from the corners of the equation over the box that the
-readings leave to the truth (`corner_bounds`). No false alarm is possible while readings are within their bounds, variables
-within the envelope and, over one step, monotone: h is taken at the mean of the two readings of a step, its box holds both.
-A missing reading leaves the whole envelope.
+where `moved` is what the state may move within a step, see monitoring. The supremum, as the interval of an algebraic residual,
+comes from the corners of the equation over the box that the readings leave to the truth (`corner_bounds`). No false alarm is
+possible while the plant obeys its equations, readings are within their bounds, variables within the envelope and, over one
+step, monotone (h is taken at the middle of the two readings of a step, its box holds both), and states move no more than
+their `drift`. A missing reading leaves the whole envelope; those at which an equation has no value are moved into it for that
+equation.
 
 With `observer_bounds` the thresholds of the observers are (10) with given constants instead, as published. The Lipschitz
 constant of (10) is the slope at the nominal point there: a law with an infinite slope within the box has none.
@@ -22,21 +24,22 @@ constant of (10) is the slope at the nominal point there: a law with an infinite
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.algebraic_bounds import METHODS, enclosed
+from fusion_sfdia.arguments import number, shown
 from fusion_sfdia.batch_detector import BatchDetector, Moment
 from fusion_sfdia.corner_bounds import Slopes, prove
 from fusion_sfdia.detector import Decision, State
-from fusion_sfdia.diagnosis_sets import DiagnosisLogic
+from fusion_sfdia.diagnosis_sets import DiagnosisLogic, module_logic
 from fusion_sfdia.equation import COMPLEX_STEP, argument_names
 from fusion_sfdia.modules import Modules, ObserverBound
-from fusion_sfdia.monitoring import Settings, monitor
-from fusion_sfdia.signatures import Agent, local_signatures, sensors_read
+from fusion_sfdia.monitoring import Settings, monitor, verdict
 
 Array = NDArray[Any]
 
@@ -47,12 +50,24 @@ ENVELOPE = 0.05  # of the nominal values, beyond twice the noise, in which healt
 class AdaptiveThreshold(BatchDetector):
     """Monitoring modules of a plant whose `modules` say its equations; hypotheses are the sensors.
 
-    envelope: half-width of the range of healthy readings, as a share of the nominal values; None: twice the largest noise
-    bound, and 5 %. margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired
-    stays fired, (16). agents: whether the silence of all modules of a block clears its own sensors, (17), (18).
+    envelope: the range of healthy readings: half its width as a share of the nominal values, or {variable: (least, most)} in
+    SI for those that the load moves, with room for twice the noise bound on either side; otherwise twice the largest noise
+    bound, and 5 %. A load that moves needs one as wide as its transients, or else alarms are no proof of a fault.
+    drift: {state: share of its nominal value by which it moves at most in one plant.dt}, for which the plant's modules have
+    values at a steady load; of other states what the model and the readings allow.
+    bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
+    inversion, K24 (11). These are wider and slow.
+    margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired stays fired, (16).
+    agents: whether the silence of all modules of a block clears its own sensors, (17), (18).
+
+    isolated are the members of all diagnoses: suspects, perhaps most sensors, whose readings stay in `measured`; none where
+    no set of faults explains the modules that fire. The fault size is the residual, for an observer only what it has not
+    followed of the fault.
     """
 
-    envelope: float | None = None
+    envelope: float | Mapping[str, tuple[float, float]] | None = None
+    drift: Mapping[str, float] | None = None
+    bounds: str = "corners"
     observer_bounds: Mapping[str, ObserverBound] = field(default_factory=dict)
     margins: Mapping[str, float] = field(default_factory=dict)
     latch: bool = True
@@ -62,6 +77,11 @@ class AdaptiveThreshold(BatchDetector):
         super().__post_init__()
         modules, plant = self._modules, self.plant
         measured = [s.measures for s in plant.sensors]
+        for variable in modules.equations:
+            if len(several := [s.name for s in plant.sensors if s.measures == variable]) > 1:
+                raise ValueError(
+                    f"sensors {', '.join(several)} all read {variable}; a module compares one: build the plant with one of them"
+                )
         if sorted(measured) != sorted(modules.equations):
             raise ValueError(
                 f"plant {plant.name!r} has sensors of {', '.join(measured)}, equations of {', '.join(modules.equations)}; "
@@ -69,9 +89,13 @@ class AdaptiveThreshold(BatchDetector):
             )
         if unbounded := [s.name for s in plant.sensors if not np.isfinite(s.noise_bound)]:
             raise ValueError(f"sensors {', '.join(unbounded)} have no noise bound; an adaptive threshold needs one: give bound")
-        for what in ("observer_bounds", "margins"):
-            if unknown := [v for v in getattr(self, what) if v not in modules.equations]:
-                raise ValueError(f"{what} names {', '.join(unknown)}; the equations are of {', '.join(modules.equations)}")
+        if self.bounds not in METHODS:
+            raise ValueError(f"bounds is {shown(self.bounds)}; known: {', '.join(METHODS)}")
+        for what, known in (("observer_bounds", modules.states), ("drift", modules.states), ("margins", modules.equations)):
+            if unknown := [v for v in getattr(self, what) or () if v not in known]:
+                raise ValueError(f"{what} names {', '.join(unknown)}; wanted some of {', '.join(known)}")
+        if isinstance(self.envelope, Mapping) and (unknown := [v for v in self.envelope if v not in modules.equations]):
+            raise ValueError(f"envelope names {', '.join(unknown)}; wanted some of {', '.join(modules.equations)}")
 
     @property
     def _modules(self) -> Modules:
@@ -104,20 +128,31 @@ class AdaptiveThreshold(BatchDetector):
         return np.array([self._modules.nominal[v] for v in self._modules.equations])
 
     @cached_property
+    def ends(self) -> tuple[Array, Array]:
+        """Least and largest healthy readings by variable (E,), SI."""
+        given = self.envelope if isinstance(self.envelope, Mapping) else {}
+        if isinstance(self.envelope, Mapping) or self.envelope is None:
+            if zero := [v for v, n in zip(self._modules.equations, self.nominal, strict=True) if n == 0 and v not in given]:
+                raise ValueError(f"the nominal value of {', '.join(zero)} is 0, no measure of a range; give envelope")
+            measured = self.nominal != 0
+            share = 2 * float(np.max((self._bound[measured] / np.abs(self.nominal[measured])), initial=0.0)) + ENVELOPE
+        else:
+            share = number("envelope", self.envelope)
+        usual = zip(self.nominal - share * np.abs(self.nominal), self.nominal + share * np.abs(self.nominal), strict=True)
+        found = np.array([given.get(v, pair) for v, pair in zip(self._modules.equations, usual, strict=True)])
+        return found[:, 0], found[:, 1]
+
+    @cached_property
     def half_width(self) -> Array:
         """Half-width of the envelope by variable (E,), SI."""
-        share = self.envelope
-        if share is None:
-            share = 2 * float(np.max(self._bound / np.abs(self.nominal))) + ENVELOPE
-        return share * np.abs(self.nominal)
+        return (self.ends[1] - self.ends[0]) / 2
 
     @cached_property
     def slopes(self) -> Slopes:
         """Signs of the equations' slopes, proved over the envelope (and all values of the inputs)."""
-        m = self._modules
-        ends = [(s.low, s.high) for s in self.plant.inputs]
-        low = np.concatenate([self.nominal - self.half_width, [e[0] for e in ends]])
-        high = np.concatenate([self.nominal + self.half_width, [e[1] for e in ends]])
+        m, inputs = self._modules, self.plant.inputs
+        low = np.concatenate([self.ends[0], [s.low for s in inputs]])
+        high = np.concatenate([self.ends[1], [s.high for s in inputs]])
         return prove(m.equations, m.variables, low, high, m.parameters)
 
     @cached_property
@@ -132,27 +167,16 @@ class AdaptiveThreshold(BatchDetector):
     @cached_property
     def logic(self) -> DiagnosisLogic:
         """Signature matrices from the arguments of the equations: 1 for an observer's own sensor, * for the others read."""
-        m, plant = self._modules, self.plant
-        sensor = {s.measures: s.name for s in plant.sensors}
-        named = {m.names[s.measures]: (s.measures, *argument_names(m.equations[s.measures])) for s in plant.sensors}
-        reads = sensors_read(named, sensor, known=(*m.inputs, "c"))
-        local = local_signatures(reads, {m.names[v]: (sensor[v],) for v in m.states}, plant.sensor_names)
-        owners = dict.fromkeys(s.owner for s in plant.sensors)
-        agents = {
-            owner: Agent(
-                tuple(m.names[s.measures] for s in plant.sensors if s.owner == owner),
-                tuple(s.name for s in plant.sensors if s.owner == owner),
-            )
-            for owner in owners
-        }
-        return DiagnosisLogic(local, agents if self.agents else None)
+        return module_logic(self.plant, self._modules, agents=self.agents)
 
     @cached_property
     def _settings(self) -> Settings:
         m, slopes = self._modules, self.slopes
-        return Settings(
-            self.nominal, self.half_width, self._bound, np.asarray(m.rates, float), self._gains, slopes.signs, slopes.unproved
-        )
+        middle, shares = np.mean(self.ends, axis=0), m.drift if self.drift is None else self.drift
+        widest = 2 * self.half_width / np.abs(self.nominal)
+        drift = np.array([shares.get(v, widest[e]) * abs(m.nominal[v]) for e, v in enumerate(m.states)]) / self.plant.dt
+        rates, gains = np.asarray(m.rates, float), np.array([m.gains[v] for v in m.states])
+        return Settings(middle, self.half_width, self._bound, rates, gains, slopes.signs, slopes.unproved, drift)
 
     @cached_property
     def _monitor(self) -> Callable[..., Any]:
@@ -160,68 +184,64 @@ class AdaptiveThreshold(BatchDetector):
         return m.monitor or partial(monitor, m.equations, m.variables, m.parameters)
 
     @cached_property
-    def _margin(self) -> Array:
-        return np.array([self.margins.get(v, 0.0) for v in self._modules.equations]) * np.abs(self.nominal)
-
-    @cached_property
-    def _gains(self) -> Array:
-        return np.array([self._modules.gains[v] for v in self._modules.states])
+    def _layers(self) -> tuple[Array, Array, Array]:
+        """What `verdict` adds to the radii by variable (E,), the variable and the scale of each sensor (N,)."""
+        margin = np.array([self.margins.get(v, 0.0) for v in self._modules.equations]) * np.abs(self.nominal)
+        scale = np.broadcast_to(self.plant.sensor_scale, self._sensor.shape).copy()
+        return self._bound + margin, np.argsort(self._sensor), scale
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Estimates x (S,) and bounds of their errors, the last readings by variable (E,), modules that have fired (N,)."""
-        s = len(self._gains)
-        return (
-            np.broadcast_to(self.nominal[:s], (*batch, s)).copy(),
-            np.broadcast_to(self.half_width[:s], (*batch, s)).copy(),
-            np.full((*batch, len(self.nominal)), np.nan),
-            np.zeros((*batch, len(self.nominal)), bool),
-        )
+        """Estimates x (S,), bounds of their errors, last readings by variable (E,), modules that have fired (N,), seconds."""
+        count, e = len(self._modules.states), len(self.nominal)
+        core = np.mean(self.ends, axis=0)[:count], self.half_width[:count], np.full(e, np.nan), np.zeros(e, bool)
+        return *(np.broadcast_to(a, (*batch, a.size)).copy() for a in core), np.zeros(batch)
 
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        shape = y.shape[:-1]
-        x, error, before, fired = (a.reshape(-1, a.shape[-1]) for a in core)
-        reading = np.array((y / self.plant.sensor_scale)[..., self._sensor].reshape(len(x), -1), order="C")
-        u = np.array(u.reshape(len(x), -1), order="C")
-        s = x.shape[1]
+        if (axes := y.ndim - 1) > 1:
+            flat = [a.reshape(-1, *a.shape[axes:]) for a in (y, u, *core)]
+            after, decision = self._judge(tuple(flat[2:]), now, flat[0], flat[1])
+            return tuple(a.reshape(*y.shape[:-1], *a.shape[1:]) for a in after), nested(decision, y.shape[:-1])
+        x, error, before, fired, elapsed = core
+        extra, variable, scale = self._layers
+        y, u = np.array(y, order="C"), np.array(u, order="C")  # of one layout, for compiled code
+        reading = (y / scale).take(self._sensor, axis=-1)
         x, error, lower, upper = self._monitor(x, error, before, reading, u, now.dt, self._settings)
-        predicted = np.concatenate([x, (lower + upper) / 2], axis=-1)
-        radius = np.concatenate([self._state_bound(error, now), (upper - lower) / 2], axis=-1)
-        threshold = radius + self._bound + self._margin
-        residual = reading - predicted
-        scale = self.plant.sensor_scale
-        back = self._variable
-        residual, threshold = residual[:, back] * scale, threshold[:, back] * np.abs(scale)
-        with np.errstate(invalid="ignore"):
-            firing = np.abs(residual) > threshold
-        fired = firing | fired if self.latch else firing
+        if self.bounds != "corners":
+            lower, upper = enclosed(self.bounds, self._modules, reading, u, self._settings)
+        elapsed = elapsed + now.dt
+        radius = self._published(error, elapsed) if self.observer_bounds else error
+        if not self.latch:
+            fired = np.zeros_like(fired)
+        residual, threshold, measured, fired, lost = verdict(y, x, radius, lower, upper, extra, variable, scale, fired)
         isolated = self.logic.isolated(fired)
         decision = Decision(
-            estimate=x.reshape(*shape, s),
-            measured=np.where(np.isfinite(y), y, (predicted[:, back] * scale).reshape(y.shape)),
-            residual=residual.reshape(y.shape),
-            threshold=threshold.reshape(y.shape),
-            isolated=isolated.reshape(y.shape),
-            fault_size=np.where(isolated, residual, np.nan).reshape(y.shape),
-            diverged=~np.all(np.isfinite(predicted), axis=-1).reshape(shape),
-            guarded=np.zeros(shape, bool),
-            nis=np.full(shape, np.nan),
+            estimate=x,
+            measured=measured,
+            residual=residual,
+            threshold=threshold,
+            isolated=isolated,
+            fault_size=np.where(isolated, residual, np.nan),
+            diverged=lost,
+            guarded=np.zeros(lost.shape, bool),
+            nis=np.full(lost.shape, np.nan),
         )
-        return tuple(a.reshape(*shape, -1) for a in (x, error, reading, fired)), decision
+        return (x, error, reading, fired, elapsed), decision
 
-    def _state_bound(self, error: Array, now: Moment) -> Array:
-        """What bounds the states' errors (B, S): the recursion's, or (10) less the noise where constants are given."""
+    def _published(self, error: Array, t: Array) -> Array:
+        """What bounds the states' errors (B, S) at t (B,) since the start: (10) less the noise where constants are given."""
+        error = error.copy()
         for e, variable in enumerate(self._modules.states):
             if variable in self.observer_bounds:
-                c, d, t = self.observer_bounds[variable], self._bound[e], now.k * now.dt
-                lipschitz = self._steepness[e]
-                start, noise, field = c.rho * self.half_width[e], c.rho_d * d / c.xi_d, c.rho * lipschitz * d / c.xi
-                fast, slow = np.exp(-c.xi * t), np.exp(-c.xi_d * t)
-                effect = start * fast + noise * (1 - slow) + field * (1 - fast)
-                memory = start * t * fast + (noise + field) * (1 - fast) / c.xi - field * t * fast
-                memory -= noise * (slow - fast) / (c.xi - c.xi_d)
-                error = error.copy()
-                error[:, e] = effect + c.rho * lipschitz * memory
+                c, start, lipschitz = self.observer_bounds[variable], self.half_width[e], self._steepness[e]
+                error[:, e] = c.threshold(t, start, self._bound[e], lipschitz)
         return error
+
+
+def nested(decision: Decision, batch: tuple[int, ...]) -> Decision:
+    """The decision of a batch of one axis as one of that shape."""
+    told = (getattr(decision, f.name) for f in fields(Decision))
+    shaped: list[Any] = [None if a is None else a.reshape(*batch, *a.shape[1:]) for a in told]
+    return Decision(*shaped)
 
 
 def named(modules: Modules, variable: str) -> list[str]:

@@ -19,6 +19,7 @@ from fusion_sfdia.health import keep_broken_out, without_broken
 from fusion_sfdia.plant import Plant
 
 CLOCK = 3  # scalars at the head of a state: seed, steps so far, time
+FIELDS = tuple(f.name for f in fields(Decision))
 
 
 class Moment(NamedTuple):
@@ -71,22 +72,23 @@ class BatchDetector(ABC):
         ValueError for a state of another detector, values or shapes that do not fit, and a time for which the model does not
         hold.
         """
-        single = self._batch_of(state) == ()
-        y, u = check_reading(self.plant, y, u, state[CLOCK].shape)
+        batch = self._batch_of(state)
+        single = batch == ()
+        y, u = check_reading(self.plant, y, u, batch)
         now = self._moment(state, number("t", t))
         diverged, *core = (a[None] for a in state[CLOCK:]) if single else state[CLOCK:]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             after, decision = self._judge(tuple(core), now, y[None] if single else y, u[None] if single else u)
         diverged = diverged | decision.diverged
-        if np.any(diverged):
+        if diverged.any():
             after = keep_broken_out(diverged, after, self._start(diverged.shape, now.seed))
-        decision = without_broken(decision, diverged)
+            decision = without_broken(decision, diverged)
         batched = (diverged, *after)
         if single:
             batched = tuple(_only(a) for a in batched)
-            told = {f.name: getattr(decision, f.name) for f in fields(Decision)}
-            only: dict[str, Any] = {name: None if a is None else _only(a) for name, a in told.items()}
-            decision = Decision(**only)
+            told = (getattr(decision, name) for name in FIELDS)
+            only: list[Any] = [None if a is None else _only(a) for a in told]
+            decision = Decision(*only)
         return (state[0], np.array(now.k), np.array(now.t), *batched), decision
 
     def _moment(self, state: State, t: float) -> Moment:
@@ -101,7 +103,7 @@ class BatchDetector(ABC):
     def _batch_of(self, state: State) -> tuple[int, ...]:
         """The shape of the state's batch; ValueError where it is no state of this detector."""
         if isinstance(state, tuple | list) and len(state) == CLOCK + 1 + len(self._layout):
-            shapes = [np.shape(a) for a in state]
+            shapes = [a.shape if isinstance(a, np.ndarray) else np.shape(a) for a in state]
             batch = shapes[CLOCK]
             if shapes == [(), (), (), batch, *((*batch, *s) for s in self._layout)]:
                 return batch
@@ -112,5 +114,5 @@ class BatchDetector(ABC):
 
 
 def _only(a: Array) -> Array:
-    """The only element of a batch of one."""
-    return a.reshape(a.shape[1:])
+    """The only element of a batch of one, as an array."""
+    return a[0] if a.ndim > 1 else a.reshape(())

@@ -86,17 +86,20 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
         raise ValueError(
             f"y has shape {y.shape}; wanted {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one"
         )
+    wanted = (*batch, m)
     if u.shape[-1:] != (m,):
         raise ValueError(
             f"u has shape {u.shape}; plant {plant.name!r} has {m} inputs ({', '.join(s.name for s in plant.inputs)})"
         )
-    if len(u.shape) > len(batch) + 1 or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], batch[::-1], strict=False)):
-        raise ValueError(f"u has shape {u.shape}; it does not broadcast to {(*batch, m)}: give ({m},) or one row for each run")
-    if np.any(np.isinf(y)):
+    if u.shape != wanted and (
+        len(u.shape) > len(wanted) or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], batch[::-1], strict=False))
+    ):
+        raise ValueError(f"u has shape {u.shape}; it does not broadcast to {wanted}: give ({m},) or one row for each run")
+    if np.isinf(y).any():
         raise ValueError("y has infinite readings; pass NaN for a missing one")
-    if not np.all(np.isfinite(u)):
+    if not np.isfinite(u).all():
         raise ValueError("u has values that are not finite; an input must be known")
-    return y, np.broadcast_to(u, (*batch, m))
+    return y, u if u.shape == wanted else np.broadcast_to(u, wanted)
 
 
 def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covariance: bool = False) -> tuple[State, Decision]:

@@ -26,7 +26,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.signatures import Agent, SignatureMatrix, combinations, global_signatures, masks, members
+from fusion_sfdia.equation import argument_names
+from fusion_sfdia.modules import Modules
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signatures import (
+    Agent,
+    SignatureMatrix,
+    combinations,
+    global_signatures,
+    local_signatures,
+    masks,
+    members,
+    sensors_read,
+)
 
 Array = NDArray[Any]
 
@@ -53,13 +65,14 @@ class DiagnosisLogic:
 
     def isolated(self, decisions: Array) -> Array:
         """Return S^F, the sensors in some diagnosis, (..., N) bool."""
-        named, _ = self._answers(decisions)
-        return named
+        given = self._checked(decisions)
+        if len(self.local.rows) <= TABLE:
+            return self._table[0].take(given @ self._place, axis=0)
+        return self._answers(given)[0]
 
     def explained(self, decisions: Array) -> Array:
         """Return whether some set of faults, the empty one included, is consistent with the decisions, (...) bool."""
-        _, explained = self._answers(decisions)
-        return explained
+        return self._answers(self._checked(decisions))[1]
 
     def consistent(self, decisions: Array, faults: Array) -> Array:
         """Return whether sets of faults, masks, are consistent with decisions, bystanders or not: both (...) broadcast."""
@@ -118,6 +131,11 @@ class DiagnosisLogic:
         count = len(self.local.rows)
         return self._judge(members(np.arange(2**count, dtype=np.uint64), count))
 
+    @cached_property
+    def _place(self) -> Array:
+        """Return 2^m (M,): a pattern times it is its row in the table."""
+        return 2 ** np.arange(len(self.local.rows))
+
     def _checked(self, decisions: Array) -> Array:
         given, modules = np.asarray(decisions), self.local.rows
         if given.dtype != bool or given.shape[-1:] != (len(modules),):
@@ -128,8 +146,7 @@ class DiagnosisLogic:
 
     def _answers(self, decisions: Array) -> tuple[Array, Array]:
         """Return isolated (..., N) and explained (...)."""
-        given = self._checked(decisions)
-        patterns = masks(given)
+        patterns = masks(decisions)
         if len(self.local.rows) <= TABLE:
             named, explained = self._table
             return named[patterns], explained[patterns]
@@ -137,3 +154,19 @@ class DiagnosisLogic:
         named, explained = self._judge(members(distinct, len(self.local.rows)))
         which = which.reshape(patterns.shape)
         return named[which], explained[which]
+
+
+def module_logic(plant: Plant, modules: Modules, *, agents: bool = True) -> DiagnosisLogic:
+    """Return the logic of a plant's modules, in the order of its sensors, an agent being the modules of one owner.
+
+    Signatures come from the arguments of the equations: 1 for an observer's own sensor, * for the others read.
+    """
+    sensor = {s.measures: s.name for s in plant.sensors}
+    named = {modules.names[s.measures]: (s.measures, *argument_names(modules.equations[s.measures])) for s in plant.sensors}
+    reads = sensors_read(named, sensor, known=(*modules.inputs, "c"))
+    local = local_signatures(reads, {modules.names[v]: (sensor[v],) for v in modules.states}, plant.sensor_names)
+    if not agents:
+        return DiagnosisLogic(local)
+    owned = {owner: [s for s in plant.sensors if s.owner == owner] for owner in dict.fromkeys(s.owner for s in plant.sensors)}
+    parts = {o: Agent(tuple(modules.names[s.measures] for s in own), tuple(s.name for s in own)) for o, own in owned.items()}
+    return DiagnosisLogic(local, parts)

@@ -1,5 +1,10 @@
 """One step of the observers and algebraic residuals of a plant's modules, with bounds, on arrays.
 
+The true error of an observer, x^ - x, over a step in which its correction L (y - x^) uses the reading y at its beginning:
+
+    e+ = lam e + int_0^dt exp(-a (dt - s)) [h^ - h(s) + L (y - x(0)) - L (x(s) - x(0))] ds.
+
+The last term is what the state moves within the step, at most min(drift, s sup|h - rate x(0)|).
 A plant may bring the same compiled (`Modules.monitor`).
 """
 
@@ -11,17 +16,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.equation import argument_names
+from fusion_sfdia.equation import argument_names, compiled
 
 Array = NDArray[Any]
-Triple = tuple[Array, Array, Array]
+Equations = Mapping[str, Callable[..., Any]]
 
 ROUNDING = 1e-12  # relative, by which bounds are widened: some thousand times what a hundred operations round
 
 
 class Settings(NamedTuple):
-    """Of the E variables, the S states first, and the V - E inputs: nominal values, half-widths of the envelope, noise bounds
-    (E,), rates and gains (S,), and the signs and slacks of the equations' corners (E, V), see corner_bounds.
+    """Of the E variables, the S states first, and the V - E inputs: middles and half-widths of the envelope, noise bounds (E,),
+    rates and gains (S,), the signs and slacks of the equations' corners (E, V), see corner_bounds, and the states' largest
+    drifts a second (S,), 0 at a steady load. On arrays, bounds and gains may differ from run to run (B, ...).
     """
 
     nominal: Array
@@ -31,11 +37,12 @@ class Settings(NamedTuple):
     gains: Array
     signs: Array
     unproved: Array
+    drift: Array | float = 0.0
     rounding: float = ROUNDING
 
 
 def monitor(
-    equations: Mapping[str, Callable[..., Any]],
+    equations: Equations,
     variables: Sequence[str],
     c: Any,
     x: Array,
@@ -48,61 +55,115 @@ def monitor(
 ) -> tuple[Array, Array, Array, Array]:
     """Return estimates of the states and bounds of their errors (B, S) after a step, and bounds of the others (B, E - S).
 
+    An equation that has no value at the readings takes them moved into the envelope.
+
     x, error (B, S) before the step; the readings before and after it (B, E), NaN where missing; u (B, V - E) during it. The
     equations are of variables in the order of `variables`, which then has the inputs; c: their parameters.
     """
-    functions = list(equations.items())
-    low, high = np.minimum(before, reading), np.maximum(before, reading)
-    middle, radius = _box((low + high) / 2, (high - low) / 2, u, s)
+    functions = [(f, [variables.index(a) for a in argument_names(f) if a != "c"]) for f in equations.values()]
+    states = len(s.rates)
+    drift = np.broadcast_to(s.drift, states)
+    low, high = box(np.minimum(before, reading), np.maximum(before, reading), u, s)
     ahead, bound = np.empty_like(x), np.empty_like(x)
-    for e in range(len(s.rates)):
-        own = x[:, e], np.abs(middle[:, e] - x[:, e]) + radius[:, e]
-        least, h, most = _bounds(*functions[e], e, variables, c, middle, radius, own, s)
-        known = np.isfinite(before[:, e])
-        gain = np.where(known, s.gains[e], 0.0)
-        a = s.rates[e] + gain
+
+    def bounds(e: int, low: Array, high: Array, at: Array | float = 0.0) -> tuple[Array, Array, Array]:
+        function, columns = functions[e]
+        lower, upper = _corners(function, columns, e, low, high, c, s)
+        lost = ~np.isfinite(lower + at + upper)
+        if np.any(lost):
+            inside = _corners(function, columns, e, *into_envelope(low, high, s), c, s)
+            lower, upper = np.where(lost, inside[0], lower), np.where(lost, inside[1], upper)
+        return lower, np.where(lost, (lower + upper) / 2, at), upper
+
+    for e in range(states):
+        own_low, own_high, middle = low.copy(), high.copy(), (low + high) / 2
+        own_low[:, e], own_high[:, e], middle[:, e] = np.minimum(low[:, e], x[:, e]), np.maximum(high[:, e], x[:, e]), x[:, e]
+        function, columns = functions[e]
+        least, h, most = bounds(e, own_low, own_high, _value(function, middle[:, columns], c))
+        known, rate = np.isfinite(before[:, e]), s.rates[e]
+        gain = np.where(known, s.gains[..., e], 0.0)
+        a = rate + gain
         lam = np.exp(-a * dt)
-        ahead[:, e] = lam * x[:, e] + (1 - lam) / a * (h + gain * np.where(known, before[:, e], 0.0))
-        bound[:, e] = lam * error[:, e] + (1 - lam) / a * (np.maximum(most - h, h - least) + gain * s.bound[e])
-    middle, radius = _box(reading, np.zeros_like(reading), u, s)
-    found = [
-        _bounds(*functions[e], e, variables, c, middle, radius, (middle[:, e], radius[:, e]), s)
-        for e in range(len(s.rates), len(functions))
-    ]
-    shape = len(x), len(found)
-    return ahead, bound, np.array([f[0] for f in found]).T.reshape(shape), np.array([f[2] for f in found]).T.reshape(shape)
+        some = np.where(a > 0, a, 1.0)
+        held = np.where(a > 0, (1 - lam) / some, dt)
+        ahead[:, e] = lam * x[:, e] + held * (h + gain * np.where(known, before[:, e], 0.0))
+        speed = np.maximum(np.abs(most - rate * x[:, e]), np.abs(least - rate * x[:, e])) + rate * error[:, e]
+        moved = np.minimum(gain * held * drift[e] * dt, gain * (dt - held) / some * speed)
+        grown = lam * error[:, e] + held * (np.maximum(most - h, h - least) + gain * s.bound[..., e]) + moved
+        bound[:, e] = np.minimum(grown, np.abs(ahead[:, e] - s.nominal[e]) + s.half_width[e])
+    low, high = box(reading, reading, u, s)
+    found = [bounds(e, low, high) for e in range(states, len(functions))]
+    lower, upper = np.empty((2, len(x), len(found)))
+    for k, (least, _, most) in enumerate(found):
+        lower[:, k], upper[:, k] = least, most
+    return ahead, bound, lower, upper
 
 
-def _box(middle: Array, radius: Array, u: Array, s: Settings) -> tuple[Array, Array]:
-    """Middle and radius (B, V) of the truth; the envelope where a reading is missing; inputs as known."""
-    missing = np.isnan(middle)
-    middle = np.where(missing, s.nominal, middle)
-    radius = np.where(missing, s.half_width, radius + s.bound)
-    return np.concatenate([middle, u], axis=-1), np.concatenate([radius, np.zeros_like(u)], axis=-1)
+def box(low: Array, high: Array, u: Array, s: Settings) -> tuple[Array, Array]:
+    """Ends (B, V) of where the truth is, from the least and largest reading; the envelope where one is missing."""
+    missing = np.isnan(low) | np.isnan(high)
+    low, high = (
+        np.where(missing, s.nominal - s.half_width, low - s.bound),
+        np.where(missing, s.nominal + s.half_width, high + s.bound),
+    )
+    return np.concatenate([low, u], axis=1), np.concatenate([high, u], axis=1)
 
 
-def _bounds(
-    name: str,
-    function: Callable[..., Any],
-    e: int,
-    variables: Sequence[str],
-    c: Any,
-    middle: Array,
-    radius: Array,
-    own: tuple[Array, Array],
-    s: Settings,
-) -> Triple:
-    """Lower bound, value in the middle and upper bound (B,) of an equation; own: middle and radius of its own variable."""
-    columns = [variables.index(a) for a in argument_names(function) if a != "c"]
+def into_envelope(low: Array, high: Array, s: Settings) -> tuple[Array, Array]:
+    """Ends (B, V) of boxes moved into the envelope, in which equations have values."""
+    free = np.full(low.shape[1] - len(s.nominal), np.inf)
+    least, most = np.append(s.nominal - s.half_width, -free), np.append(s.nominal + s.half_width, free)
+    return np.clip(low, least, most), np.clip(high, least, most)
 
-    def at(side: float) -> Array:
-        values = [
-            own[0] + side * s.signs[e, e] * own[1] if j == e else middle[:, j] + side * s.signs[e, j] * radius[:, j]
-            for j in columns
-        ]
-        return np.broadcast_to(function(*values, c), middle.shape[:1])
 
-    lower, value, upper = at(-1.0), at(0.0), at(1.0)
-    slack = radius @ s.unproved[e] + s.unproved[e, e] * (own[1] - radius[:, e])
-    slack += s.rounding * np.maximum(np.maximum(np.abs(lower), np.abs(value)), np.abs(upper))
-    return np.minimum(lower, value) - slack, value, np.maximum(upper, value) + slack
+def _value(function: Callable[..., Any], at: Array, c: Any) -> Array:
+    return np.broadcast_to(function(*at.T, c), at.shape[:1])
+
+
+def _corners(
+    function: Callable[..., Any], columns: list[int], e: int, low: Array, high: Array, c: Any, s: Settings
+) -> tuple[Array, Array]:
+    """Lower and upper bound (B,) of an equation over boxes (B, V)."""
+    low, high, sign = low[:, columns], high[:, columns], s.signs[e, columns]
+    middle = (low + high) / 2
+    lower = _value(function, np.where(sign > 0, low, np.where(sign < 0, high, middle)), c)
+    upper = _value(function, np.where(sign > 0, high, np.where(sign < 0, low, middle)), c)
+    slack = (high - low) / 2 @ s.unproved[e, columns] + s.rounding * np.maximum(np.abs(lower), np.abs(upper))
+    return lower - slack, upper + slack
+
+
+@compiled
+def verdict(
+    y: Array,
+    x: Array,
+    state_bound: Array,
+    lower: Array,
+    upper: Array,
+    extra: Array,
+    variable: Array,
+    scale: Array,
+    fired: Array,
+) -> Any:
+    """Return residual, threshold, measured, whether each module fires or has fired (B, N), and where a prediction is no number
+    (B,): of readings y (B, N) in sensor units, `scale` to SI, sensors of the variables `variable` (N,).
+
+    x, state_bound (B, S), lower, upper (B, E - S): the predictions; extra (E,) is added to their radius. fired (B, N): before.
+    """
+    size, count = y.shape
+    states = x.shape[1]
+    residual, threshold, measured = np.empty((size, count)), np.empty((size, count)), np.empty((size, count))
+    firing, lost = np.empty((size, count), np.bool_), np.zeros(size, np.bool_)
+    for b in range(size):
+        for i in range(count):
+            e = variable[i]
+            if e < states:
+                predicted, radius = x[b, e], state_bound[b, e]
+            else:
+                predicted = (lower[b, e - states] + upper[b, e - states]) / 2
+                radius = (upper[b, e - states] - lower[b, e - states]) / 2
+            residual[b, i] = (y[b, i] / scale[i] - predicted) * scale[i]
+            threshold[b, i] = (radius + extra[e]) * abs(scale[i])
+            measured[b, i] = predicted * scale[i] if np.isnan(y[b, i]) else y[b, i]
+            firing[b, i] = fired[b, i] or abs(residual[b, i]) > threshold[b, i]
+            lost[b] = lost[b] or not np.isfinite(predicted)
+    return residual, threshold, measured, firing, lost

@@ -480,7 +480,7 @@ def algebraic(states: Any, c: EngineParameters, law: bool) -> Array:
     return result
 
 
-@compiled
+@equation
 def value_at(variable: int, v: Array, c: EngineParameters, law: bool) -> Any:
     """The equation of a variable, by its place in (*STATES, *ALGEBRAIC), at v (11,): these variables and the fuel setting."""
     fuel, p_receiver, p_charge, p_cylinder, T_cylinder, torque, T_receiver, _, T_charge, _, setting = v
@@ -506,29 +506,30 @@ def value_at(variable: int, v: Array, c: EngineParameters, law: bool) -> Any:
     return compressor_temperature_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
 
 
+@equation
+def bounds_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineParameters, law: bool) -> Any:
+    """Lower and upper bound of an equation, by its place, over a box (11,): corner_bounds, compiled. v (11,): to work in."""
+    slack = 0.0
+    for j in range(11):
+        v[j] = middle[j] - s.signs[e, j] * radius[j]
+        slack += s.unproved[e, j] * radius[j]
+    lower = value_at(e, v, c, law)
+    for j in range(11):
+        v[j] = middle[j] + s.signs[e, j] * radius[j]
+    upper = value_at(e, v, c, law)
+    slack += s.rounding * max(abs(lower), abs(upper))
+    return lower - slack, upper + slack
+
+
 @compiled
-def bounds_at(
-    variable: int, middle: Array, radius: Array, own: float, own_radius: float, s: Any, c: EngineParameters, law: bool
-) -> Any:
-    """Lower bound, value in the middle and upper bound of an equation over a box (11,): corner_bounds, compiled."""
-    v = np.empty(11)
-    lower = value = upper = 0.0
-    for k in (-1.0, 0.0, 1.0):
-        slack = 0.0
-        for j in range(11):
-            v[j] = middle[j] + k * s.signs[variable, j] * radius[j]
-            slack += s.unproved[variable, j] * radius[j]
-        v[variable] = own + k * s.signs[variable, variable] * own_radius
-        slack += s.unproved[variable, variable] * (own_radius - radius[variable])
-        f = value_at(variable, v, c, law)
-        if k < 0:
-            lower = f
-        elif k == 0:
-            value = f
-        else:
-            upper = f
-    slack += s.rounding * max(abs(lower), abs(value), abs(upper))
-    return min(lower, value) - slack, value, max(upper, value) + slack
+def inside_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineParameters, law: bool) -> Any:
+    """The same over the box moved into the envelope."""
+    middle, radius = middle.copy(), radius.copy()
+    for j in range(10):
+        least, most = s.nominal[j] - s.half_width[j], s.nominal[j] + s.half_width[j]
+        low, high = min(max(middle[j] - radius[j], least), most), min(max(middle[j] + radius[j], least), most)
+        middle[j], radius[j] = (low + high) / 2, (high - low) / 2
+    return bounds_at(e, middle, radius, v, s, c, law)
 
 
 @compiled
@@ -539,7 +540,7 @@ def monitor(
     size = x.shape[0]
     ahead, bound = np.empty((size, 3)), np.empty((size, 3))
     lower, upper = np.empty((size, 7)), np.empty((size, 7))
-    middle, radius = np.empty(11), np.empty(11)
+    middle, radius, v = np.empty(11), np.empty(11), np.empty(11)
     for b in range(size):
         middle[10], radius[10] = u[b, 0], 0.0
         for j in range(10):
@@ -548,18 +549,34 @@ def monitor(
             middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
             radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + s.bound[j]
         for e in range(3):
-            low, h, high = bounds_at(e, middle, radius, x[b, e], abs(middle[e] - x[b, e]) + radius[e], s, c, law)
+            m, r = middle[e], radius[e]
+            middle[e] = x[b, e]
+            h = value_at(e, middle, c, law)
+            low, high = min(m - r, x[b, e]), max(m + r, x[b, e])  # holds the truth and the estimate
+            middle[e], radius[e] = (low + high) / 2, (high - low) / 2
+            least, most = bounds_at(e, middle, radius, v, s, c, law)
+            if not np.isfinite(h + least + most):
+                least, most = inside_at(e, middle, radius, v, s, c, law)
+                h = (least + most) / 2
+            middle[e], radius[e] = m, r
             known = not np.isnan(before[b, e])
             gain = s.gains[e] if known else 0.0
-            a = s.rates[e] + gain
+            rate = s.rates[e]
+            a = rate + gain
             lam = np.exp(-a * dt)
-            ahead[b, e] = lam * x[b, e] + (1 - lam) / a * (h + gain * (before[b, e] if known else 0.0))
-            bound[b, e] = lam * error[b, e] + (1 - lam) / a * (max(high - h, h - low) + gain * s.bound[e])
+            held = (1 - lam) / a if a > 0 else dt
+            ahead[b, e] = lam * x[b, e] + held * (h + gain * (before[b, e] if known else 0.0))
+            speed = max(abs(most - rate * x[b, e]), abs(least - rate * x[b, e])) + rate * error[b, e]
+            moved = min(gain * held * s.drift[e] * dt, gain * (dt - held) / a * speed if a > 0 else 0.0)
+            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * s.bound[e]) + moved
+            bound[b, e] = min(grown, abs(ahead[b, e] - s.nominal[e]) + s.half_width[e])
         for j in range(10):
             missing = np.isnan(reading[b, j])
             middle[j] = s.nominal[j] if missing else reading[b, j]
             radius[j] = s.half_width[j] if missing else s.bound[j]
         for e in range(3, 10):
-            low, _, high = bounds_at(e, middle, radius, middle[e], radius[e], s, c, law)
-            lower[b, e - 3], upper[b, e - 3] = low, high
+            least, most = bounds_at(e, middle, radius, v, s, c, law)
+            if not np.isfinite(least + most):
+                least, most = inside_at(e, middle, radius, v, s, c, law)
+            lower[b, e - 3], upper[b, e - 3] = least, most
     return ahead, bound, lower, upper

@@ -18,7 +18,7 @@ LAYERS = [
     | {"particle", "ukf"}
     | {"contractors", "expression", "interval", "interval_kernels", "monotone", "rounding", "sivia"},
     {"estimators"},
-    {"corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
+    {"algebraic_bounds", "corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
     {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"codac_adapter", "diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},

@@ -21,7 +21,7 @@ from fusion_sfdia.simulate import simulate
 from fusion_sfdia.storage import load_state, save_state
 
 TOYS = ("chain", "tanks")
-WITH_MODULES = {"marine-engine"}
+WITH_MODULES = {"marine-engine", "tanks"}
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 
