@@ -184,6 +184,11 @@ def value_of(rows: list[Row], **wanted: str) -> str:
     return span(r.value for r in pick(rows, **wanted))
 
 
+def shares(rows: list[Row], **wanted: str) -> str:
+    """The shares of runs of each detector, as text."""
+    return "; ".join(f"{r.detector} {r.value:.0%}" for r in pick(rows, **wanted)) or "unknown"
+
+
 def departures(rows: list[Row], detector: str, told: Experiment, figure: str) -> str:
     """Which modules fire in most runs where the paper's figure shows silence, and the other way round, in a sentence."""
     share = {r.quantity: r.value for r in pick(rows, metric="fired_share", detector=detector)}

@@ -8,6 +8,7 @@ from fusion_sfdia.benchmarks.engine_decisions import (
     figures,
     isolation_rows,
     module_rows,
+    shares,
     value_of,
 )
 from fusion_sfdia.benchmarks.engine_published import TWO_FAULTS
@@ -44,12 +45,13 @@ def two_summary(settings: Settings, results: Results) -> Summary:
         f"Simulated: {listed(pick(of_runs, metric='sensors_named'))} sensors.",
         "With the constants of (10) as printed, xi_d of 2 and 1 1/s beside rho_d of 465 and 320 1/s, M(3,1) and M(4,1) get "
         "thresholds of hundreds of noise bounds, which no offset of 50 kPa crosses, so those of Fig. 3 must have been others: "
-        f"M(3,1) fires in {value_of(rows, detector=DETECTORS[1], quantity='M(3,1)', metric='fired_share')} of the runs.",
-        f"Runs with an alarm before the first fault: {listed(pick(of_runs, metric='false_alarm_share'))}.",
+        f"M(3,1) fires in {shares(rows, detector=DETECTORS[1], quantity='M(3,1)', metric='fired_share')} of the runs.",
+        f"Runs with an alarm before the first fault: {shares(of_runs, metric='false_alarm_share')}.",
     ]
     highlights = [
-        f"{d}: both faulty sensors named at the end in {value_of(of_runs, detector=d, metric='faults_named_share')} of the "
-        f"runs, among {value_of(of_runs, detector=d, metric='sensors_named')} sensors"
+        f"{d}: both faulty sensors named at the end in "
+        f"{shares(of_runs, detector=d, metric='faults_named_share').removeprefix(d).strip()} of the runs, among "
+        f"{value_of(of_runs, detector=d, metric='sensors_named')} sensors"
         for d in found
     ]
     return Summary(rows, figures(found, told, "two faults"), [alarms_table(rows, told, list(found))], highlights, remarks)

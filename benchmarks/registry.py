@@ -34,6 +34,10 @@ SCENARIOS: dict[str, str] = {
         "two_faults",
         "minimum_fault",
         "signatures",
+        "noise",
+        "sensitivity",
+        "load",
+        "process",
     )
 }
 

@@ -1,0 +1,231 @@
+"""What the engine's campaigns share: truths simulated once, noise drawn in step, and the first firing of each module.
+
+Decisions are latched, so what the detector says at any time follows from when each module fired first; nothing else of a run
+is kept. The modules M(I,q) and the sensors S(I){j} have the same order: each module tests the equation of one sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from fusion_sfdia.adaptive_threshold import ENVELOPE, AdaptiveThreshold
+from fusion_sfdia.benchmarks.detectors import adaptive_threshold
+from fusion_sfdia.benchmarks.engine_trials import DETECTORS, MOST_NOISE, engine
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Arrays, Settings
+from fusion_sfdia.detector import State
+from fusion_sfdia.diagnosis_metrics import Response
+from fusion_sfdia.diagnosis_sets import DiagnosisLogic
+from fusion_sfdia.metrics import Estimate, mean_over_runs, proportion
+from fusion_sfdia.models.marine_engine import marine_engine
+from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine_faults import ProcessFault
+from fusion_sfdia.models.marine_engine_governor import governed_settings
+from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.random_streams import stream
+from fusion_sfdia.simulate import simulate
+
+Array = NDArray[Any]
+
+VALID = "adaptive-threshold"
+USUAL_NOISE = 0.05  # of the nominal values: K24, sec. VII
+LOWER_LOAD = 0.8
+DRIVES = {
+    "constant": "full load",
+    "governor": "100 to 80 % load by a PI governor",
+    "step": "100 to 80 % load in one step",
+}
+FINER = 4  # substeps of the truth in one of the detector's
+DRAWN = 500  # samples of noise drawn at once
+ROOM = 1.2  # by which a drift is taken larger than it was in the transients
+
+
+class Truth(NamedTuple):
+    """A run without noise: times (K,) s, fuel settings (K, 1) and what healthy sensors without noise read, (K, N)."""
+
+    t: Array
+    u: Array
+    signal: Array
+
+
+@cache
+def truth(duration: float, drive: str = "constant", at: float = 0.0, fault: tuple[str, float] | None = None) -> Truth:
+    """The engine for `duration` seconds under one of DRIVES, which acts at `at`, as a process fault (kind, severity) does.
+
+    Computed on finer steps than the detector's.
+    """
+    plant = marine_engine()
+    steps = round(duration / plant.dt)
+    changes: dict[str, Any] = {}
+    if fault is not None:
+        changes["truth"] = marine_engine(process_faults=[ProcessFault(*fault, onset=at)], substeps=FINER)
+    if drive == "governor":
+        c = engine_parameters()
+        full, lower = (float(engine_variables(equilibrium(load, c), c)["speed"]) for load in (1.0, LOWER_LOAD))
+        changes["inputs"] = governed_settings(lambda t: lower if t >= at else full, steps)
+    elif drive == "step":
+        changes["inputs"] = lambda t: np.array([LOWER_LOAD if t >= at else 1.0])
+    run = simulate(plant, steps, [0], **changes)
+    return Truth(run.t, run.u, run.signal[:, 0])
+
+
+def noise(plant: Plant, steps: int, seeds: Sequence[int]) -> Iterator[Array]:
+    """Sample by sample, noise (B, N) uniform within the sensors' bounds: the same for a seed whatever the others."""
+    bound = np.array([s.noise_bound for s in plant.sensors])
+    streams = [stream(s, "measurement noise") for s in seeds]
+    for first in range(0, steps, DRAWN):
+        block = [r.uniform(-bound, bound, (min(DRAWN, steps - first), bound.size)) for r in streams]
+        yield from np.stack(block, axis=1)
+
+
+def default_envelope(level: float) -> float:
+    """Half-width of the envelope that serves this noise and, with one proof, all up to the usual: twice the noise and 5 %."""
+    return 2 * max(level, USUAL_NOISE) + ENVELOPE
+
+
+@cache
+def engine_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0) -> AdaptiveThreshold:
+    """A named detector at a noise level, with the gains of a design times a factor."""
+    plant = engine(level, design)
+    if plant.modules is not None:
+        gains = {state: factor * gain for state, gain in plant.modules.gains.items()}
+        plant = replace(plant, modules=replace(plant.modules, gains=gains))
+    return replace(adaptive_threshold(plant, name.partition(":")[2]), envelope=default_envelope(level))
+
+
+@cache
+def moving_detector(name: str, level: float, duration: float, at: float) -> AdaptiveThreshold:
+    """The same for a load that moves: its envelope and drifts hold what DRIVES read and do, with room for noise."""
+    plant = engine(level, "K24")
+    runs = [truth(duration, drive, at).signal for drive in DRIVES]
+    low, high = np.min([r.min(axis=0) for r in runs], axis=0), np.max([r.max(axis=0) for r in runs], axis=0)
+    most = np.max([np.abs(np.diff(r, axis=0)).max(axis=0) for r in runs], axis=0)
+    envelope, drift = {}, {}
+    for i, sensor in enumerate(plant.sensors):
+        room = 2 * sensor.noise_bound
+        envelope[sensor.measures] = float(low[i] - room), float(high[i] + room)
+        if plant.modules is not None and sensor.measures in plant.modules.states:
+            drift[sensor.measures] = ROOM * float(most[i]) / plant.modules.nominal[sensor.measures]
+    return replace(adaptive_threshold(plant, name.partition(":")[2]), envelope=envelope, drift=drift)
+
+
+def watch(
+    detector: AdaptiveThreshold, t: Array, u: Array, readings: Iterable[Array], state: State | None = None
+) -> tuple[State, Arrays]:
+    """Run the detector through readings (..., N) at each of t (K,) under u (K, m); return its state and what modules did.
+
+    first (..., N): time of the first residual beyond its threshold, s, inf for none. beyond (..., N): how many samples were.
+    threshold (..., N): its mean, sensor units. diverged (...) bool.
+    """
+    first = beyond = total = np.empty(0)
+    for k, (time, applied, y) in enumerate(zip(t, u, readings, strict=True)):
+        if state is None:
+            state = detector.init(y.shape[:-1], float(time) - detector.plant.dt)
+        if k == 0:
+            first, beyond, total = np.full(y.shape, np.inf), np.zeros(y.shape, int), np.zeros(y.shape)
+        state, decision = detector.step(state, float(time), y, applied)
+        with np.errstate(invalid="ignore"):
+            firing = np.abs(decision.residual) > decision.threshold
+        if firing.any():
+            first[firing & np.isinf(first)] = time
+            beyond += firing
+        total += decision.threshold
+    if state is None:
+        raise ValueError("there are no readings to watch; pass at least one")
+    return state, {"first": first, "beyond": beyond, "threshold": total / max(len(t), 1), "diverged": np.asarray(state[3])}
+
+
+def fork(state: State, ways: int) -> State:
+    """The state of a batch (*batch) as that of (ways, *batch) runs which go apart from here."""
+    return tuple(a if a.ndim == 0 else np.broadcast_to(a, (ways, *a.shape)) for a in state)
+
+
+def sizes(detector: AdaptiveThreshold, size: float) -> Array:
+    """Biases (N,) of `size` thresholds of each sensor's own module, at full load without noise; sensor units."""
+    run = truth(1.0)
+    state, _ = watch(detector, run.t, run.u, run.signal)
+    return size * np.asarray(detector.step(state, float(run.t[-1]) + detector.plant.dt, run.signal[-1], run.u[-1])[1].threshold)
+
+
+def response(first: Array, onset: float, modules: Sequence[int]) -> Response:
+    """As diagnosis_metrics.response, from first firings (B, N): (20) with the own module, (21) with those of other agents."""
+    delay = np.maximum(first[:, list(modules)].min(axis=-1) - onset, 0.0)
+    caught = np.isfinite(delay)
+    some = np.round(delay[caught], 6)  # s, of the sums of steps
+    return Response(
+        proportion(int((~caught).sum()), caught.size),
+        mean_over_runs(some, np.ones(some.size)),
+        float(some.min()) if some.size else float("nan"),
+        float(some.max()) if some.size else float("nan"),
+    )
+
+
+@cache
+def logic() -> DiagnosisLogic:
+    """The decision logic of the engine's modules."""
+    return AdaptiveThreshold(marine_engine()).logic
+
+
+def verdict_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int | None = None) -> list[Row]:
+    """What the diagnosis sets say at the end of runs of first firings (B, N): rows of `at(metric, estimate)`.
+
+    faulty: the sensor that is, None for none. accused: how many sensors are in S^F; unexplained: runs whose pattern no set of
+    sensor faults is consistent with.
+    """
+    fired: Array = np.isfinite(first)
+    isolated, unexplained = logic().isolated(fired), np.logical_not(logic().explained(fired))
+    count = isolated.sum(axis=-1)
+    rows = [
+        at("alarm_at_end", share(np.asarray(fired.any(axis=-1)))),
+        at("sensor_accused_at_end", share(count > 0)),
+        at("accused_sensors_at_end", mean_over_runs(count, np.ones(count.size))),
+        at("unexplained_at_end", share(unexplained)),
+    ]
+    if faulty is not None:
+        right = isolated[:, faulty]
+        rows += [at("isolated_at_end", share(right)), at("exact_isolation_at_end", share(right & (count == 1)))]
+    return rows
+
+
+def share_matrix(axes: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *, ylabel: str = "") -> None:
+    """Shares (R, C) as shades, the numbers that are not 0 written in."""
+    axes.imshow(values, cmap="Blues", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
+    for i, j in zip(*np.nonzero(values), strict=True):
+        dark = values[i, j] > 0.6
+        axes.text(j, i, f"{values[i, j]:.2g}", ha="center", va="center", fontsize=6, color="white" if dark else "black")
+    axes.set_xticks(range(len(columns)), list(columns), rotation=90, fontsize=7)
+    axes.set_yticks(range(len(rows)), list(rows), fontsize=7)
+    axes.tick_params(length=0)
+    axes.set_ylabel(ylabel)
+    axes.grid(visible=False)
+
+
+def share(hits: Array) -> Estimate:
+    """The proportion of runs (B,) bool."""
+    return proportion(int(hits.sum()), hits.size)
+
+
+def check(settings: Settings) -> None:
+    """Raise ValueError for settings that no run can be made of, before any is begun."""
+    for name in ("detector", "detectors"):
+        for value in np.atleast_1d(np.asarray(settings.get(name, VALID))):
+            if value not in DETECTORS:
+                raise ValueError(f"setting {name} is {str(value)!r}; known: {', '.join(DETECTORS)}")
+    for name in ("noise", "levels"):
+        for value in np.atleast_1d(np.asarray(settings.get(name, USUAL_NOISE))):
+            if not 0 < value <= MOST_NOISE:
+                raise ValueError(
+                    f"setting {name} has {value:g}; wanted a share of the nominal values, above 0, at most {MOST_NOISE}"
+                )
+    if not 0.02 <= settings["onset"] < settings["duration"] - 0.02:
+        raise ValueError(
+            f"the onset is {settings['onset']:g} s of {settings['duration']:g} s; wanted one within the run, from 0.02 s on"
+        )

@@ -1,0 +1,246 @@
+"""engine/load: a load step from 100 to 80 %, healthy and with each of the ten sensors faulty."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure as Drawing
+from numpy.typing import NDArray
+
+from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.benchmarks.engine_campaign import (
+    DRIVES,
+    USUAL_NOISE,
+    VALID,
+    check,
+    engine_detector,
+    fork,
+    logic,
+    moving_detector,
+    noise,
+    response,
+    share,
+    share_matrix,
+    sizes,
+    truth,
+    verdict_rows,
+    watch,
+)
+from fusion_sfdia.benchmarks.engine_trials import NAMES, row
+from fusion_sfdia.benchmarks.findings import pick, span
+from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, legend_above, panels
+from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.metrics import Estimate, mean_over_runs
+from fusion_sfdia.models.marine_engine import SENSORS
+
+Array = NDArray[Any]
+
+CHUNK = 25  # runs in one task
+CASES = ("none", *SENSORS)
+ALLOWED = {  # for what the detector's envelope and drifts are made
+    "steady": "full load, as the registered detector",
+    "moving": "all that the load changes read and do",
+}
+
+METRICS = (
+    "missed_detection_rate",
+    "missed_detection_rate_other_agents",
+    "isolated_at_end",
+    "exact_isolation_at_end",
+    "accused_sensors_at_end",
+)
+
+
+def load_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """Each way to change the load with each detector; all sensors' faults on the same noise."""
+    check(settings)
+    for name, known in (("drives", DRIVES), ("allowed", ALLOWED)):
+        if unknown := [d for d in settings[name] if d not in known]:
+            raise ValueError(f"setting {name} has {', '.join(unknown)}; known: {', '.join(known)}")
+    if not 0 < settings["change"] <= settings["onset"]:
+        raise ValueError(
+            f"the load changes at {settings['change']:g} s, the fault begins at {settings['onset']:g} s; wanted this order"
+        )
+    common = {k: settings[k] for k in ("detector", "noise", "size", "change", "onset", "duration")}
+    return [
+        common | {"drive": drive, "allowed": allowed, "seeds": block}
+        for drive in settings["drives"]
+        for allowed in settings["allowed"]
+        for block in seed_blocks(seeds, CHUNK)
+    ]
+
+
+def load_detector(task: Task) -> AdaptiveThreshold:
+    """The detector of a task."""
+    if task["allowed"] == "steady":
+        return engine_detector(task["detector"], task["noise"])
+    return moving_detector(task["detector"], task["noise"], task["duration"], task["change"])
+
+
+def load_work(task: Task) -> Arrays:
+    """First firings (11, B, N) of the healthy runs and with each sensor faulty; before the onset all are the healthy ones.
+
+    thresholds (B, N): their mean over the bound of the noise in the healthy runs from the onset on. diverged (11, B). signal
+    (K, N) without noise and u (K, 1), every tenth sample.
+    """
+    detector = load_detector(task)
+    t, u, signal = truth(task["duration"], task["drive"], task["change"])
+    onset = round(task["onset"] / detector.plant.dt)
+    biases = np.zeros((len(CASES), 1, len(SENSORS)))
+    biases[1:, 0] = np.diag(sizes(engine_detector(task["detector"], task["noise"]), task["size"]))
+    draws = noise(detector.plant, t.size, task["seeds"])
+    state, before = watch(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
+    after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
+    _, found = watch(detector, t[onset:], u[onset:], after, fork(state, len(CASES)))
+    first = np.minimum(before["first"], found["first"])
+    thresholds = found["threshold"][0] / np.array([s.noise_bound for s in detector.plant.sensors])
+    return {
+        "first": first,
+        "thresholds": thresholds,
+        "diverged": found["diverged"],
+        "size": biases[:, 0],
+        "signal": signal[::10],
+        "u": u[::10],
+    }
+
+
+def load_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """False alarms, detection and isolation by drive, detector and faulty sensor."""
+    cells: dict[tuple[str, str], list[Arrays]] = {}
+    for task, arrays in results:
+        cells.setdefault((task["drive"], task["allowed"]), []).append(arrays)
+    rows: list[Row] = []
+    firsts: dict[tuple[str, str], Array] = {}
+    for (drive, allowed), parts in cells.items():
+        first = firsts[drive, allowed] = np.concatenate([p["first"] for p in parts], axis=1)
+        diverged = np.concatenate([p["diverged"] for p in parts], axis=1)
+        thresholds = np.concatenate([p["thresholds"] for p in parts])
+        for name, values in zip(NAMES, thresholds.T, strict=True):
+            where = f"{name}, {drive}, detector {allowed}"
+            mean = mean_over_runs(values, np.ones(values.size))
+            rows.append(row("engine/load", settings["detector"], "none", where, "threshold_noise_bounds", mean))
+        for i, case in enumerate(CASES):
+            at = partial(row, "engine/load", settings["detector"], case, f"{drive}, detector {allowed}")
+            rows += [at("diverged", share(diverged[i])), *verdict_rows(at, first[i], None if i == 0 else i - 1)]
+            if i:
+                size = 100 * parts[0]["size"][i, i - 1] / parts[0]["signal"][0, i - 1]
+                others = [j for j, n in enumerate(NAMES) if n[:3] != NAMES[i - 1][:3]]
+                own, propagated = (response(first[i], settings["onset"], group) for group in ([i - 1], others))
+                rows += [
+                    at("fault_percent", Estimate(float(size), math.nan, math.nan, first.shape[1])),
+                    at("missed_detection_rate", own.missed),
+                    at("detection_delay", own.delay),
+                    at("missed_detection_rate_other_agents", propagated.missed),
+                ]
+    drives = {task["drive"]: arrays for task, arrays in results}
+    figures = [_drive_figure(settings, drives), *(_matrix_figure(a, firsts) for a in settings["allowed"])]
+    return Summary(rows, figures, highlights=[_silence(rows)], remarks=_remarks(settings, rows))
+
+
+SHOWN = {
+    "S(2){3}": "torque",
+    "S(3){1}": "receiver pressure",
+    "S(4){1}": "charge-air pressure",
+    "S(3){2}": "receiver temperature",
+}
+
+
+def _drive_figure(settings: Settings, drives: dict[str, Arrays]) -> Figure:
+    def draw() -> Drawing:
+        figure, axes = panels([DRIVES[d] for d in drives], columns=3, width=10.0, height=2.8)
+        for panel, arrays in zip(axes, drives.values(), strict=True):
+            t = 0.1 * np.arange(len(arrays["u"]))
+            panel.plot(t, 100 * arrays["u"][:, 0], color="black", linewidth=1, label="fuel setting")
+            for j, (sensor, name) in enumerate(SHOWN.items()):
+                values = arrays["signal"][:, list(SENSORS).index(sensor)]
+                panel.plot(t, 100 * values / values[0], color=COLOURS[j], linestyle=DASHES[j % len(DASHES)], label=name)
+            panel.axvline(settings["onset"], color="0.6", linewidth=1)
+            panel.set(xlabel="time (s)", ylabel="% of full load", ylim=(60, 105))
+        legend_above(figure)
+        return figure
+
+    return Figure(
+        "drives",
+        "The load step",
+        "Fuel setting and true variables, over their values at full load. Grey line: onset of the sensor faults.",
+        draw,
+        "Time series of fuel setting, torque, pressures and a temperature for each way to change the load",
+    )
+
+
+def _matrix_figure(allowed: str, firsts: dict[tuple[str, str], Array]) -> Figure:
+    chosen = {drive: np.isfinite(first) for (drive, of), first in firsts.items() if of == allowed}
+
+    def draw() -> Drawing:
+        figure, axes = panels([f"{drive}: {what}" for drive in chosen for what in ("fired", "accused")], width=8.5)
+        for k, fired in enumerate(chosen.values()):
+            share_matrix(axes[2 * k], fired.mean(axis=1), CASES, NAMES, ylabel="faulty sensor")
+            share_matrix(axes[2 * k + 1], logic().isolated(fired).mean(axis=1), CASES, tuple(SENSORS))
+        return figure
+
+    return Figure(
+        f"modules-{allowed}",
+        f"Modules that fire and sensors accused, detector for {ALLOWED[allowed]}",
+        "Share of runs in which a module has fired (left) and a sensor is in the diagnosis set S^F (right) at the end.",
+        draw,
+        "Matrices of faulty sensor against modules that fired and against sensors accused, for each load change",
+    )
+
+
+def _silence(rows: list[Row]) -> str:
+    told = [
+        f"{r.quantity} {r.value:.0%}" for r in pick(rows, fault="none", metric="alarm_at_end") if "constant" not in r.quantity
+    ]
+    return f"Healthy runs with an alarm under a load step: {'; '.join(told)}."
+
+
+def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
+    remarks = []
+    for r in pick(rows, fault="none", metric="alarm_at_end"):
+        found = {m: pick(rows, quantity=r.quantity, metric=m) for m in METRICS}
+        percent = {m: span(100 * x.value for x in values) for m, values in found.items()}
+        remarks.append(
+            f"{r.quantity}: healthy runs with an alarm {r.value:.0%}; by faulty sensor, missed by its own module "
+            f"{percent['missed_detection_rate']} % and by all other agents {percent['missed_detection_rate_other_agents']} %, "
+            f"among the sensors accused {percent['isolated_at_end']} %, alone {percent['exact_isolation_at_end']} %, with "
+            f"{span(x.value for x in found['accused_sensors_at_end'] if x.fault != 'none')} sensors accused on average."
+        )
+    drive = settings["drives"][0]
+    for allowed in settings["allowed"]:
+        where = [f"{name}, {drive}, detector {allowed}" for name in NAMES]
+        mean = pick(rows, metric="threshold_noise_bounds", quantity=where)
+        told = "; ".join(f"{r.quantity.split(', ')[0]} {r.value:.3g}" for r in mean)
+        remarks.append(f"Mean thresholds over the bound of the noise, {DRIVES[drive]}, detector {allowed}: {told}.")
+    remarks.append(
+        f"Faults of {settings['size']:g} thresholds are {span(r.value for r in pick(rows, metric='fault_percent'))} % of the "
+        "nominal values, by sensor: no noise within its bounds hides them from the sensor's own module at full load."
+    )
+    return remarks
+
+
+SCENARIO = Scenario(
+    name="engine/load",
+    title="A load step, healthy and with each sensor faulty",
+    about="Load from 100 to 80 % by a PI governor and in one step of the fuel setting, beside constant load: whether a "
+    "detector made for full load, and one made for the load change, stay silent without a fault, and what they find with one "
+    "on each sensor.",
+    settings={
+        "detector": VALID,
+        "noise": USUAL_NOISE,
+        "drives": tuple(DRIVES),
+        "allowed": tuple(ALLOWED),
+        "size": 2.0,
+        "change": 5.0,
+        "onset": 8.0,
+        "duration": 20.0,
+    },
+    seeds=2,
+    full_seeds=100,
+    tasks=load_tasks,
+    work=load_work,
+    summarise=load_summary,
+    full={"duration": 60.0},
+)

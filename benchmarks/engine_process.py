@@ -1,0 +1,232 @@
+"""engine/process: faults of the engine itself and attacks on single measurements, and whether they are taken for sensor faults.
+
+Both are future work of K24. The detector knows sensor faults alone: a process fault is right where an alarm accuses no sensor.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure as Drawing
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.engine_campaign import (
+    DRIVES,
+    USUAL_NOISE,
+    VALID,
+    check,
+    engine_detector,
+    logic,
+    moving_detector,
+    noise,
+    response,
+    share,
+    share_matrix,
+    sizes,
+    truth,
+    verdict_rows,
+    watch,
+)
+from fusion_sfdia.benchmarks.engine_trials import NAMES, row
+from fusion_sfdia.benchmarks.findings import pick, span
+from fusion_sfdia.benchmarks.plots import panels
+from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.faults import Fault, apply
+from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.models.marine_engine import SENSORS
+from fusion_sfdia.models.marine_engine_faults import PROCESS_FAULTS
+
+Array = NDArray[Any]
+
+CHUNK = 5  # runs in one task
+ATTACKS = {  # on a measurement from the onset on: what it reads then; sizes are ours
+    "offset": "too much by some thresholds of its own module",
+    "scaling": "too much by a factor, as much at full load",
+    "sign": "minus what it is",
+    "replay": "what it read in the seconds before",
+}
+ALL = "all sensors"  # replayed at once
+PROCESS, ATTACK = "process", "attack"
+
+
+def process_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """All process faults at full load, and all attacks with each way to change the load, on the same noise."""
+    check(settings)
+    if unknown := [d for d in settings["drives"] if d not in DRIVES]:
+        raise ValueError(f"setting drives has {', '.join(unknown)}; known: {', '.join(DRIVES)}")
+    common = {k: settings[k] for k in ("detector", "noise", "onset", "duration")}
+    process = {"what": PROCESS, "drive": "constant", "severities": list(settings["severities"])}
+    attacks = [{"what": ATTACK, "drive": d, "size": settings["size"], "period": settings["period"]} for d in settings["drives"]]
+    return [common | part | {"seeds": block} for part in (process, *attacks) for block in seed_blocks(seeds, CHUNK)]
+
+
+def process_cases(severities: list[float]) -> list[tuple[str, float]]:
+    """Kind and severity of the process faults."""
+    return [(kind, severity) for kind in PROCESS_FAULTS for severity in severities]
+
+
+def attack_cases() -> list[tuple[str, str]]:
+    """Kind and sensor of the attacks."""
+    return [*((kind, sensor) for kind in ATTACKS for sensor in SENSORS), ("replay", ALL)]
+
+
+def process_work(task: Task) -> Arrays:
+    """First firings (cases, B, N), diverged (cases, B)."""
+    name, level, onset, duration = (task[k] for k in ("detector", "noise", "onset", "duration"))
+    steady = engine_detector(name, level)
+    moving = task["drive"] != "constant"
+    detector = moving_detector(name, level, duration, onset) if moving else steady
+    t, u, healthy = truth(duration, task["drive"], onset)
+    draws = np.stack(list(noise(detector.plant, t.size, task["seeds"])))
+    if task["what"] == PROCESS:
+        signals = [truth(duration, "constant", onset, case).signal for case in process_cases(task["severities"])]
+        y = np.stack(signals, axis=1)[:, :, None] + draws[:, None]
+    else:
+        lists = [attack(*case, sizes(steady, task["size"]), healthy[0], task) for case in attack_cases()]
+        everyone = np.repeat((healthy[:, None] + draws)[:, None], len(lists), axis=1)
+        runs = [faults for faults in lists for _ in task["seeds"]]
+        y = apply(detector.plant, t, everyone, runs).y
+    _, found = watch(detector, t, u, y)
+    return {"first": found["first"], "diverged": found["diverged"]}
+
+
+def attack(kind: str, sensor: str, size: Array, nominal: Array, task: Task) -> list[Fault]:
+    """The faults that an attack is; size, nominal (N,)."""
+    if sensor == ALL:
+        return [Fault(s, "replay", task["onset"], period=task["period"]) for s in SENSORS]
+    i = list(SENSORS).index(sensor)
+    match kind:
+        case "offset":
+            return [Fault(sensor, "bias", task["onset"], magnitude=size[i])]
+        case "scaling":
+            return [Fault(sensor, "scale", task["onset"], magnitude=1 + size[i] / nominal[i])]
+        case "sign":
+            return [Fault(sensor, "scale", task["onset"], magnitude=-1.0)]
+    return [Fault(sensor, "replay", task["onset"], period=task["period"])]
+
+
+def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """Alarms, delays and sensors accused by process fault and by attack."""
+    cells: dict[tuple[str, str], list[Arrays]] = {}
+    for task, arrays in results:
+        cells.setdefault((task["what"], task["drive"]), []).append(arrays)
+    rows: list[Row] = []
+    firsts: dict[tuple[str, str], Array] = {}
+    for (what, drive), parts in cells.items():
+        first = firsts[what, drive] = np.concatenate([p["first"] for p in parts], axis=1)
+        diverged = np.concatenate([p["diverged"] for p in parts], axis=1)
+        cases = process_cases(list(settings["severities"])) if what == PROCESS else attack_cases()
+        for case, times, lost in zip(cases, first, diverged, strict=True):
+            told = (f"{case[0]} {case[1]:.0%}", "all") if what == PROCESS else (case[0], f"{case[1]}, {drive}")
+            at = partial(row, "engine/process", settings["detector"], *told)
+            faulty = list(SENSORS).index(str(case[1])) if case[1] in SENSORS else None
+            answer = response(times, settings["onset"], range(len(NAMES)))
+            early = Estimate(float((times < settings["onset"]).any(axis=-1).sum()), math.nan, math.nan, len(times))
+            rows += [
+                at("missed_detection_rate", answer.missed),
+                at("detection_delay", answer.delay),
+                at("runs_with_false_alarm", early),
+                at("diverged", share(lost)),
+                *verdict_rows(at, times, faulty),
+            ]
+    figures = [_process_figure(list(settings["severities"]), firsts[key]) for key in firsts if key[0] == PROCESS]
+    figures += [_attack_figure(drive, first) for (what, drive), first in firsts.items() if what == ATTACK]
+    return Summary(rows, figures, highlights=_highlights(rows), remarks=_remarks(settings, rows))
+
+
+def _process_figure(severities: list[float], first: Array) -> Figure:
+    def draw() -> Drawing:
+        figure, axes = panels(["fired", "accused"], width=8.5, height=3.0)
+        fired, cases = np.isfinite(first), [f"{kind} {severity:.0%}" for kind, severity in process_cases(severities)]
+        share_matrix(axes[0], fired.mean(axis=1), cases, NAMES, ylabel="process fault")
+        share_matrix(axes[1], logic().isolated(fired).mean(axis=1), cases, tuple(SENSORS))
+        return figure
+
+    return Figure(
+        "process",
+        "Process faults: modules that fire and sensors accused",
+        "Share of runs in which a module has fired (left) and a sensor, all of them healthy, is accused (right) at the end.",
+        draw,
+        "Matrices of process fault against modules that fired and against sensors accused",
+    )
+
+
+def _attack_figure(drive: str, first: Array) -> Figure:
+    fired = np.isfinite(first[: len(ATTACKS) * len(SENSORS)]).reshape(len(ATTACKS), len(SENSORS), -1, len(NAMES))
+    isolated = logic().isolated(fired)
+    right = np.stack([isolated[:, i, :, i] for i in range(len(SENSORS))], axis=1)
+
+    def draw() -> Drawing:
+        figure, axes = panels(["detected", "attacked sensor accused", "accused alone"], columns=3, width=10.0, height=2.2)
+        alone = right & (isolated.sum(axis=-1) == 1)
+        for panel, values in zip(axes, (fired.any(axis=-1), right, alone), strict=True):
+            share_matrix(panel, values.mean(axis=-1), tuple(ATTACKS), tuple(SENSORS))
+        return figure
+
+    return Figure(
+        f"attacks-{drive}",
+        f"Attacks on one measurement: {DRIVES[drive]}",
+        "Share of runs in which any module has fired, the attacked sensor is accused, and no other is, at the end.",
+        draw,
+        "Matrices of the kind of attack against the attacked sensor: detected, accused, accused alone",
+    )
+
+
+def _highlights(rows: list[Row]) -> list[str]:
+    told = [
+        f"{r.fault}: detected {1 - r.value:.0%}, sensors accused {a.value:.0%}"
+        for r, a in zip(
+            pick(rows, quantity="all", metric="missed_detection_rate"),
+            pick(rows, quantity="all", metric="sensor_accused_at_end"),
+            strict=True,
+        )
+    ]
+    return [f"Process faults taken for sensor faults. {'; '.join(told)} of the runs."] if told else []
+
+
+def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
+    remarks = []
+    for drive in settings["drives"]:
+        for kind in ATTACKS:
+            where = [f"{sensor}, {drive}" for sensor in SENSORS]
+            missed = pick(rows, fault=kind, quantity=where, metric="missed_detection_rate")
+            if missed:
+                right = pick(rows, fault=kind, quantity=where, metric="isolated_at_end")
+                alone = pick(rows, fault=kind, quantity=where, metric="exact_isolation_at_end")
+                found = [r.quantity.split(",")[0] for r in missed if r.value < 0.5]
+                named = f" ({', '.join(found)})"
+                remarks.append(
+                    f"{kind} ({ATTACKS[kind]}), {DRIVES[drive]}: detected in most runs on {len(found)} of {len(missed)} sensors"
+                    f"{named if 0 < len(found) < len(missed) else ''}; the attacked sensor is accused in "
+                    f"{span(100 * r.value for r in right)} % of the runs, alone in {span(100 * r.value for r in alone)} %."
+                )
+        every = pick(rows, fault="replay", quantity=f"{ALL}, {drive}", metric="missed_detection_rate")
+        remarks += [f"All sensors replayed at once, {DRIVES[drive]}: detected in {1 - r.value:.0%} of the runs." for r in every]
+    return remarks
+
+
+SCENARIO = Scenario(
+    name="engine/process",
+    title="Process faults and attacks on measurements",
+    about="Fouling, a lost injector, a heavy propeller; offset, scaling, changed sign and replay of single measurements, at "
+    "full load and as the load falls: what is detected, and whether it is taken for a fault of which sensors.",
+    settings={
+        "detector": VALID,
+        "noise": USUAL_NOISE,
+        "drives": ("constant", "governor"),
+        "severities": (0.05, 0.2),
+        "size": 2.0,
+        "period": 3.0,
+        "onset": 4.0,
+        "duration": 16.0,
+    },
+    seeds=2,
+    full_seeds=100,
+    tasks=process_tasks,
+    work=process_work,
+    summarise=process_summary,
+    full={"duration": 60.0},
+)

@@ -1,0 +1,182 @@
+"""engine/sensitivity: thresholds and the smallest faults they let through, by noise and observer gains (V22's future work)."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure as Drawing
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.engine_campaign import USUAL_NOISE, VALID, check, engine_detector, fork, noise, truth, watch
+from fusion_sfdia.benchmarks.engine_published import DESIGNS, minimum_fault
+from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, row
+from fusion_sfdia.benchmarks.findings import listed, pick, span
+from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, MARKERS, legend_above, panels
+from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.diagnosis_metrics import smallest_detected
+from fusion_sfdia.metrics import Estimate, mean_over_runs
+from fusion_sfdia.models.marine_engine import GAINS, MODULES
+
+Array = NDArray[Any]
+
+CHUNK = 10  # runs in one task
+K24 = "K24"
+GAIN_SETS = {  # design and factor; V22 has the gains of K22; the factors are ours
+    "K24 x 0.01": ("K24", 0.01),
+    "K24 x 0.1": ("K24", 0.1),
+    "K22": ("K22", 1.0),
+    K24: ("K24", 1.0),
+    "K24 x 10": ("K24", 10.0),
+}
+OBSERVERS = {name: module.variable for name, module in MODULES.items() if module.variable in GAINS}
+SIZES = np.round(np.geomspace(0.01, 5.0, 28), 4)  # of the faults tried, in noise bounds
+
+
+def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """Each noise level with each set of gains; the published and the calibrated thresholds with the published gains alone."""
+    check(settings)
+    if unknown := [g for g in settings["gains"] if g not in GAIN_SETS]:
+        raise ValueError(f"setting gains has {', '.join(unknown)}; known: {', '.join(GAIN_SETS)}")
+    common = {k: settings[k] for k in ("onset", "duration")}
+    return [
+        common | {"detector": detector, "level": level, "gains": gains, "seeds": block}
+        for level in settings["levels"]
+        for gains in settings["gains"]
+        for detector in (DETECTORS if gains in DESIGNS else (VALID,))
+        for block in seed_blocks(seeds, CHUNK)
+    ]
+
+
+def sensitivity_work(task: Task) -> Arrays:
+    """Of the healthy runs: samples beyond their thresholds (B, N) and mean thresholds (B, N), sensor units, after the onset.
+
+    detected (3, sizes, B) bool: whether its own module, silent without it, noticed a bias of SIZES on an observer's sensor.
+    """
+    detector = engine_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
+    t, u, signal = truth(task["duration"])
+    bound = np.array([s.noise_bound for s in detector.plant.sensors])
+    own = [NAMES.index(name) for name in OBSERVERS]
+    biases = np.zeros((1 + len(own) * SIZES.size, 1, bound.size))  # the first is none
+    for i, sensor in enumerate(own):
+        biases[1 + i * SIZES.size : 1 + (i + 1) * SIZES.size, 0, sensor] = SIZES * bound[sensor]
+    onset = round(task["onset"] / detector.plant.dt)
+    draws = noise(detector.plant, t.size, task["seeds"])
+    state, before = watch(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
+    after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
+    _, found = watch(detector, t[onset:], u[onset:], after, fork(state, len(biases)))
+    fired = np.isfinite(found["first"])
+    detected = (fired[1:] & ~fired[0]).reshape(len(own), SIZES.size, -1, bound.size)
+    return {
+        "beyond": before["beyond"] + found["beyond"][0],
+        "threshold": found["threshold"][0],
+        "detected": np.stack([detected[i, ..., sensor] for i, sensor in enumerate(own)]),
+        "bound": bound,
+    }
+
+
+def sensitivity_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """Thresholds, smallest detected faults and false alarms by module, noise and gains."""
+    cells: dict[tuple[str, float, str], list[Arrays]] = {}
+    for task, arrays in results:
+        cells.setdefault((task["detector"], task["level"], task["gains"]), []).append(arrays)
+    samples = round(settings["duration"] / 0.01)
+    rows: list[Row] = []
+    for (detector, level, gains), parts in cells.items():
+        threshold, beyond = (np.concatenate([p[k] for p in parts]) for k in ("threshold", "beyond"))
+        detected = np.concatenate([p["detected"] for p in parts], axis=-1)
+        at = partial(row, "engine/sensitivity", detector)
+        where = f"noise {level:.0%}, gains {gains}"
+        alarms = beyond.sum(axis=-1)
+        count = Estimate(float((beyond > 0).any(axis=-1).sum()), math.nan, math.nan, alarms.size)
+        rows.append(at("none", f"all, {where}", "runs_with_false_alarm", count))
+        rows.append(at("none", f"all, {where}", "false_alarms", Estimate(float(alarms.sum()), math.nan, math.nan, alarms.size)))
+        for i, name in enumerate(OBSERVERS):
+            sensor = NAMES.index(name)
+            ratio = threshold[:, sensor] / parts[0]["bound"][sensor]
+            mean = mean_over_runs(ratio, np.ones(ratio.size))
+            stated = minimum_fault(name) if level == USUAL_NOISE and gains == K24 else None
+            seen = smallest_detected(SIZES * 100 * level, detected[i])
+            rows += [
+                at("none", f"{name}, {where}", "threshold_noise_bounds", mean),
+                at("none", f"{name}, {where}", "minimum_detectable_percent", _scaled(mean, 100 * level), stated),
+                at("bias", f"{name}, {where}", "smallest_detected_percent", seen, stated),
+                at("bias", f"{name}, {where}", "samples", Estimate(float(samples), math.nan, math.nan, alarms.size)),
+            ]  # fmt: skip
+    return Summary(rows[:], [_figure(settings, rows)], remarks=_remarks(settings, rows))
+
+
+def _scaled(e: Estimate, factor: float) -> Estimate:
+    return Estimate(e.value * factor, e.low * factor, e.high * factor, e.n)
+
+
+def _of(rows: list[Row], name: str, level: float, gains: str, metric: str, detector: str = VALID) -> float:
+    found = pick(rows, quantity=f"{name}, noise {level:.0%}, gains {gains}", metric=metric, detector=detector)
+    return found[0].value if found else math.nan
+
+
+def _figure(settings: Settings, rows: list[Row]) -> Figure:
+    def draw() -> Drawing:
+        figure, axes = panels([f"{name} ({v})" for name, v in OBSERVERS.items()], columns=3, width=10.0, height=3.2)
+        for panel, name in zip(axes, OBSERVERS, strict=True):
+            gain = {g: GAIN_SETS[g][1] * DESIGNS[GAIN_SETS[g][0]][0][OBSERVERS[name]] for g in settings["gains"]}
+            order = sorted(gain, key=gain.__getitem__)
+            x = [gain[g] for g in order]
+            for j, level in enumerate(settings["levels"]):
+                bounds = [_of(rows, name, level, g, "threshold_noise_bounds") for g in order]
+                seen = [_of(rows, name, level, g, "smallest_detected_percent") / (100 * level) for g in order]
+                panel.plot(x, bounds, DASHES[j % len(DASHES)], color=COLOURS[j % len(COLOURS)], label=f"{level:.0%} noise")
+                panel.plot(x, seen, MARKERS[j % len(MARKERS)], color=COLOURS[j % len(COLOURS)], mfc="none")
+            panel.set(
+                xscale="log", xlabel="gain of the observer (1/s)", ylabel="noise bounds", ylim=(0, 1.05 * panel.get_ylim()[1])
+            )
+        legend_above(figure)
+        return figure
+
+    return Figure(
+        "gains",
+        "Thresholds and smallest detected faults by observer gain and noise",
+        "Lines: mean threshold of the module, the smallest fault detectable without noise (19). Markers: mean over runs of the "
+        "smallest bias that its own module noticed. Both over the bound of the noise.",
+        draw,
+        "Thresholds of the three observers over their gains at several noise levels, with the smallest faults detected",
+    )
+
+
+def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
+    remarks = []
+    for name in OBSERVERS:
+        parts = []
+        for gains in settings["gains"]:
+            found = [_of(rows, name, level, gains, "threshold_noise_bounds") for level in settings["levels"]]
+            parts.append(f"{gains} {span(found)}")
+        remarks.append(f"Threshold of {name} over the bound of its noise, by gains: {'; '.join(parts)}.")
+    alarms = pick(rows, metric="runs_with_false_alarm")
+    runs = {d: sum(r.n for r in pick(alarms, detector=d)) for d in dict.fromkeys(r.detector for r in alarms)}
+    remarks.append(
+        "Healthy runs with a sample beyond a threshold: "
+        + "; ".join(f"{d} {sum(r.value for r in pick(alarms, detector=d)):.0f} of {n}" for d, n in runs.items())
+        + ". The published constants belong to the published gains; with others they would have to be derived anew."
+    )
+    where = [f"{n}, noise {USUAL_NOISE:.0%}, gains {K24}" for n in OBSERVERS]
+    usual = pick(rows, metric="smallest_detected_percent", quantity=where, detector=VALID)
+    if usual:
+        remarks.append(f"Smallest fault detected, % of nominal, of a grid in steps of a quarter: {listed(usual, 'quantity')}.")
+    return remarks
+
+
+SCENARIO = Scenario(
+    name="engine/sensitivity",
+    title="Thresholds by noise and observer gains",
+    about="Thresholds of the three observers, the smallest biases they notice and false alarms, for the gains of the two "
+    "papers and for a hundredth to ten times those of K24, at several noise levels.",
+    settings={"levels": (0.01, 0.03, 0.05), "gains": tuple(GAIN_SETS), "onset": 4.0, "duration": 8.0},
+    seeds=2,
+    full_seeds=100,
+    tasks=sensitivity_tasks,
+    work=sensitivity_work,
+    summarise=sensitivity_summary,
+    full={"levels": (0.01, 0.03, 0.05, 0.07, 0.1), "duration": 20.0},
+)

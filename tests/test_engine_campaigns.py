@@ -1,0 +1,190 @@
+"""The engine's campaigns: noise, sensitivity, load, process."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.benchmarks import engine_campaign as campaign
+from fusion_sfdia.benchmarks import engine_noise, engine_process, engine_sensitivity
+from fusion_sfdia.benchmarks.engine_campaign import VALID, engine_detector, fork, noise, response, truth, watch
+from fusion_sfdia.benchmarks.engine_noise import FAULTS, OTHERS, OWN, published
+from fusion_sfdia.benchmarks.engine_trials import NAMES
+from fusion_sfdia.benchmarks.registry import scenario
+from fusion_sfdia.detector import run
+from fusion_sfdia.models.marine_engine import MODULES, SENSORS
+
+SMALL = {
+    "engine/noise": {"levels": (0.03, 0.05), "onset": 0.5, "duration": 1.0},
+    "engine/sensitivity": {"levels": (0.05,), "gains": ("K22", "K24"), "onset": 0.3, "duration": 0.5},
+    "engine/load": {"drives": ("constant", "step"), "change": 0.3, "onset": 0.5, "duration": 1.0},
+    "engine/process": {"severities": (0.2,), "period": 0.3, "onset": 0.5, "duration": 1.0},
+}
+
+
+def readings(seeds: range, steps: int = 60) -> np.ndarray:
+    return truth(1.0).signal[:steps, None] + np.stack(list(noise(engine_detector(VALID).plant, steps, seeds)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
+def test_a_campaign_runs_to_its_rows_and_figures(name: str) -> None:
+    one = scenario(name)
+    settings = {**one.settings, **SMALL[name]}
+    summary = one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, 2)])
+    assert summary.rows and summary.figures and summary.remarks
+    assert {r.scenario for r in summary.rows} == {name} and {r.plant for r in summary.rows} == {"marine-engine"}
+    assert len({(r.detector, r.fault, r.quantity, r.metric) for r in summary.rows}) == len(summary.rows)
+    for row in summary.rows:
+        assert np.isnan(row.low) or row.low <= row.value <= row.high, row
+    for figure in summary.figures:
+        assert figure.draw().axes and figure.alt and figure.caption
+    healthy = [r for r in summary.rows if r.detector == VALID and r.metric in ("false_alarms", "runs_with_false_alarm")]
+    healthy += [r for r in summary.rows if r.fault == "none" and r.metric == "alarm_at_end"]
+    assert healthy and not any(r.value for r in healthy)
+
+
+def test_modules_and_sensors_have_one_order() -> None:
+    assert [MODULES[name].variable for name in NAMES] == list(SENSORS.values())
+    assert campaign.logic().local.rows == NAMES
+
+
+def test_noise_of_a_seed_does_not_depend_on_the_others_and_stays_within_its_bounds() -> None:
+    plant = engine_detector(VALID).plant
+    some = np.stack(list(noise(plant, 1100, [3, 4])))  # over the border of what is drawn at once
+    np.testing.assert_array_equal(some[:, 1], np.stack(list(noise(plant, 1100, [4])))[:, 0])
+    bound = np.array([s.noise_bound for s in plant.sensors])
+    assert np.all(np.abs(some) <= bound)
+    # uniform noise over its bound has the variance 1/3, its estimate from n the standard error sqrt((1/5 - 1/9) / n)
+    ratio = (some / bound).reshape(-1, bound.size)
+    assert np.all(np.abs((ratio**2).mean(axis=0) - 1 / 3) < 4 * np.sqrt((1 / 5 - 1 / 9) / len(ratio)))
+
+
+def test_first_firings_say_what_the_decisions_say() -> None:
+    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+    y = readings(range(3))
+    y[30:, 0, 3] -= 3.8e4
+    y[40:, 1, 8] += 40.0
+    _, found = watch(detector, t, u, y)
+    start = detector.init((3,), 0.0)
+    _, decision = run(detector, start, t, y, np.broadcast_to(u[:, None], (60, 3, 1)))
+    beyond = np.abs(decision.residual) > decision.threshold
+    np.testing.assert_array_equal(found["beyond"], beyond.sum(axis=0))
+    assert np.isfinite(found["first"][0]).any() and np.isinf(found["first"][2]).all()
+    for k, time in enumerate(t):
+        np.testing.assert_array_equal(campaign.logic().isolated(found["first"] <= time), decision.isolated[k])
+    np.testing.assert_allclose(found["threshold"], decision.threshold.mean(axis=0), rtol=1e-12)
+
+
+def test_runs_that_part_at_the_onset_are_the_whole_runs() -> None:
+    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+    y = np.repeat(readings(range(2))[:, None], 2, axis=1)
+    y[30:, 1, :, 0] *= 1.2
+    _, whole = watch(detector, t, u, y)
+    state, before = watch(detector, t[:30], u[:30], y[:30, 0])
+    _, after = watch(detector, t[30:], u[30:], y[30:], fork(state, 2))
+    np.testing.assert_array_equal(np.minimum(before["first"], after["first"]), whole["first"])
+    np.testing.assert_array_equal(before["beyond"] + after["beyond"], whole["beyond"])
+    with pytest.raises(ValueError, match="no readings to watch"):
+        watch(detector, t[:0], u[:0], [])
+
+
+def test_one_envelope_serves_all_noise_up_to_the_usual() -> None:
+    small, usual = engine_detector(VALID, 0.01), engine_detector(VALID)
+    assert small.envelope == usual.envelope == pytest.approx(0.15) and engine_detector(VALID, 0.1).envelope == pytest.approx(
+        0.25
+    )
+    np.testing.assert_array_equal(small.slopes.signs, usual.slopes.signs)
+    # what is not proved over the wider one is next to nothing in small noise: below 0.1 % of the nominal values
+    own = replace(small, envelope=None)
+    both = [(d.slopes.unproved[:, :10] @ d._bound) / d.nominal for d in (own, small)]
+    assert np.all(both[1] - both[0] < 1e-3)
+
+
+def test_answers_of_first_firings() -> None:
+    first = np.full((4, 10), np.inf)
+    first[0, 0], first[1, 0], first[2, 3] = 20.0, 20.5, 25.0
+    own, others = response(first, 20.0, [0]), response(first, 20.0, range(1, 10))
+    assert own.missed.value == 0.5 and own.delay.value == 0.25 and (own.shortest, own.longest) == (0.0, 0.5)
+    assert others.missed.value == 0.75 and others.delay.value == 5.0
+    none = response(first, 20.0, [9])
+    assert none.missed.value == 1.0 and none.delay.n == 0 and np.isnan(none.shortest)
+
+
+def test_published_delays() -> None:
+    fuel, torque = FAULTS
+    assert published(fuel, OTHERS, 0.02, "detection_delay").value == 10.52
+    assert published(torque, OTHERS, 0.06, "detection_delay") is None
+    more = published(torque, OTHERS, 0.06, "detection_delay_shortest")
+    assert more.value == 74.48 and "more than" in more.source
+    assert published(torque, OWN, 0.07, "missed_detection_rate").value == 1.0
+    assert published(fuel, OWN, 0.1, "missed_detection_rate").value == 0.0
+    assert published(fuel, OTHERS, 0.06, "missed_detection_rate") is None
+
+
+def test_two_thresholds_cannot_be_hidden() -> None:
+    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+    y = np.repeat(readings(range(5))[:, None], 10, axis=1)
+    y[30:] += np.diag(campaign.sizes(detector, 2.0))[:, None]
+    first = watch(detector, t, u, y)[1]["first"]
+    assert np.all(first[np.arange(10), :, np.arange(10)] == t[30])
+
+
+def test_attacks_change_the_reading_of_the_attacked_sensor_alone() -> None:
+    task = {"onset": 0.3, "period": 0.1}
+    nominal = truth(1.0).signal[0]
+    for kind, sensor in engine_process.attack_cases():
+        faults = engine_process.attack(kind, sensor, 0.1 * nominal, nominal, task)
+        assert {f.sensor for f in faults} == (set(SENSORS) if sensor == engine_process.ALL else {sensor})
+    offset, scaling, sign = (
+        engine_process.attack(k, "S(4){1}", 0.1 * nominal, nominal, task)[0] for k in ("offset", "scaling", "sign")
+    )
+    assert offset.magnitude == pytest.approx((scaling.magnitude - 1) * nominal[7]) and sign.magnitude == -1
+
+
+def test_a_replay_at_constant_load_is_as_good_as_a_reading_and_a_load_step_betrays_it() -> None:
+    common = {"detector": VALID, "noise": 0.05, "onset": 0.5, "duration": 3.0, "what": "attack", "size": 2.0, "period": 0.4}
+    cases = engine_process.attack_cases()
+    replay = [i for i, (kind, _) in enumerate(cases) if kind == "replay"]
+    fuel, everyone = cases.index(("replay", "S(1){1}")), cases.index(("replay", engine_process.ALL))
+    still = engine_process.process_work({**common, "drive": "constant", "seeds": [0]})["first"]
+    moved = engine_process.process_work({**common, "drive": "step", "seeds": [0]})["first"]
+    assert np.isinf(still[replay]).all()
+    assert np.isfinite(moved[[fuel, everyone]]).any(axis=-1).all()
+    assert np.isfinite(still[: len(cases) - 11]).any(axis=-1).all()  # offset, scaling, sign
+
+
+def test_gains_are_those_of_the_designs() -> None:
+    task = {"detector": VALID, "level": 0.05, "onset": 0.3, "duration": 0.5, "seeds": [0], "gains": "K22"}
+    found = engine_sensitivity.sensitivity_work(task)
+    gains = engine_detector(VALID, 0.05, "K22").plant.modules.gains
+    assert gains == {"fuel": 1.16, "p_receiver": 445.0, "p_charge": 319.98}
+    assert found["detected"].shape == (3, engine_sensitivity.SIZES.size, 1) and not found["beyond"].any()
+    assert found["detected"][:, -1].all()  # 5 noise bounds
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("engine/noise", {"levels": (0.5,)}, "levels has 0.5"),
+        ("engine/noise", {"onset": 50.0}, "onset is 50 s of 40 s"),
+        ("engine/noise", {"detector": "loo-glr"}, "detector is 'loo-glr'; known: adaptive-threshold"),
+        ("engine/sensitivity", {"gains": ("K25",)}, "gains has K25; known: K24"),
+        ("engine/load", {"drives": ("jump",)}, "drives has jump; known: constant"),
+        ("engine/load", {"change": 9.0}, "wanted this order"),
+        ("engine/process", {"drives": ("jump",)}, "drives has jump"),
+    ],
+)
+def test_settings_that_cannot_be(name: str, settings: dict[str, object], message: str) -> None:
+    one = scenario(name)
+    with pytest.raises(ValueError, match=message):
+        one.tasks({**one.settings, **settings}, 1)
+
+
+def test_a_campaign_gives_the_same_bits_however_its_seeds_are_dealt_out() -> None:
+    task = {"detector": VALID, "onset": 0.3, "duration": 0.5, "level": 0.05}
+    both = engine_noise.noise_work({**task, "seeds": [5, 6]})["first"]
+    alone = engine_noise.noise_work({**task, "seeds": [6]})["first"]
+    np.testing.assert_array_equal(both[:, 1:], alone)
