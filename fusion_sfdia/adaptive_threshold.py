@@ -212,7 +212,9 @@ class AdaptiveThreshold(BatchDetector):
         radius = self._published(error, elapsed) if self.observer_bounds else error
         if not self.latch:
             fired = np.zeros_like(fired)
-        residual, threshold, measured, fired, lost = verdict(y, x, radius, lower, upper, extra, variable, scale, fired)
+        residual, threshold, measured, fired, lost = verdict(
+            y, x, radius, lower, upper, extra, variable, scale, fired, float(self.threshold_scale)
+        )
         isolated = self.logic.isolated(fired)
         decision = Decision(
             estimate=x,

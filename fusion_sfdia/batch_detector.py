@@ -7,7 +7,7 @@ of vectors.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -37,13 +37,19 @@ class BatchDetector(ABC):
     """A detector whose state is (seed, steps so far, time, diverged (*batch), *core), the core's arrays with the batch first.
 
     A subclass says how the core starts and judges readings of a batch with at least one axis.
+    threshold_scale: all thresholds are multiplied by it, as where detectors are compared at one rate of false alarms.
     """
 
     plant: Plant
+    threshold_scale: float = field(default=1.0, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
             raise ValueError(f"plant is {shown(self.plant)}; wanted a Plant")
+        if not 0 < number("threshold_scale", self.threshold_scale) < np.inf:
+            raise ValueError(
+                f"threshold_scale is {self.threshold_scale}; wanted a positive number, 1 for thresholds as they are"
+            )
 
     @abstractmethod
     def _start(self, batch: tuple[int, ...], seed: int) -> State:

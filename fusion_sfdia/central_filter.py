@@ -45,7 +45,8 @@ class CentralFilter(BatchDetector):
         after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, step_stream(now.seed, now.k + 2**32))
         expected = plant.output(now.t, x, u)
         residual = y - joint.y
-        threshold = np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)) * -ndtri(self.false_alarm / y.shape[-1] / 2)
+        alpha = -ndtri(self.false_alarm / y.shape[-1] / 2) * self.threshold_scale
+        threshold = np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)) * alpha
         ratio = np.where(np.isfinite(residual), np.abs(residual) / threshold, 0.0)
         isolated = (np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]) & (ratio > 1)
         decision = Decision(

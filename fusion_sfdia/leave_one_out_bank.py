@@ -66,11 +66,11 @@ class LeaveOneOutBank(BatchDetector):
     @property
     def limits(self) -> tuple[float, float]:
         """Thresholds on the one-sample statistic and on those of the window: chi-square quantiles with 1 degree of freedom."""
-        count = len(self.plant.sensors)
+        count, scale = len(self.plant.sensors), self.threshold_scale
         if self.window == 1:
-            return float(ndtri(self.false_alarm / count / 2) ** 2), np.inf
+            return float((scale * ndtri(self.false_alarm / count / 2)) ** 2), np.inf
         half = self.false_alarm / 2 / count
-        return float(ndtri(half / 2) ** 2), float(ndtri(half / (self.window - 1) / 2) ** 2)
+        return float((scale * ndtri(half / 2)) ** 2), float((scale * ndtri(half / (self.window - 1) / 2)) ** 2)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
         """x, P, the exclusions, and the window's eta, a, b."""

@@ -143,11 +143,13 @@ def verdict(
     variable: Array,
     scale: Array,
     fired: Array,
+    factor: float,
 ) -> Any:
     """Return residual, threshold, measured, whether each module fires or has fired (B, N), and where a prediction is no number
     (B,): of readings y (B, N) in sensor units, `scale` to SI, sensors of the variables `variable` (N,).
 
-    x, state_bound (B, S), lower, upper (B, E - S): the predictions; extra (E,) is added to their radius. fired (B, N): before.
+    x, state_bound (B, S), lower, upper (B, E - S): the predictions; extra (E,) is added to their radius, and `factor`
+    multiplies that. fired (B, N): before.
     """
     size, count = y.shape
     states = x.shape[1]
@@ -162,7 +164,7 @@ def verdict(
                 predicted = (lower[b, e - states] + upper[b, e - states]) / 2
                 radius = (upper[b, e - states] - lower[b, e - states]) / 2
             residual[b, i] = (y[b, i] / scale[i] - predicted) * scale[i]
-            threshold[b, i] = (radius + extra[e]) * abs(scale[i])
+            threshold[b, i] = factor * (radius + extra[e]) * abs(scale[i])
             measured[b, i] = predicted * scale[i] if np.isnan(y[b, i]) else y[b, i]
             firing[b, i] = fired[b, i] or abs(residual[b, i]) > threshold[b, i]
             lost[b] = lost[b] or not np.isfinite(predicted)

@@ -95,7 +95,7 @@ class ParticleFilter(BatchDetector):
 
     @property
     def _alpha(self) -> float:
-        return float(-ndtri(self.false_alarm / len(self.plant.sensors) / 2))
+        return float(-ndtri(self.false_alarm / len(self.plant.sensors) / 2)) * self.threshold_scale
 
     def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array]:
         """The leave-one-out residuals of all readings, and the sensors that elimination names (..., N)."""

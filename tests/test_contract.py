@@ -184,6 +184,20 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
 
 
 @every_pair
+def test_thresholds_scale(pair: tuple[str, str]) -> None:
+    detector = detector_of(*pair)
+    t, y, u = healthy(pair[0], 5, 2)
+    twice = replace(detector, threshold_scale=2.0)
+    _, a = run(detector, detector.init((2,)), t, y, u)
+    _, b = run(twice, twice.init((2,)), t, y, u)
+    quiet = ~np.any(a.alarm, axis=0)  # what is left out after an alarm changes the numbers that follow
+    # a few roundings; where a detector shows the worse of two residuals it may show the other at a tie
+    np.testing.assert_allclose(b.threshold[:, quiet], 2 * a.threshold[:, quiet], rtol=1e-12)
+    with pytest.raises(ValueError, match="threshold_scale is 0"):
+        replace(detector, threshold_scale=0)
+
+
+@every_pair
 def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[str, str]) -> None:
     """Of the sensors. The paper's residual (20) depends on the units of the states: test_fusing_bank holds that."""
     plant, detector = plant_of(pair[0]), detector_of(*pair)
