@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 INTERFACE = {"modules", "arguments", "equation", "signals", "physics", "plant", "discretise", "detector", "storage"}
-INTERFACE |= {"network", "random_streams"}
+INTERFACE |= {"areas", "network", "random_streams"}
 # modules of fusion_sfdia by layer, lowest first; a module imports only its own layer and those below
 LAYERS = [
     INTERFACE,
@@ -18,8 +18,10 @@ LAYERS = [
     | {"particle", "ukf"}
     | {"contractors", "expression", "interval", "interval_kernels", "monotone", "rounding", "sivia"},
     {"estimators"},
-    {"algebraic_bounds", "corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
-    {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"},
+    {"consensus", "consensus_equations"}
+    | {"algebraic_bounds", "corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
+    {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"}
+    | {"adaptive_observer", "fault_memory", "virtual_sensors"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"codac_adapter", "diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
     {"cli"},

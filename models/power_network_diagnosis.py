@@ -1,0 +1,25 @@
+"""What the diagnosers of a power network know: its areas one by one, and their noise (Boem et al. 2018, sec. VIII)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fusion_sfdia.areas import Areas
+from fusion_sfdia.models.power_network_equations import STATES
+from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel
+
+
+def network_areas(model: NetworkModel) -> Areas:
+    """The areas of a network, their neighbours' angles held over a step, as local diagnosers have to take it."""
+    at, n = model.network.topology, len(model.names)
+    return Areas(
+        network=model.network,
+        states=tuple(tuple(f"{s}_{i}" for s in STATES) for i in model.names),
+        owners=tuple(f"area {i}" for i in model.names),
+        matrices=model.area,
+        slope=model.side_slope,
+        shared_gain=model.area[at.neighbour, 0, 0],
+        process_variance=np.tile(model.process_cov, (n, 1)),
+        noise=np.tile(NOISE_VARIANCE, (n, 1)),
+        shared_noise=np.full(at.node.size, NOISE_VARIANCE[0]),
+    )
