@@ -16,6 +16,7 @@ from fusion_sfdia.fusing_bank import FusingBank
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.plant import Plant
 from fusion_sfdia.simulate import simulate
+from fusion_sfdia.virtual_sensors import VirtualSensors
 
 FALSE_ALARM = 1e-3  # per step over all sensors, of every detector here
 CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign
@@ -85,6 +86,11 @@ DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     "adaptive-threshold:calibrated": (
         "the same with margins under which the published pattern of modules fires",
         lambda plant: adaptive_threshold(plant, "calibrated"),
+    ),
+    "virtual-sensors": (
+        "the modules of adaptive-threshold with guaranteed intervals of the faults, whose middles are taken off the readings "
+        "before other modules get them (Kougiatsos 2022)",
+        VirtualSensors,
     ),
 }
 

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.sivia import sivia as sivia
     from fusion_sfdia.storage import load_state as load_state
     from fusion_sfdia.storage import save_state as save_state
+    from fusion_sfdia.virtual_sensors import VirtualSensors as VirtualSensors
 
 _MODULES = {
     "adaptive_threshold": ("AdaptiveThreshold",),
@@ -91,6 +92,7 @@ _MODULES = {
     "simulate": ("Recording", "simulate"),
     "sivia": ("Paving", "sivia"),
     "storage": ("load_state", "save_state"),
+    "virtual_sensors": ("VirtualSensors",),
 }
 _PUBLIC = {
     public: (f"{__name__}.{module}", name or public)

@@ -34,16 +34,16 @@ def enclosed(method: str, m: Modules, reading: Array, u: Array, s: Settings) -> 
     ends = box(reading, reading, u, s)
     columns = []
     for variable in tuple(m.equations)[len(m.states) :]:
-        found = _bounds(method, m, variable, *ends, s)
+        found = enclosure(method, m, variable, *ends, s)
         if np.any(lost := ~np.isfinite(found.lo + found.hi)):
-            found = select(lost, _bounds(method, m, variable, *into_envelope(*ends, s), s), found)
+            found = select(lost, enclosure(method, m, variable, *into_envelope(*ends, s), s), found)
         columns.append(found)
     both = Interval.stack(columns)
     slack = s.rounding * np.maximum(np.abs(both.lo), np.abs(both.hi))
     return both.lo - slack, both.hi + slack
 
 
-def _bounds(method: str, m: Modules, variable: str, low: Array, high: Array, s: Settings) -> Interval:
+def enclosure(method: str, m: Modules, variable: str, low: Array, high: Array, s: Settings) -> Interval:
     """Enclosure (B,) of a variable over boxes low..high (B, V)."""
     names = [a for a in argument_names(m.equations[variable]) if a != "c"]
     over = {v: Interval(low[:, j], high[:, j]) for j, v in enumerate(m.variables)}

@@ -22,6 +22,7 @@ from fusion_sfdia.storage import load_state, save_state
 
 TOYS = ("chain", "tanks")
 WITH_MODULES = {"marine-engine", "tanks"}
+OF_MODULES = ("adaptive-threshold", "virtual-sensors")
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 
@@ -66,7 +67,7 @@ def detector_of(plant: str, name: str) -> Detector:
 def pairs() -> Iterator[object]:
     for plant in plants():
         for name in DETECTORS:
-            if name.startswith("adaptive-threshold") and plant not in WITH_MODULES:
+            if name.startswith(OF_MODULES) and plant not in WITH_MODULES:
                 continue  # it has no scalar equations to monitor, see the test that says so
             marks = [pytest.mark.slow] if (plant, name) in SLOW else []
             yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)
