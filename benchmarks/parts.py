@@ -28,20 +28,23 @@ PART_NAME = re.compile(r"\.?[0-9a-f]{64}\.npz(\..*)?")  # a part, or what a kill
 
 def part_name(work: Callable[[Task], Arrays], task: Task) -> str:
     """Return the file name of a piece of work; ValueError where the task is not made of JSON values."""
-    found = versions()
-    about = {
-        "work": f"{work.__module__}:{work.__qualname__}",
-        "task": dict(task),
-        "version": fusion_sfdia.__version__,
-        "sources": sources_digest(),
-        "libraries": {name: found[name] for name in ("python", *DECISIVE)},
-        "machine": platform.machine(),
-    }
+    about = {"work": f"{work.__module__}:{work.__qualname__}", "task": dict(task), **decisive()}
     try:
         text = json.dumps(about, sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"a task of {about['work']} is not made of JSON values ({error}): {task!r}") from error
     return f"{hashlib.sha256(text.encode()).hexdigest()}.npz"
+
+
+def decisive() -> dict[str, Any]:
+    """Return what decides the bits of any piece of work beside its task: code, libraries, kind of machine."""
+    found = versions()
+    return {
+        "version": fusion_sfdia.__version__,
+        "sources": sources_digest(),
+        "libraries": {name: found[name] for name in ("python", *DECISIVE)},
+        "machine": platform.machine(),
+    }
 
 
 def write_part(path: Path, arrays: Arrays) -> None:

@@ -8,9 +8,10 @@ from __future__ import annotations
 import platform
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -18,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
+from fusion_sfdia.benchmarks.cluster import work_off_on_cluster
 from fusion_sfdia.benchmarks.output import (
     Command,
     open_output,
@@ -33,7 +35,9 @@ from fusion_sfdia.benchmarks.provenance import cores, git_commit, sources_digest
 from fusion_sfdia.benchmarks.report import Section, write_report
 from fusion_sfdia.benchmarks.results import Row, write_rows
 from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Task, adjust
-from fusion_sfdia.benchmarks.workers import Piece, work_off
+from fusion_sfdia.benchmarks.workers import Done, Piece, work_off
+
+WorkOff = Callable[[Sequence[Piece]], Iterator[Done]]
 
 
 @dataclass(frozen=True)
@@ -67,23 +71,28 @@ def run_scenarios(
     full: bool = False,
     changes: Mapping[str, str] | None = None,
     workers: int | None = None,
+    scheduler: str | None = None,
     force: bool = False,
 ) -> Outcome:
     """Run scenarios and write metrics.csv, figures, report.html and manifest.json into the folder `out`.
 
     seeds: runs of each scenario (None: its default, or with full the paper's size). changes: settings as text, each known
-    to at least one of the scenarios. workers: processes, None for one a core. force: see open_output. Raises ValueError
-    for arguments that do not fit; a piece of work that fails is told in the outcome and does not stop the others.
+    to at least one of the scenarios. workers: processes, None for one a core. scheduler: address of a dask
+    cluster that does the work instead. force: see open_output. Raises ValueError for arguments that do not fit; a piece of
+    work that fails is told in the outcome and does not stop the others.
     """
     if workers is not None and workers < 1:
         raise ValueError(f"{workers} workers; wanted at least 1")
-    out, workers, changes = Path(out), workers or cores(), dict(changes or {})
+    if workers is not None and scheduler is not None:
+        raise ValueError("workers and a scheduler's address; wanted one of them: the cluster has workers of its own")
+    out, changes = Path(out), dict(changes or {})
     plans = _plans(scenarios, seeds, full, changes)
     command = Command(tuple(s.name for s in scenarios), seeds, full, tuple(sorted(changes.items())))
     open_output(out, command, force=force)
     earlier = own_files(read_manifest(out) or {})
     begun = time.time()
-    _work_off(plans, out, workers)
+    workers = workers or cores()
+    _work_off(plans, out, partial(work_off_on_cluster, address=scheduler) if scheduler else partial(work_off, workers=workers))
     rows: list[Row] = []
     sections: list[Section] = []
     files: list[str] = []
@@ -102,7 +111,7 @@ def run_scenarios(
         "git_commit": git_commit(),
         "libraries": versions(),
         "platform": platform.platform(),
-        "workers": workers,
+        "workers": scheduler or workers,
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(begun)),
         "seconds": round(time.time() - begun, 3),
         "scenarios": [
@@ -149,7 +158,7 @@ def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes
     return plans
 
 
-def _work_off(plans: list[_Plan], out: Path, workers: int) -> None:
+def _work_off(plans: list[_Plan], out: Path, work_off: WorkOff) -> None:
     """Do what is not there yet, once for all the scenarios that ask for it; its time counts for the first of them."""
     asking: dict[str, list[_Plan]] = {}
     for plan in plans:
@@ -164,7 +173,7 @@ def _work_off(plans: list[_Plan], out: Path, workers: int) -> None:
         else:
             pieces.append(Piece(path, those[0].scenario.work, those[0].parts[part]))
     with _progress(len(asking), len(asking) - len(pieces)) as bar:
-        for done in work_off(pieces, workers):
+        for done in work_off(pieces):
             those = asking[done.path.name]
             those[0].seconds += done.seconds
             if done.error is not None:

@@ -61,14 +61,26 @@ def _do(piece: Piece, parent: int) -> Done:
     """One piece, where it is run; its arrays go to disk and an error is told, not raised."""
     if os.getpid() != parent:
         _follow(parent)
+    arrays, seconds, error = timed(piece.work, piece.task)
+    if error is None:
+        try:
+            write_part(piece.path, arrays)
+        except Exception as problem:
+            error = f"{type(problem).__name__}: {problem}"
+    return Done(piece.path, seconds, error)
+
+
+def timed(work: Callable[[Task], Arrays], task: Task) -> tuple[Arrays, float, str | None]:
+    """Return the arrays of a piece of work, the seconds it took, and the error that ended it, which is not raised."""
     start = time.perf_counter()
+    arrays: Arrays = {}
     error = None
     try:
         with threadpool_limits(1):
-            write_part(piece.path, piece.work(piece.task))
+            arrays = work(task)
     except Exception as problem:
         error = f"{type(problem).__name__}: {problem}"
-    return Done(piece.path, time.perf_counter() - start, error)
+    return arrays, time.perf_counter() - start, error
 
 
 @cache

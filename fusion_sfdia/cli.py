@@ -41,6 +41,7 @@ def parser() -> argparse.ArgumentParser:
     size.add_argument("--seeds", type=int, metavar="N", help="runs of each scenario")
     size.add_argument("--full", action="store_true", help="as many runs as the paper")
     one.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    one.add_argument("--scheduler", metavar="ADDRESS", help="work on a running dask cluster instead, such as tcp://host:8786")
     one.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of the results (default: results/ and the scenario's name)"
     )
@@ -116,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         resumes = "; the same command goes on where it stood" if chosen.command == "run" else ""
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return 130
-    except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError) as error:
+    except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:
         from fusion_sfdia.storage import explained
 
         print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
@@ -160,6 +161,7 @@ def _run(chosen: argparse.Namespace) -> int:
         full=chosen.full,
         changes=changes,
         workers=chosen.workers,
+        scheduler=chosen.scheduler,
         force=chosen.force,
     )
     if chosen.json:

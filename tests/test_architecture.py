@@ -81,7 +81,7 @@ def test_benchmarks_do_not_import_the_command_line(name: str) -> None:
 
 
 def test_the_runner_knows_no_scenario_and_no_detector() -> None:
-    general = {"results", "scenario", "parts", "provenance", "output", "plots", "report", "runner", "workers", "registry"}
+    general = {"cluster", "results", "scenario", "parts", "provenance", "output", "plots", "report", "runner", "workers", "registry"}
     for name in general - {"registry"}:
         path = MODULES["benchmarks"][name]
         assert own(imports(path), "fusion_sfdia.benchmarks") <= general, name
