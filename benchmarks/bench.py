@@ -1,4 +1,4 @@
-"""Speed: the whole bank against one filter and against filterpy, the compiled model, large pipelines, Lorenz-96.
+"""Speed: the whole bank against one filter and against filterpy, the compiled model, large pipelines, Lorenz-96, codac.
 
 Everything on one thread; what is compared takes turns, and the least time of each counts (see `timing`).
 
@@ -9,6 +9,8 @@ Everything on one thread; what is compared takes turns, and the least time of ea
 - scaling: an ensemble filter on finer pipelines, predict and update: step_time, the model's part of it, peak_memory
   (NumPy's arrays above those of the plant; the compiled model holds one ensemble more); the extended bank at 201 nodes.
 - lorenz: step_time of single filters on 63 states, ours and filterpy's, and their ratio (see `bench_lorenz`).
+- engine: step_time of all ten modules for one run of a batch, and of the bounds of the seven algebraic ones by codac; speedup
+  is theirs over ours for one step, of all seven calls and of the quickest of them (see `bench_engine`).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from __future__ import annotations
 import tracemalloc
 from collections.abc import Callable, Sequence
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +27,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fusion_sfdia import enkf
-from fusion_sfdia.benchmarks import bench_filterpy, bench_lorenz
+from fusion_sfdia.benchmarks import bench_engine, bench_filterpy, bench_lorenz
 from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
 from fusion_sfdia.benchmarks.output import require_free
 from fusion_sfdia.benchmarks.results import Row, write_rows
@@ -49,6 +52,7 @@ FILTERPY_TIMED = 3  # of its filters, scaled to all of them: each costs the same
 BATCHES = (40, 127)  # members, and sigma points of 63 states
 NODES = (21, 201, 2001)
 BANK_NODES = (201,)
+TOLERANCES = (0.1, 0.01)  # of set inversion, in noise bounds
 
 
 def bank(seconds: float) -> list[Row]:
@@ -167,7 +171,32 @@ def lorenz(seconds: float) -> list[Row]:
     return rows
 
 
-PARTS: dict[str, Callable[[float], list[Row]]] = {"bank": bank, "model": model, "scaling": scaling, "lorenz": lorenz}
+def engine(seconds: float) -> list[Row]:
+    """The engine's modules, and the bounds of its algebraic variables by codac where it is installed."""
+    found = bench_engine.detector()
+    row = partial(_row, "engine", found.plant, "adaptive-threshold")
+    time = best_times({"ours": bench_engine.step_call()}, seconds)["ours"]
+    one = time.best / bench_engine.RUNS
+    rows = [row("all modules", "step_time", time, 1 / bench_engine.RUNS)]
+    for tolerance in TOLERANCES if find_spec("codac") else ():
+        times = best_times(bench_engine.codac_calls(tolerance), seconds)
+        every = Timing(sum(t.best for t in times.values()), min(t.calls for t in times.values()))
+        where = f"codac, {tolerance:g} noise bounds"
+        rows += [
+            row(where, "step_time", every),
+            row(where, "speedup", every, 1 / one),
+            row(f"{where}, one call", "speedup", min(times.values()), 1 / one),
+        ]
+    return rows
+
+
+PARTS: dict[str, Callable[[float], list[Row]]] = {
+    "bank": bank,
+    "model": model,
+    "scaling": scaling,
+    "lorenz": lorenz,
+    "engine": engine,
+}
 
 
 def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS, *, force: bool = False) -> list[Row]:

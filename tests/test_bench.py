@@ -1,19 +1,23 @@
 """The benchmark: what is compared computes the same, and the rows are there. No word on how fast."""
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fusion_sfdia import ekf, ukf
-from fusion_sfdia.benchmarks import bench, bench_lorenz
+from fusion_sfdia.benchmarks import bench, bench_engine, bench_lorenz
 from fusion_sfdia.benchmarks.bench_filterpy import compiled_model, numpy_model, step_call
+from fusion_sfdia.benchmarks.engine_campaign import truth
 from fusion_sfdia.benchmarks.results import read_rows
 from fusion_sfdia.benchmarks.timing import best_times
 from fusion_sfdia.cli import main
+from fusion_sfdia.equation import argument_names
 from fusion_sfdia.gaussian import condition, dense
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.marine_engine import MODULES
 
 SHORT = 1e-3  # s
 
@@ -57,6 +61,19 @@ def test_the_two_sources_of_lorenz_96_are_one_equation() -> None:
     np.testing.assert_array_equal(a, b)
     i = 5
     assert a[0, i] == pytest.approx((x[0, i + 1] - x[0, i - 2]) * x[0, i - 1] - x[0, i] + 8.0, rel=1e-14)
+
+
+@pytest.mark.skipif(find_spec("codac") is None, reason="codac is not installed: pip install 'fusion-sfdia[codac]'")
+def test_codac_bounds_what_healthy_readings_leave_to_the_engine() -> None:
+    modules, sensors = bench_engine.detector().plant.modules, bench_engine.detector().plant.sensors
+    run, rng = truth(1.0), np.random.default_rng(0)
+    within = run.signal[0] + rng.uniform(-1, 1, (50, 10)) * [s.noise_bound for s in sensors]
+    values = {s.measures: v for s, v in zip(sensors, within.T, strict=True)} | {"fuel_setting": run.u[0, 0]}
+    for name, call in bench_engine.codac_calls(0.1).items():
+        function = modules.equations[MODULES[name].variable]
+        found = function(*(values[a] for a in argument_names(function) if a != "c"), modules.parameters)
+        hull = call().hull
+        assert np.all((hull.lo <= found) & (found <= hull.hi)), name
 
 
 def test_each_part_has_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
