@@ -99,26 +99,26 @@ def test_lists_make_the_same_plant() -> None:
         (lambda: Sensor("s", "x", bound=[1.0]), r"sensor 's': bound is \[1.0\]; wanted a number"),  # type: ignore[arg-type]
         (lambda: Signal("p", nominal="1"), "signal 'p': nominal is '1'; wanted a number"),  # type: ignore[arg-type]
         (lambda: Signal("p", low=None), "signal 'p': low is None; wanted a number"),  # type: ignore[arg-type]
-        (lambda: replace(PLANT, dt="1"), "plant 'tanks': dt is '1'; wanted a number"),
-        (lambda: replace(PLANT, max_dt=None), "plant 'tanks': max_dt is None; wanted a number"),
+        (lambda: replace(PLANT, dt="1"), "plant 'two-tanks': dt is '1'; wanted a number"),
+        (lambda: replace(PLANT, max_dt=None), "plant 'two-tanks': max_dt is None; wanted a number"),
         (lambda: replace(PLANT, max_dt=np.nan), "max_dt is nan s; it must be positive"),
-        (lambda: replace(PLANT, x0="ab"), "plant 'tanks': x0 is 'ab'; wanted an array of numbers"),
+        (lambda: replace(PLANT, x0="ab"), "plant 'two-tanks': x0 is 'ab'; wanted an array of numbers"),
         (lambda: replace(PLANT, x0=[1.0, None]), "wanted 2 finite values"),
         (lambda: replace(PLANT, initial_cov=[[1.0], [0.0, 1.0]]), "initial_cov is .*; wanted an array of numbers"),
         (lambda: replace(PLANT, process_cov=None), r"process_cov has shape \(\); wanted \(2,\) variances"),
         (lambda: replace(PLANT, states=("level_1", "level_2")), "states is .'level_1', 'level_2'.; wanted a tuple of Signal"),
         (lambda: replace(PLANT, sensors="l1"), "sensors is 'l1'; wanted a tuple of Sensor objects"),
         (lambda: replace(PLANT, inputs=None), "inputs is None; wanted a tuple of Signal objects"),
-        (lambda: replace(PLANT, step=None), "plant 'tanks': step is None; wanted a function"),
-        (lambda: replace(PLANT, output=3), "plant 'tanks': output is 3; wanted a function"),
+        (lambda: replace(PLANT, step=None), "plant 'two-tanks': step is None; wanted a function"),
+        (lambda: replace(PLANT, output=3), "plant 'two-tanks': output is 3; wanted a function"),
         (lambda: replace(PLANT, operation=lambda t: [1.0, 2.0]).input_at(0.0), r"operation .* gives shape \(2,\); wanted \(1"),
-        (lambda: replace(PLANT, operation=lambda t: "x").input_at(0.0), "that operation of plant 'tanks' gives is 'x'"),
+        (lambda: replace(PLANT, operation=lambda t: "x").input_at(0.0), "that operation of plant 'two-tanks' gives is 'x'"),
         (lambda: PLANT.in_units({"l1": ("mm", "1")}), "scale of sensor 'l1' is '1'; wanted a number"),  # type: ignore[dict-item]
         (lambda: LeaveOneOutBank(PLANT, window=np.nan), "window, in samples, is nan; wanted a whole number"),  # type: ignore[arg-type]
         (lambda: LeaveOneOutBank(PLANT, window=2.5), "window, in samples, is 2.5; wanted"),  # type: ignore[arg-type]
         (lambda: LeaveOneOutBank(PLANT, window="a"), "window, in samples, is 'a'; wanted"),  # type: ignore[arg-type]
         (lambda: LeaveOneOutBank(PLANT, max_faults=1.5), "max_faults is 1.5; wanted a whole number"),  # type: ignore[arg-type]
-        (lambda: LeaveOneOutBank(PLANT, max_faults=4), "max_faults is 4; plant 'tanks' has 4 sensors"),
+        (lambda: LeaveOneOutBank(PLANT, max_faults=4), "max_faults is 4; plant 'two-tanks' has 4 sensors"),
         (lambda: LeaveOneOutBank(PLANT, false_alarm="x"), "false_alarm is 'x'; wanted a number"),  # type: ignore[arg-type]
         (lambda: LeaveOneOutBank(PLANT, Extended), "estimator is <class .*Extended'>; wanted Extended()"),  # type: ignore[arg-type]
         (lambda: CentralFilter(PLANT, "ekf"), "estimator is 'ekf'; wanted Extended()"),  # type: ignore[arg-type]
@@ -170,7 +170,7 @@ def test_readings_come_as_lists_and_anything_else_is_named(detector: Detector) -
         ((5.0, None, u), r"y has shape \(\); wanted \(4,\): .* pass NaN for a missing one"),
         ((5.0, "abcd", u), "y is 'abcd'; wanted an array of numbers"),
         ((5.0, ["a", 1, 2, 3], u), "y is .*; wanted an array of numbers"),
-        ((5.0, y, None), r"u has shape \(\); plant 'tanks' has 1 inputs"),
+        ((5.0, y, None), r"u has shape \(\); plant 'two-tanks' has 1 inputs"),
         ((5.0, y, ["on"]), "u is .'on'.; wanted an array of numbers"),
         (("5", y, u), "t is '5'; wanted a number"),
         ((None, y, u), "t is None; wanted a number"),
@@ -190,7 +190,7 @@ def test_the_state_of_another_detector_is_refused(detector: Detector) -> None:
     assert len(foreign) >= 7
     for state in (*foreign, own[:-1], (), None, "state", own[3], detector.init((2,))[:-1] + own[-1:]):
         with pytest.raises(
-            ValueError, match=rf"no state of {type(detector).__name__} on plant 'tanks' .*; take it from"
+            ValueError, match=rf"no state of {type(detector).__name__} on plant 'two-tanks' .*; take it from"
         ) as error:
             detector.step(state, 5.0, y, u)  # type: ignore[arg-type]
         one_line(error)
@@ -200,11 +200,11 @@ def test_the_state_of_another_detector_is_refused(detector: Detector) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"step": lambda t, x, u, dt: x[..., :1]}, r"step of plant 'tanks' gives shape .*1\) for states .*2\); wanted"),
-        ({"step": lambda t, x, u, dt: np.ones(2)}, r"step of plant 'tanks' gives shape \(2,\)"),
-        ({"step": lambda t, x, u, dt: None}, r"step of plant 'tanks' gives shape \(\)"),
-        ({"output": lambda t, x, u: x}, r"output of plant 'tanks' gives shape .*2\) for states .*; wanted .*4\), a column"),
-        ({"output": lambda t, x, u: x[..., 0]}, "output of plant 'tanks' gives shape"),
+        ({"step": lambda t, x, u, dt: x[..., :1]}, r"step of plant 'two-tanks' gives shape .*1\) for states .*2\); wanted"),
+        ({"step": lambda t, x, u, dt: np.ones(2)}, r"step of plant 'two-tanks' gives shape \(2,\)"),
+        ({"step": lambda t, x, u, dt: None}, r"step of plant 'two-tanks' gives shape \(\)"),
+        ({"output": lambda t, x, u: x}, r"output of plant 'two-tanks' gives shape .*2\) for states .*; wanted .*4\), a column"),
+        ({"output": lambda t, x, u: x[..., 0]}, "output of plant 'two-tanks' gives shape"),
         ({"step_jacobian": lambda t, x, u, dt: np.eye(3)}, r"step_jacobian .* gives shape \(3, 3\); wanted .*2, 2"),
         ({"output_jacobian": lambda t, x, u: np.eye(2)}, r"output_jacobian .* gives shape \(2, 2\); wanted .*4, 2"),
     ],

@@ -38,7 +38,7 @@ def test_list(capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0
     assert list(found) == ["plants", "detectors", "faults", "scenarios"]
     names = {kind: [e["name"] for e in entries] for kind, entries in found.items()}
-    assert names["plants"] == ["gas-pipeline", "marine-engine", "power-network"]
+    assert names["plants"] == ["gas-pipeline", "marine-engine", "power-network", "two-tanks"]
     assert {"fusing-ekf", "fusing-ukf", "fusing-enkf", "loo-chi2", "loo-glr"} <= set(names["detectors"])
     assert {"bias", "drift", "strong-bias", "weak-drift"} <= set(names["faults"])
     assert names["scenarios"] == ["toy/mean"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import betabinom, binom
-from toy_plants import Array, chain, tanks
+from toy_plants import Array, chain
 
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.detectors import CALIBRATION_SEEDS, CALIBRATION_STEPS, DETECTORS, FALSE_ALARM, WARM_UP, build
@@ -20,8 +20,8 @@ from fusion_sfdia.plant import Plant
 from fusion_sfdia.simulate import simulate
 from fusion_sfdia.storage import load_state, save_state
 
-TOYS = ("chain", "tanks")
-WITH_MODULES = {"marine-engine", "tanks"}
+TOYS = ("chain", "two-tanks")
+WITH_MODULES = {"marine-engine", "two-tanks"}
 OF_MODULES = ("adaptive-threshold", "virtual-sensors")
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
@@ -46,13 +46,11 @@ SETTLED = 20  # samples in which the filters forget their initial covariance
 
 
 def plants() -> tuple[str, ...]:
-    return (*TOYS, *registry.PLANTS)
+    return ("chain", *registry.PLANTS)
 
 
 @cache
 def plant_of(name: str) -> Plant:
-    if name == "tanks":
-        return tanks()
     if name == "chain":
         plant = chain(6)
         return replace(plant, sensors=tuple(replace(s, quantity="level") for s in plant.sensors))

@@ -79,7 +79,7 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         ("time;l1;l2;q12;q2\n1;1;1;1;1", "cells are separated by ';'; wanted commas"),
         ("time [s]\tl1\n1\t1", "cells are separated by '\\\\t'; wanted commas"),
         ("t" * 200 + "\n1", f"no column 'time' among '{'t' * 20}...'; name the column"),
-        (HEADER.replace("l1", "l1 [mm]") + "\n" + ROW, "column 'l1' is in 'mm', plant 'tanks' has it in 'm'"),
+        (HEADER.replace("l1", "l1 [mm]") + "\n" + ROW, "column 'l1' is in 'mm', plant 'two-tanks' has it in 'm'"),
         (HEADER.replace("l2", "l1") + "\n" + ROW, "the column 'l1' stands twice"),
         (HEADER + "\n" + ROW + "\n2,1.0,high,1,1", r"row 3, column l2: 'high'; wanted a finite number, or nothing"),
         (HEADER + "\n1,1.0,inf,1,1", "row 2, column l2: 'inf'"),
@@ -101,7 +101,7 @@ def test_inputs_beyond_their_limits(tmp_path):
     plant = replace(tanks(), inputs=(Signal("inflow", "m3/s", 6e-4, 0.0, 1.0),))
     path = log(tmp_path, HEADER + ",inflow\n1,1,1,1,1,1\n\n2,1,1,1,1,7\n3,1,1,1,1,8\n")
     with pytest.raises(
-        ValueError, match=r"log.csv, row 4, column inflow: 7 m3/s; plant 'tanks' holds from 0 to 1 m3/s; correct"
+        ValueError, match=r"log.csv, row 4, column inflow: 7 m3/s; plant 'two-tanks' holds from 0 to 1 m3/s; correct"
     ):
         read_log(path, plant)
 

@@ -103,7 +103,7 @@ def test_sensors_by_name_and_by_quantity() -> None:
     assert {k: v.tolist() for k, v in plant.quantities.items()} == {"level": [0, 1], "flow": [2, 3]}
     assert list(chain(3).quantities) == ["s0", "s1", "s2"]
     np.testing.assert_array_equal(plant.sensor_cov, plant.sensor_sigma**2)
-    with pytest.raises(ValueError, match="unknown sensor 'l3' of plant 'tanks'; known: l1, l2, q12, q2"):
+    with pytest.raises(ValueError, match="unknown sensor 'l3' of plant 'two-tanks'; known: l1, l2, q12, q2"):
         plant.sensor_index("l3")
 
 
@@ -152,7 +152,7 @@ def test_steps_for_which_the_model_does_not_hold_are_refused() -> None:
     for dt in (0.0, -5.0, NAN, INF):
         with pytest.raises(ValueError, match="times must be finite and increase"):
             plant.check_dt(dt)
-    with pytest.raises(ValueError, match="the largest admissible step of plant 'tanks' is 20 s"):
+    with pytest.raises(ValueError, match="the largest admissible step of plant 'two-tanks' is 20 s"):
         plant.check_dt(20.1)
     chain(2).check_dt(1.0 + 1e-12)
     with pytest.raises(ValueError, match=r"plant 'chain' holds for 1\.0 s only"):

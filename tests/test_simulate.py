@@ -195,7 +195,7 @@ def test_noise_of_the_truths_sensors_is_what_is_added():
 def test_leaving_the_limits_names_seed_time_state_and_cure():
     plant = tanks()
     with pytest.raises(
-        ArithmeticError, match=r"seed 7 left the limits of 'tanks' at \d+ s: level_1 = 3\.\d+ m, limits \[0.01, 3\]; make"
+        ArithmeticError, match=r"seed 7 left the limits of 'two-tanks' at \d+ s: level_1 = 3\.\d+ m, limits \[0.01, 3\]; make"
     ):
         simulate(plant, 1000, [7, 9], inputs=lambda t: np.array([3e-3]))
     broken = walk(step=lambda t, x, u, dt: x + np.nan, fixed_dt=False)
