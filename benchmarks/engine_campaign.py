@@ -12,12 +12,11 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_threshold import ENVELOPE, AdaptiveThreshold
 from fusion_sfdia.benchmarks.detectors import adaptive_threshold
-from fusion_sfdia.benchmarks.engine_trials import DETECTORS, MOST_NOISE, engine
+from fusion_sfdia.benchmarks.engine_trials import DETECTORS, MOST_NOISE, engine, extremes
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Settings
 from fusion_sfdia.detector import State
@@ -118,14 +117,20 @@ def moving_detector(name: str, level: float, duration: float, at: float) -> Adap
 
 
 def watch(
-    detector: AdaptiveThreshold, t: Array, u: Array, readings: Iterable[Array], state: State | None = None
+    detector: AdaptiveThreshold,
+    t: Array,
+    u: Array,
+    readings: Iterable[Array],
+    state: State | None = None,
+    shown: tuple[int, ...] | None = None,
 ) -> tuple[State, Arrays]:
     """Run the detector through readings (..., N) at each of t (K,) under u (K, m); return its state and what modules did.
 
     first (..., N): time of the first residual beyond its threshold, s, inf for none. beyond (..., N): how many samples were.
-    threshold (..., N): its mean, sensor units. diverged (...) bool.
+    threshold (..., N): its mean, sensor units. diverged (...) bool. trace: as engine_trials.extremes, of the run `shown`.
     """
     first = beyond = total = np.empty(0)
+    trace: list[tuple[Array, Array]] = []
     for k, (time, applied, y) in enumerate(zip(t, u, readings, strict=True)):
         if state is None:
             state = detector.init(y.shape[:-1], float(time) - detector.plant.dt)
@@ -138,9 +143,14 @@ def watch(
             first[firing & np.isinf(first)] = time
             beyond += firing
         total += decision.threshold
+        if shown is not None:
+            trace.append((decision.residual[shown], decision.threshold[shown]))
     if state is None:
         raise ValueError("there are no readings to watch; pass at least one")
-    return state, {"first": first, "beyond": beyond, "threshold": total / max(len(t), 1), "diverged": np.asarray(state[3])}
+    found = {"first": first, "beyond": beyond, "threshold": total / len(t), "diverged": np.asarray(state[3])}
+    if trace:
+        found["trace"] = extremes(t, *np.moveaxis(np.array(trace), 1, 0))
+    return state, found
 
 
 def fork(state: State, ways: int) -> State:
@@ -193,19 +203,6 @@ def verdict_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int |
         right = isolated[:, faulty]
         rows += [at("isolated_at_end", share(right)), at("exact_isolation_at_end", share(right & (count == 1)))]
     return rows
-
-
-def share_matrix(axes: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *, ylabel: str = "") -> None:
-    """Shares (R, C) as shades, the numbers that are not 0 written in."""
-    axes.imshow(values, cmap="Blues", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
-    for i, j in zip(*np.nonzero(values), strict=True):
-        dark = values[i, j] > 0.6
-        axes.text(j, i, f"{values[i, j]:.2g}", ha="center", va="center", fontsize=6, color="white" if dark else "black")
-    axes.set_xticks(range(len(columns)), list(columns), rotation=90, fontsize=7)
-    axes.set_yticks(range(len(rows)), list(rows), fontsize=7)
-    axes.tick_params(length=0)
-    axes.set_ylabel(ylabel)
-    axes.grid(visible=False)
 
 
 def share(hits: Array) -> Estimate:

@@ -83,10 +83,12 @@ def pattern_share(first: Array, told: Experiment, without: tuple[str, ...] = ())
     return proportion(int(same.sum()), same.size)
 
 
-def draw_modules(trace: Array, first: Array, told: Experiment) -> Drawing:
+def draw_modules(
+    trace: Array, first: Array, told: Experiment, mark: str = "a fault begins (thick: in this module's sensor)"
+) -> Drawing:
     """The papers' figure: one row an agent, one panel a module, with residual, thresholds and decision of one run.
 
-    trace (3, K, M) as in engine_trials.watch; first (M,) s.
+    trace (3, K, M) as in engine_trials.watch; first (M,) s; mark: what the vertical lines at the onsets of `told` are.
     """
     agents = [[name for name in NAMES if name[2] == agent] for agent in "1234"]
     figure, axes = panels([""] * 12, columns=3, width=11.0, height=2.1)
@@ -117,8 +119,9 @@ def draw_modules(trace: Array, first: Array, told: Experiment) -> Drawing:
             decision.grid(visible=False)
             decision.spines["right"].set_visible(True)
             text = "silent" if np.isinf(first[j]) else f"{first[j]:.2f} s"
-            theirs = f"{told.fired[members[c]]:g} s" if members[c] in told.fired else "silent"
-            axis.set_title(f"{text} ({theirs})", fontsize=8, loc="right")
+            if told.fired:
+                text += f" ({told.fired[members[c]]:g} s)" if members[c] in told.fired else " (silent)"
+            axis.set_title(text, fontsize=8, loc="right")
             axis.set_xlim(0, told.duration)
             if r == len(agents) - 1:
                 axis.set_xlabel("time (s)")
@@ -127,7 +130,7 @@ def draw_modules(trace: Array, first: Array, told: Experiment) -> Drawing:
         "upper threshold": Line2D([], [], color=COLOURS[2]),
         "lower threshold": Line2D([], [], color=COLOURS[3]),
         "decision": Line2D([], [], color=COLOURS[1], linestyle="-."),
-        "a fault begins (thick: in this module's sensor)": Line2D([], [], color="black", linestyle=":"),
+        mark: Line2D([], [], color="black", linestyle=":"),
     }
     figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=len(entries), fontsize=8)
     return figure

@@ -23,15 +23,15 @@ from fusion_sfdia.benchmarks.engine_campaign import (
     noise,
     response,
     share,
-    share_matrix,
     sizes,
     truth,
     verdict_rows,
     watch,
 )
+from fusion_sfdia.benchmarks.engine_campaign_figures import drive_figure, run_figure, share_matrix
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row
 from fusion_sfdia.benchmarks.findings import pick, span
-from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, legend_above, panels
+from fusion_sfdia.benchmarks.plots import panels
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.metrics import Estimate, mean_over_runs
 from fusion_sfdia.models.marine_engine import SENSORS
@@ -40,6 +40,7 @@ Array = NDArray[Any]
 
 CHUNK = 25  # runs in one task
 CASES = ("none", *SENSORS)
+SHOWN = "S(2){3}"  # the first of K24's faults, in the figures of single runs
 ALLOWED = {  # for what the detector's envelope and drifts are made
     "steady": "full load, as the registered detector",
     "moving": "all that the load changes read and do",
@@ -84,7 +85,7 @@ def load_work(task: Task) -> Arrays:
     """First firings (11, B, N) of the healthy runs and with each sensor faulty; before the onset all are the healthy ones.
 
     thresholds (B, N): their mean over the bound of the noise in the healthy runs from the onset on. diverged (11, B). signal
-    (K, N) without noise and u (K, 1), every tenth sample.
+    (K, N) without noise and u (K, 1), every tenth sample. trace: of the first run with the sensor SHOWN faulty.
     """
     detector = load_detector(task)
     t, u, signal = truth(task["duration"], task["drive"], task["change"])
@@ -92,9 +93,10 @@ def load_work(task: Task) -> Arrays:
     biases = np.zeros((len(CASES), 1, len(SENSORS)))
     biases[1:, 0] = np.diag(sizes(engine_detector(task["detector"], task["noise"]), task["size"]))
     draws = noise(detector.plant, t.size, task["seeds"])
-    state, before = watch(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
+    state, before = watch(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)), shown=(0,))
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
-    _, found = watch(detector, t[onset:], u[onset:], after, fork(state, len(CASES)))
+    shown = CASES.index(SHOWN), 0
+    _, found = watch(detector, t[onset:], u[onset:], after, fork(state, len(CASES)), shown)
     first = np.minimum(before["first"], found["first"])
     thresholds = found["threshold"][0] / np.array([s.noise_bound for s in detector.plant.sensors])
     return {
@@ -104,6 +106,7 @@ def load_work(task: Task) -> Arrays:
         "size": biases[:, 0],
         "signal": signal[::10],
         "u": u[::10],
+        "trace": np.concatenate([before["trace"], found["trace"]], axis=1),
     }
 
 
@@ -136,39 +139,9 @@ def load_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
                     at("missed_detection_rate_other_agents", propagated.missed),
                 ]
     drives = {task["drive"]: arrays for task, arrays in results}
-    figures = [_drive_figure(settings, drives), *(_matrix_figure(a, firsts) for a in settings["allowed"])]
+    figures = [drive_figure(drives, settings["onset"]), *(_matrix_figure(a, firsts) for a in settings["allowed"])]
+    figures += [_run_figure(settings, *cell, parts[0]) for cell, parts in cells.items() if cell[0] != "constant"]
     return Summary(rows, figures, highlights=[_silence(rows)], remarks=_remarks(settings, rows))
-
-
-SHOWN = {
-    "S(2){3}": "torque",
-    "S(3){1}": "receiver pressure",
-    "S(4){1}": "charge-air pressure",
-    "S(3){2}": "receiver temperature",
-}
-
-
-def _drive_figure(settings: Settings, drives: dict[str, Arrays]) -> Figure:
-    def draw() -> Drawing:
-        figure, axes = panels([DRIVES[d] for d in drives], columns=3, width=10.0, height=2.8)
-        for panel, arrays in zip(axes, drives.values(), strict=True):
-            t = 0.1 * np.arange(len(arrays["u"]))
-            panel.plot(t, 100 * arrays["u"][:, 0], color="black", linewidth=1, label="fuel setting")
-            for j, (sensor, name) in enumerate(SHOWN.items()):
-                values = arrays["signal"][:, list(SENSORS).index(sensor)]
-                panel.plot(t, 100 * values / values[0], color=COLOURS[j], linestyle=DASHES[j % len(DASHES)], label=name)
-            panel.axvline(settings["onset"], color="0.6", linewidth=1)
-            panel.set(xlabel="time (s)", ylabel="% of full load", ylim=(60, 105))
-        legend_above(figure)
-        return figure
-
-    return Figure(
-        "drives",
-        "The load step",
-        "Fuel setting and true variables, over their values at full load. Grey line: onset of the sensor faults.",
-        draw,
-        "Time series of fuel setting, torque, pressures and a temperature for each way to change the load",
-    )
 
 
 def _matrix_figure(allowed: str, firsts: dict[tuple[str, str], Array]) -> Figure:
@@ -184,9 +157,22 @@ def _matrix_figure(allowed: str, firsts: dict[tuple[str, str], Array]) -> Figure
     return Figure(
         f"modules-{allowed}",
         f"Modules that fire and sensors accused, detector for {ALLOWED[allowed]}",
-        "Share of runs in which a module has fired (left) and a sensor is in the diagnosis set S^F (right) at the end.",
+        "Share of runs in which a module has fired (left) and a sensor is in the diagnosis set S^F (right) at the end. Dark: "
+        "all runs.",
         draw,
         "Matrices of faulty sensor against modules that fired and against sensors accused, for each load change",
+    )
+
+
+def _run_figure(settings: Settings, drive: str, allowed: str, arrays: Arrays) -> Figure:
+    return run_figure(
+        f"run-{drive}-{allowed}",
+        f"{DRIVES[drive]}, then a fault of {SHOWN}: detector for {ALLOWED[allowed]}",
+        arrays["trace"],
+        arrays["first"][CASES.index(SHOWN), 0],
+        settings,
+        (("load change", settings["change"]), (SHOWN, settings["onset"])),
+        "the load changes, the fault begins (thick: in this module's sensor)",
     )
 
 

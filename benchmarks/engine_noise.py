@@ -7,19 +7,28 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine_campaign import VALID, check, engine_detector, fork, noise, response, truth, watch
-from fusion_sfdia.benchmarks.engine_published import DELAYS, DELAYS_SOURCE, K24, Delay
-from fusion_sfdia.benchmarks.engine_trials import NAMES, row
+from fusion_sfdia.benchmarks.engine_decisions import isolation_rows
+from fusion_sfdia.benchmarks.engine_noise_figures import (
+    AGENTS,
+    FAULTS,
+    GROUPS,
+    OTHERS,
+    OWN,
+    Found,
+    delay_figure,
+    isolation_figure,
+    missed_figure,
+    modules_of,
+    published,
+)
+from fusion_sfdia.benchmarks.engine_published import DELAYS, Delay, Offset
+from fusion_sfdia.benchmarks.engine_trials import NAMES, row, timeline
 from fusion_sfdia.benchmarks.findings import pick, span
-from fusion_sfdia.benchmarks.plots import COLOURS, legend_above, panels
 from fusion_sfdia.benchmarks.scenario import (
     Arrays,
-    Figure,
-    Published,
     Row,
     Scenario,
     Settings,
@@ -35,30 +44,6 @@ from fusion_sfdia.metrics import Estimate
 Array = NDArray[Any]
 
 CHUNK = 100  # runs in one task
-FAULTS = {  # sensor: share of its nominal value (K24, sec. VII), its module, and the modules of the other agents
-    "S(1){1}": (0.07, ("M(1,1)",), tuple(n for n in NAMES if not n.startswith("M(1"))),
-    "S(2){3}": (0.65, ("M(2,3)",), tuple(n for n in NAMES if not n.startswith("M(2"))),
-}
-OWN, OTHERS = "own module", "other agents"
-
-GROUPS = {OWN: "local", OTHERS: "neighbours"}  # as in DELAYS
-MISSED = ("S(2){3}", OWN, (0.06, 0.07))  # every run, by the text on Fig. 5(b)
-
-
-def published(sensor: str, group: str, level: float, metric: str) -> Published | None:
-    """What K24 states of a fault at a noise level; None where nothing. A delay is stated where no run misses the fault."""
-    stated = DELAYS[sensor][GROUPS[group]].get(level)
-    if metric == "missed_detection_rate":
-        if (sensor, group) == MISSED[:2] and level in MISSED[2]:
-            return Published(1.0, f"{K24}, sec. VII on Fig. 5(b)")
-        return None if stated is None or stated.mean is None else Published(0.0, f"{DELAYS_SOURCE}: a delay is stated")
-    place = ("detection_delay", "detection_delay_shortest", "detection_delay_longest").index(metric)
-    value = None if stated is None else stated[place]
-    return (
-        None
-        if value is None
-        else Published(value, DELAYS_SOURCE + ": more than" * (stated is not None and stated.mean is None))
-    )
 
 
 def noise_tasks(settings: Settings, seeds: int) -> list[Task]:
@@ -72,7 +57,7 @@ def noise_work(task: Task) -> Arrays:
     """First firings (2, B, N), by fault: the runs are one until the onset."""
     detector = engine_detector(task["detector"], task["level"])
     t, u, signal = truth(task["duration"])
-    faults = [Fault(s, "bias", task["onset"], magnitude=size, relative=True) for s, (size, *_) in FAULTS.items()]
+    faults = [Fault(s, "bias", task["onset"], magnitude=size, relative=True) for s, size in FAULTS.items()]
     changed = apply(detector.plant, t, np.stack([signal] * len(faults), axis=1), [[f] for f in faults])
     onset = int(np.argmax(changed.active.any(axis=(1, 2))))
     draws = noise(detector.plant, t.size, task["seeds"])
@@ -95,15 +80,17 @@ def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
         at = partial(row, "engine/noise", name)
         value = Estimate(float(early.sum()), math.nan, math.nan, early.size)
         rows.append(at("none", f"all, noise {level:.0%}", "false_alarms", value))
-        for i, (sensor, (size, own, others)) in enumerate(FAULTS.items()):
-            for group, modules in ((OWN, own), (OTHERS, others)):
-                answer = response(first[i], settings["onset"], [NAMES.index(m) for m in modules])
-                found[sensor, group, level] = answer
-                quantity = f"{own[0] if group == OWN else group}, noise {level:.0%}"
+        for i, (sensor, size) in enumerate(FAULTS.items()):
+            fault = f"{sensor} +{size:.0%}"
+            for group in (OWN, AGENTS, OTHERS):
+                answer = found[sensor, group, level] = response(first[i], settings["onset"], modules_of(sensor, group))
+                quantity = f"{NAMES[modules_of(sensor, OWN)[0]] if group == OWN else group}, noise {level:.0%}"
                 for metric, estimate in _metrics(answer).items():
                     stated = published(sensor, group, level, metric) if settings["duration"] == 100.0 else None
-                    rows.append(at(f"{sensor} +{size:.0%}", quantity, metric, estimate, stated))
-    figures = [_missed_figure(levels, found), _delay_figure(levels, found)]
+                    rows.append(at(fault, quantity, metric, estimate, stated))
+            lines = timeline(first[i], (Offset(sensor, settings["onset"], size),), settings["duration"])
+            rows += isolation_rows("engine/noise", name, fault, lines, f"all, noise {level:.0%}")
+    figures = [missed_figure(levels, found), delay_figure(levels, found), isolation_figure(levels, rows)]
     return Summary(rows, figures, [_table_vi(levels, found)], [_highlight(levels, found)], _remarks(levels, found, rows))
 
 
@@ -115,68 +102,6 @@ def _metrics(answer: Response) -> dict[str, Estimate]:
         "detection_delay_shortest": Estimate(answer.shortest, math.nan, math.nan, n),
         "detection_delay_longest": Estimate(answer.longest, math.nan, math.nan, n),
     }
-
-
-Found = dict[tuple[str, str, float], Response]
-TITLES = [f"({letter}) {sensor} +{size:.0%}" for letter, (sensor, (size, *_)) in zip("ab", FAULTS.items(), strict=True)]
-
-
-def _missed_figure(levels: list[float], found: Found) -> Figure:
-    def draw() -> Drawing:
-        figure, axes = panels(TITLES, height=3.0)
-        for panel, sensor in zip(axes, FAULTS, strict=True):
-            for i, group in enumerate((OWN, OTHERS)):
-                rates = [found[sensor, group, level].missed for level in levels]
-                percent = [100 * level for level in levels]
-                panel.plot(percent, [r.value for r in rates], f"{'os'[i]}{('-', '-.')[i]}", color=COLOURS[i], ms=4, label=group)
-                panel.fill_between(percent, [r.low for r in rates], [r.high for r in rates], color=COLOURS[i], alpha=0.15)
-            stated = {level: p.value for level in levels if (p := published(sensor, OWN, level, "missed_detection_rate"))}
-            _diamonds(panel, stated, "published, own module")
-            panel.set(xlabel="noise (% of the nominal values)", ylabel="missed-detection rate", ylim=(-0.05, 1.05))
-        legend_above(figure)
-        return figure
-
-    return Figure(
-        "missed",
-        "Missed detections as the noise grows (K24, Fig. 5)",
-        "Share of runs in which the faulty sensor's own module, and all modules of the other agents, stay silent after the "
-        "onset. Shaded: Wilson's 95 % interval. Diamonds: what Table VI and its text state of the own module.",
-        draw,
-        "Curves of the missed-detection rate over the noise level for two faults, by the own module and through other agents",
-    )
-
-
-def _delay_figure(levels: list[float], found: Found) -> Figure:
-    def draw() -> Drawing:
-        figure, axes = panels(TITLES, height=3.0)
-        for panel, sensor in zip(axes, FAULTS, strict=True):
-            for i, group in enumerate((OWN, OTHERS)):
-                seen = [(100 * level, r) for level in levels if (r := found[sensor, group, level]).delay.n]
-                x, mean = [s[0] for s in seen], np.array([s[1].delay.value for s in seen])
-                reach = np.abs(np.array([[s[1].shortest for s in seen], [s[1].longest for s in seen]]) - mean)
-                panel.errorbar(x, mean, reach, color=COLOURS[i], marker="os"[i], markersize=4, capsize=3, lw=1, label=group)
-                stated = {level: p.value for level in levels if (p := published(sensor, group, level, "detection_delay"))}
-                _diamonds(panel, stated, "published")
-            panel.set_yscale("symlog", linthresh=0.01)
-            panel.set_ylim(-0.002, 200)
-            panel.yaxis.set_major_formatter("{x:g}")
-            panel.set(xlabel="noise (% of the nominal values)", ylabel="detection delay (s)")
-        legend_above(figure)
-        return figure
-
-    return Figure(
-        "delays",
-        "Detection delays as the noise grows (K24, Table VI)",
-        "Mean over the runs that detect the fault; bars from the shortest to the longest. Diamonds: published means.",
-        draw,
-        "Mean detection delays over the noise level for two faults, by the own module and through other agents",
-    )
-
-
-def _diamonds(axes: Axes, stated: dict[float, float], label: str) -> None:
-    if stated:
-        x = [100 * level for level in stated]
-        axes.plot(x, list(stated.values()), linestyle="none", marker="D", markersize=5, mfc="none", mec="black", label=label)
 
 
 def _table_vi(levels: list[float], found: Found) -> Table:
@@ -221,15 +146,15 @@ def _remarks(levels: list[float], found: Found, rows: list[Row]) -> list[str]:
     late = [r.value for r in pick(rows, metric="detection_delay_longest") if r.quantity.startswith("M")]
     told = []
     for sensor in FAULTS:
-        both = [tuple(found[sensor, group, level].missed.value for group in (OWN, OTHERS)) for level in levels]
+        both = [tuple(found[sensor, group, level].missed.value for group in (OWN, AGENTS)) for level in levels]
         told.append(
             f"{sensor}: " + "; ".join(f"{v:.0%} noise {a:.2g}, {b:.2g}" for v, (a, b) in zip(levels, both, strict=True))
         )
     return [
         f"Alarms before the onset: {sum(r.value for r in early):.0f} in {sum(r.n for r in early)} runs.",
-        f"Missed by the own module, and through other agents. {'. '.join(told)}.",
+        f"Missed by the own module, and by all other agents. {'. '.join(told)}.",
         f"Own modules that detect the fault do so within {span(late)} s.",
-        "Table VI has delays beyond 89 s through other agents at 6 % noise, more than a run has after the onset.",
+        "Table VI has delays beyond 89 s of other modules at 6 % noise, more than a run has after the onset.",
     ]
 
 

@@ -24,12 +24,12 @@ from fusion_sfdia.benchmarks.engine_campaign import (
     noise,
     response,
     share,
-    share_matrix,
     sizes,
     truth,
     verdict_rows,
     watch,
 )
+from fusion_sfdia.benchmarks.engine_campaign_figures import run_figure, share_matrix
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row
 from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.plots import panels
@@ -89,8 +89,14 @@ def process_work(task: Task) -> Arrays:
         everyone = np.repeat((healthy[:, None] + draws)[:, None], len(lists), axis=1)
         runs = [faults for faults in lists for _ in task["seeds"]]
         y = apply(detector.plant, t, everyone, runs).y
-    _, found = watch(detector, t, u, y)
-    return {"first": found["first"], "diverged": found["diverged"]}
+    shown = _drawn(task["severities"]) if task["what"] == PROCESS else 0
+    _, found = watch(detector, t, u, y, shown=(shown, 0))
+    return {k: found[k] for k in ("first", "diverged", "trace")}
+
+
+def _drawn(severities: list[float]) -> int:
+    """The process fault of which a single run is drawn: the first kind, as severe as any."""
+    return int(np.argmax(severities))
 
 
 def attack(kind: str, sensor: str, size: Array, nominal: Array, task: Task) -> list[Fault]:
@@ -132,7 +138,9 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
                 at("diverged", share(lost)),
                 *verdict_rows(at, times, faulty),
             ]
-    figures = [_process_figure(list(settings["severities"]), firsts[key]) for key in firsts if key[0] == PROCESS]
+    figures = []
+    for key in (k for k in firsts if k[0] == PROCESS):
+        figures += [_process_figure(list(settings["severities"]), firsts[key]), _run_figure(settings, cells[key][0])]
     figures += [_attack_figure(drive, first) for (what, drive), first in firsts.items() if what == ATTACK]
     return Summary(rows, figures, highlights=_highlights(rows), remarks=_remarks(settings, rows))
 
@@ -148,10 +156,20 @@ def _process_figure(severities: list[float], first: Array) -> Figure:
     return Figure(
         "process",
         "Process faults: modules that fire and sensors accused",
-        "Share of runs in which a module has fired (left) and a sensor, all of them healthy, is accused (right) at the end.",
+        "Share of runs in which a module has fired (left) and a sensor, all of them healthy, is accused (right) at the end. "
+        "Dark: all runs.",
         draw,
         "Matrices of process fault against modules that fired and against sensors accused",
     )
+
+
+def _run_figure(settings: Settings, arrays: Arrays) -> Figure:
+    severities = list(settings["severities"])
+    kind, severity = process_cases(severities)[_drawn(severities)]
+    title = f"{kind} of {severity:.0%}: residuals, thresholds and decisions"
+    first = arrays["first"][_drawn(severities), 0]
+    begun = ((kind, settings["onset"]),)
+    return run_figure("run", title, arrays["trace"], first, settings, begun, "the process fault begins")
 
 
 def _attack_figure(drive: str, first: Array) -> Figure:
@@ -169,7 +187,7 @@ def _attack_figure(drive: str, first: Array) -> Figure:
     return Figure(
         f"attacks-{drive}",
         f"Attacks on one measurement: {DRIVES[drive]}",
-        "Share of runs in which any module has fired, the attacked sensor is accused, and no other is, at the end.",
+        "Share of runs in which any module has fired, the attacked sensor is accused, no other is, at the end. Dark: all runs.",
         draw,
         "Matrices of the kind of attack against the attacked sensor: detected, accused, accused alone",
     )

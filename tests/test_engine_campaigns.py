@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from fusion_sfdia.benchmarks import engine_campaign as campaign
 from fusion_sfdia.benchmarks import engine_noise, engine_process, engine_sensitivity
 from fusion_sfdia.benchmarks.engine_campaign import VALID, engine_detector, fork, noise, response, truth, watch
-from fusion_sfdia.benchmarks.engine_noise import FAULTS, OTHERS, OWN, published
-from fusion_sfdia.benchmarks.engine_trials import NAMES
+from fusion_sfdia.benchmarks.engine_noise_figures import AGENTS, FAULTS, OTHERS, OWN, modules_of, published
+from fusion_sfdia.benchmarks.engine_trials import BIN, NAMES
 from fusion_sfdia.benchmarks.registry import scenario
 from fusion_sfdia.detector import run
 from fusion_sfdia.models.marine_engine import MODULES, SENSORS
@@ -39,6 +40,8 @@ def test_a_campaign_runs_to_its_rows_and_figures(name: str) -> None:
     assert len({(r.detector, r.fault, r.quantity, r.metric) for r in summary.rows}) == len(summary.rows)
     for row in summary.rows:
         assert np.isnan(row.low) or row.low <= row.value <= row.high, row
+    percent = [r for r in summary.rows if r.metric.endswith("performance_percent")]
+    assert bool(percent) == (name == "engine/noise") and all(0 <= r.value <= 100 for r in percent if np.isfinite(r.value))
     for figure in summary.figures:
         assert figure.draw().axes and figure.alt and figure.caption
     healthy = [r for r in summary.rows if r.detector == VALID and r.metric in ("false_alarms", "runs_with_false_alarm")]
@@ -87,6 +90,7 @@ def test_runs_that_part_at_the_onset_are_the_whole_runs() -> None:
     _, after = watch(detector, t[30:], u[30:], y[30:], fork(state, 2))
     np.testing.assert_array_equal(np.minimum(before["first"], after["first"]), whole["first"])
     np.testing.assert_array_equal(before["beyond"] + after["beyond"], whole["beyond"])
+    assert "trace" not in whole and watch(detector, t, u, y, shown=(1, 0))[1]["trace"].shape == (3, 2 * 60 // BIN, 10)
     with pytest.raises(ValueError, match="no readings to watch"):
         watch(detector, t[:0], u[:0], [])
 
@@ -113,15 +117,52 @@ def test_answers_of_first_firings() -> None:
     assert none.missed.value == 1.0 and none.delay.n == 0 and np.isnan(none.shortest)
 
 
-def test_published_delays() -> None:
-    fuel, torque = FAULTS
-    assert published(fuel, OTHERS, 0.02, "detection_delay").value == 10.52
-    assert published(torque, OTHERS, 0.06, "detection_delay") is None
-    more = published(torque, OTHERS, 0.06, "detection_delay_shortest")
-    assert more.value == 74.48 and "more than" in more.source
-    assert published(torque, OWN, 0.07, "missed_detection_rate").value == 1.0
-    assert published(fuel, OWN, 0.1, "missed_detection_rate").value == 0.0
-    assert published(fuel, OTHERS, 0.06, "missed_detection_rate") is None
+@pytest.mark.parametrize(
+    ("sensor", "group", "level", "metric", "value"),
+    [
+        ("S(1){1}", OTHERS, 0.02, "detection_delay", 10.52),
+        ("S(1){1}", AGENTS, 0.02, "detection_delay", None),
+        ("S(2){3}", OTHERS, 0.06, "detection_delay", None),
+        ("S(2){3}", OTHERS, 0.06, "detection_delay_shortest", 74.48),
+        ("S(2){3}", OWN, 0.07, "missed_detection_rate", 1.0),
+        ("S(1){1}", OWN, 0.1, "missed_detection_rate", 0.0),
+        ("S(1){1}", AGENTS, 0.02, "missed_detection_rate", 0.0),
+        ("S(1){1}", AGENTS, 0.06, "missed_detection_rate", None),
+    ],
+)
+def test_published_of_table_vi(sensor: str, group: str, level: float, metric: str, value: float | None) -> None:
+    found = published(sensor, group, level, metric)
+    assert (found and found.value) == value
+    assert found is None or ("more than" in found.source) == (metric == "detection_delay_shortest")
+
+
+def test_groups_of_modules() -> None:
+    told = {group: [NAMES[i] for i in modules_of("S(2){3}", group)] for group in (OWN, AGENTS, OTHERS)}
+    assert told[OWN] == ["M(2,3)"] and set(told[OTHERS]) == set(NAMES) - {"M(2,3)"}
+    assert set(told[AGENTS]) == set(NAMES) - {"M(2,1)", "M(2,2)", "M(2,3)"}
+    assert modules_of("S(1){1}", AGENTS) == modules_of("S(1){1}", OTHERS)
+
+
+def test_more_noise_hides_more() -> None:
+    """The same draws at rising levels: missed detections and delays by other agents rise, but for what chance allows."""
+    one = scenario("engine/noise")
+    settings = {**one.settings, "levels": (0.02, 0.04, 0.06, 0.1), "onset": 0.3, "duration": 1.3}
+    rows = one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, 20)]).rows
+    assert {r.value for r in rows if r.metric == "false_alarms"} == {0.0}
+    for sensor, size in FAULTS.items():
+        for group in (NAMES[modules_of(sensor, OWN)[0]], AGENTS, OTHERS):
+            wanted = [f"{group}, noise {level:.0%}" for level in settings["levels"]]
+            missed = [r for r in rows if r.fault == f"{sensor} +{size:.0%}" and r.metric == "missed_detection_rate"]
+            rates = [next(r for r in missed if r.quantity == q) for q in wanted]
+            assert all(r.n == 20 for r in rates)
+            assert all(after.high >= before.low for before, after in pairwise(rates))  # Wilson's 95 % intervals
+            if group == AGENTS:
+                assert rates[-1].low > rates[0].value
+    # what all modules of other agents miss, all other modules need not: the first are among the second
+    by = {(r.fault, r.quantity): r.value for r in rows if r.metric == "missed_detection_rate"}
+    for (fault, quantity), value in by.items():
+        if quantity.startswith(AGENTS):
+            assert by[fault, quantity.replace(AGENTS, OTHERS)] <= value
 
 
 def test_two_thresholds_cannot_be_hidden() -> None:
