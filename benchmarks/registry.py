@@ -38,6 +38,7 @@ SCENARIOS: dict[str, str] = {
         "sensitivity",
         "load",
         "process",
+        "virtual_sensors",
     )
 }
 
@@ -55,11 +56,11 @@ PLANTS: dict[str, tuple[str, str]] = {
         "15 generation areas joined by tie lines, 94 sensors, of which 34 read a neighbour's angle (Boem 2018)",
         "fusion_sfdia.models.power_network:power_network",
     ),
-}
     "two-tanks": (
         "two water tanks in series, to be reckoned by hand: 2 levels and 2 flows measured",
         "fusion_sfdia.models.two_tanks:two_tanks",
     ),
+}
 
 
 DRAWN = "at random, with simulate --fault NAME[:QUANTITY]"

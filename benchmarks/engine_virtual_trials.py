@@ -1,0 +1,159 @@
+"""Runs of engine/virtual-sensors: three faults of a marine engine, watched by its modules alone and with virtual sensors.
+
+V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines". Its MAPE of a module is the mean
+of |f^ - f| / |f| from a time t_0 on, f^ = 0 before the module's sensor is accused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fusion_sfdia.benchmarks.engine_published import Offset
+from fusion_sfdia.benchmarks.engine_trials import (
+    CHUNK,
+    DETECTORS,
+    Array,
+    Results,
+    engine,
+    offsets,
+    proof,
+    recording,
+    tasks,
+    trial,
+)
+from fusion_sfdia.benchmarks.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.virtual_sensors import VirtualSensors
+
+NAME, FAULT, DETECTOR = "engine/virtual-sensors", "three-faults", "virtual-sensors"
+V22 = "Kougiatsos and Reppa 2022, sec. 5, one run"
+FAULTS = (Offset("S(2){3}", 10.0, 5e3), Offset("S(3){1}", 10.0, 5e4), Offset("S(4){2}", 20.0, 100.0))  # N m, Pa, K
+SIZED = ("M(2,3)", "M(3,1)", "M(4,2)")  # the modules of these sensors
+SINCE = (40.0, 20.0, 20.0)  # s, t_0
+MAPE = (8.76, 0.26, 3.74)  # percent
+LEARNING_RATES = {"fuel": 0.5, "p_receiver": 8.7, "p_charge": 5.0}  # 1/s
+IDENTIFIED = Published(10.0, f"{V22}: approximately")  # s, of M(3,1)
+REMAINS = 0.05  # of the fault, once it is identified; ours
+DURATION = 100.0  # s
+SHORT_FAULTS, SHORT = tuple(f._replace(onset=f.onset / 50) for f in FAULTS), 3.0  # s, where inversions are compared
+KEPT = 10  # samples, of which one is drawn
+
+PRINTED, INTERSECTED, GUARANTEED = "as printed", "intersected", "interval alone"
+VARIANTS: dict[str, dict[str, Any]] = {
+    PRINTED: {"learning_rates": LEARNING_RATES, "intersect": False},
+    INTERSECTED: {"learning_rates": LEARNING_RATES},
+    GUARANTEED: {},
+}
+INVERSIONS = ("corners", "sivia")
+
+
+@cache
+def virtual_sensors(noise: float, variant: str, inversion: str) -> VirtualSensors:
+    """The detector on the engine with the observers of V22, built once for all tasks of a process."""
+    detector = VirtualSensors(engine(noise, "K22"), inversion=inversion, **VARIANTS[variant])
+    vars(detector.thresholds)["slopes"] = proof(noise)  # the cached property: seconds, and the same for all
+    return detector
+
+
+def sensor_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """The modules without reconstructed readings, each variant with them, and both inversions on few short runs."""
+    if not settings["duration"] > (least := max(SINCE) + 1):
+        raise ValueError(
+            f"setting duration is {settings['duration']} s; wanted more than {least:g}: errors are averaged from "
+            f"{max(SINCE):g} s on"
+        )
+    if settings["inversion_seeds"] < 0:
+        raise ValueError(f"setting inversion_seeds is {settings['inversion_seeds']}; wanted 0 or more")
+    alone = tasks({**settings, "detectors": DETECTORS[:1]}, FAULTS, seeds, design="K22")
+    whole = {"noise": settings["noise"], "duration": settings["duration"], "faults": [list(f) for f in FAULTS]}
+    short = {"noise": settings["noise"], "duration": SHORT, "faults": [list(f) for f in SHORT_FAULTS]}
+    fed = [
+        whole | {"variant": v, "inversion": "corners", "seeds": block} for block in seed_blocks(seeds, CHUNK) for v in VARIANTS
+    ]
+    few = seed_blocks(settings["inversion_seeds"], CHUNK)
+    return [
+        *alone,
+        *fed,
+        *(short | {"variant": GUARANTEED, "inversion": i, "seeds": block} for block in few for i in INVERSIONS),
+    ]
+
+
+def sensor_work(task: Task) -> Arrays:
+    """Runs through the monitoring modules, or the virtual sensors: arrays as in `follow`."""
+    if "detector" in task:
+        return trial(task)
+    detector = virtual_sensors(task["noise"], task["variant"], task["inversion"])
+    healthy = recording(task["noise"], round(task["duration"] / detector.plant.dt), tuple(task["seeds"]))
+    y = offsets(detector.plant, healthy.t, healthy.y, task["faults"])
+    return follow(detector, healthy.t, y, healthy.u, healthy.signal, [Offset(*f) for f in task["faults"]], SINCE)
+
+
+def follow(
+    detector: VirtualSensors, t: Array, y: Array, u: Array, signal: Array, faults: Sequence[Offset], from_: Sequence[float]
+) -> Arrays:
+    """What virtual sensors say of readings y (K, B, N) of `signal` (K, B, N) at t (K,) under u (K, m), of the F faults.
+
+    from_ (F,): t_0 of the errors, s.
+
+    first (B, N): when each sensor was accused, s, inf for never. mape (B, F), percent. inside (B, F): samples since then whose
+    interval holds the fault, of `told` (B, F). width (B, F): of the last interval over the fault, NaN where it is empty.
+    square, square_faulty (B, F): mean squared error of the reconstructed and of the faulty reading since t_0.
+    rise (B, F): s from the accusation until the estimate reaches 1 - REMAINS of the fault, NaN for never.
+    trace (4, B, K / KEPT, N): time, the fault's estimate, and the ends of its interval.
+    """
+    own = [detector.plant.sensor_index(f.sensor) for f in faults]
+    true, since = np.array([f.magnitude for f in faults]), np.minimum(from_, t[-1])
+    runs, count = y.shape[1:]
+    state = detector.init((runs,), float(t[0]) - detector.plant.dt)
+    first, rise = np.full((runs, count), np.inf), np.full((runs, len(faults)), np.nan)
+    ape, inside, told, square, square_faulty = np.zeros((5, runs, len(faults)))
+    trace = np.zeros((4, runs, t.size // KEPT, count), np.float32)
+    for k, now in enumerate(t):
+        state, decision = detector.step(state, float(now), y[k], u[k])
+        held, size = detector.fault_interval(state), np.nan_to_num(decision.fault_size)
+        first = np.where(decision.isolated, np.minimum(first, now), first)
+        accused = decision.isolated[:, own]
+        error = np.abs(size[:, own] / true - 1)
+        risen = accused & (size[:, own] >= (1 - REMAINS) * true) & np.isnan(rise)
+        rise = np.where(risen, now - first[:, own], rise)
+        inside += accused & (held.lo[:, own] <= true) & (true <= held.hi[:, own])
+        told += accused
+        late = now >= since - detector.plant.dt / 2
+        ape += np.where(late, 100 * error, 0.0)
+        square += np.where(late, (decision.measured - signal[k])[:, own] ** 2, 0.0)
+        square_faulty += np.where(late, (y[k] - signal[k])[:, own] ** 2, 0.0)
+        if (k + 1) % KEPT == 0:
+            limits = (np.where(decision.isolated, end, np.nan) for end in (held.lo, held.hi))
+            trace[:, :, k // KEPT] = np.stack([np.full_like(size, now), size, *limits])
+    samples = (t[:, None] >= since - detector.plant.dt / 2).sum(axis=0)
+    last = detector.fault_interval(state)
+    return {
+        "first": first,
+        "mape": ape / samples,
+        "inside": inside,
+        "told": told,
+        "width": (last.hi - last.lo)[:, own] / true,
+        "square": square / samples,
+        "square_faulty": square_faulty / samples,
+        "rise": rise,
+        "trace": trace,
+    }
+
+
+def gathered(results: Results) -> dict[str, Arrays]:
+    """The arrays of the modules alone ("alone"), of each variant, and of each inversion on short runs, runs side by side."""
+    parts: dict[str, list[Arrays]] = {}
+    for task, arrays in results:
+        kind = "alone" if "detector" in task else task["inversion"] if task["duration"] == SHORT else task["variant"]
+        parts.setdefault(kind, []).append(arrays)
+    return {
+        kind: {
+            k: np.concatenate([p[k] for p in found], axis=int(k == "trace"))
+            for k in found[0]
+            if k != "trace" or kind != "alone"
+        }
+        for kind, found in parts.items()
+    }

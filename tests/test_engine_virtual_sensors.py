@@ -1,0 +1,114 @@
+"""engine/virtual-sensors: the scenario, and what is kept of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.benchmarks.engine_published import Offset
+from fusion_sfdia.benchmarks.engine_trials import NAMES, offsets, recording
+from fusion_sfdia.benchmarks.engine_virtual_trials import (
+    FAULTS,
+    GUARANTEED,
+    INTERSECTED,
+    INVERSIONS,
+    KEPT,
+    LEARNING_RATES,
+    MAPE,
+    PRINTED,
+    SINCE,
+    SIZED,
+    VARIANTS,
+    follow,
+    virtual_sensors,
+)
+from fusion_sfdia.benchmarks.registry import scenario
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Arrays
+
+NAME = "engine/virtual-sensors"
+
+
+def value(rows: list[Row], **wanted: str) -> float:
+    (found,) = [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
+    return found.value
+
+
+@pytest.mark.slow
+def test_the_scenario_runs_to_its_rows_and_figures() -> None:
+    one = scenario(NAME)
+    settings = {**one.settings, "duration": 42.0, "inversion_seeds": 1}
+    found = one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, 2)])
+    rows = list(found.rows)
+    assert {(r.scenario, r.plant) for r in rows} == {(NAME, "marine-engine")}
+    assert len({(r.detector, r.fault, r.quantity, r.metric) for r in rows}) == len(rows)
+    for r in rows:
+        assert np.isnan(r.low) or r.low <= r.value <= r.high, r
+    for figure in found.figures:
+        assert figure.draw().axes and figure.alt and figure.caption
+    assert len(found.figures) == 3 and found.tables and found.highlights and found.remarks
+    assert not any(r.published for r in rows if r.metric == "fault_mape_percent")  # those are of 100 s
+    for n in SIZED:
+        for kind in (*VARIANTS, *INVERSIONS):
+            assert value(rows, quantity=f"{n}, {kind}", metric="interval_holds_fault_share") == 1
+    mape = {v: value(rows, quantity=f"M(2,3), {v}", metric="fault_mape_percent") for v in VARIANTS}
+    assert mape[INTERSECTED] < mape[PRINTED] and mape[GUARANTEED] == pytest.approx(mape[INTERSECTED])
+    widths = [value(rows, quantity=f"M(2,3), {i}", metric="fault_interval_percent") for i in INVERSIONS]
+    assert widths[0] <= widths[1]
+
+
+def short(variant: str) -> tuple[Arrays, list[Offset]]:
+    """Three runs with larger faults, early: 3 s."""
+    faults = [Offset(f.sensor, f.onset / 50, 5 * f.magnitude) for f in FAULTS[:1]] + [FAULTS[2]._replace(onset=1.0)]
+    detector = virtual_sensors(0.03, variant, "corners")
+    healthy = recording(0.03, 300, (0, 1, 2))
+    y = offsets(detector.plant, healthy.t, healthy.y, faults)
+    return follow(detector, healthy.t, y, healthy.u, healthy.signal, faults, (2.0, 2.0)), faults
+
+
+def test_what_is_kept_of_a_run() -> None:
+    found, faults = short(GUARANTEED)
+    own = [NAMES.index("M(2,3)"), NAMES.index("M(4,2)")]
+    np.testing.assert_allclose(found["first"][:, own], [[0.2, 1.0]] * 3, rtol=1e-12)
+    assert np.isinf(np.delete(found["first"], own, axis=-1)).all()
+    np.testing.assert_array_equal(found["inside"], found["told"])
+    np.testing.assert_array_equal(found["told"], [[281, 201]] * 3)  # samples from 0.2 and 1.0 to 3.0 s
+    time, size, low, high = found["trace"]
+    assert time.shape == (3, 300 // KEPT, 10)
+    for i, (column, fault) in enumerate(zip(own, faults, strict=True)):
+        late = time[0, :, column] >= 2.0
+        sampled = 100 * np.abs(size[:, late, column] / fault.magnitude - 1).mean(axis=-1)
+        # every KEPT-th sample of an estimate that changes seldom, by less than a tenth of itself
+        np.testing.assert_allclose(found["mape"][:, i], sampled, rtol=0.1, atol=0.01)
+        told = np.isfinite(low[..., column])
+        assert np.all(((low <= fault.magnitude) & (fault.magnitude <= high))[..., column][told]) and told[:, late].all()
+        last = (high - low)[:, -1, column] / fault.magnitude
+        np.testing.assert_allclose(found["width"][:, i], last, rtol=1e-3)  # of two numbers in single precision
+    assert np.all(found["square"] < found["square_faulty"])
+
+
+def test_an_unseen_fault_counts_as_wholly_wrong() -> None:
+    detector = virtual_sensors(0.03, GUARANTEED, "corners")
+    healthy = recording(0.03, 40, (0, 1, 2))
+    unseen = [Offset("S(2){3}", 0.1, 1.0)]
+    y = offsets(detector.plant, healthy.t, healthy.y, unseen)
+    found = follow(detector, healthy.t, y, healthy.u, healthy.signal, unseen, (0.2,))
+    assert np.isinf(found["first"]).all() and found["mape"].tolist() == [[100.0]] * 3
+    assert np.isnan(found["rise"]).all() and not found["told"].any()
+
+
+def test_settings_that_no_run_can_be_made_of_are_refused() -> None:
+    one = scenario(NAME)
+    with pytest.raises(ValueError, match=r"duration is 41\.0 s; wanted more than 41"):
+        one.tasks({**one.settings, "duration": 41.0}, 1)
+    with pytest.raises(ValueError, match="inversion_seeds is -1; wanted 0 or more"):
+        one.tasks({**one.settings, "inversion_seeds": -1}, 1)
+    with pytest.raises(ValueError, match="wanted a share of the nominal values"):
+        one.tasks({**one.settings, "noise": 0.0}, 1)
+    assert len(one.tasks({**one.settings, "inversion_seeds": 0}, 1)) == 1 + len(VARIANTS)
+
+
+def test_published_numbers() -> None:
+    assert (MAPE, SINCE) == ((8.76, 0.26, 3.74), (40.0, 20.0, 20.0))
+    assert [tuple(f) for f in FAULTS] == [("S(2){3}", 10.0, 5e3), ("S(3){1}", 10.0, 5e4), ("S(4){2}", 20.0, 100.0)]
+    assert LEARNING_RATES == {"fuel": 0.5, "p_receiver": 8.7, "p_charge": 5.0}
