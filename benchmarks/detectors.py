@@ -10,6 +10,7 @@ import numpy as np
 from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.calibration import calibrate
 from fusion_sfdia.central_filter import CentralFilter
+from fusion_sfdia.chebyshev import Chebyshev
 from fusion_sfdia.detector import Detector
 from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Unscented
 from fusion_sfdia.fusing_bank import FusingBank
@@ -22,6 +23,7 @@ FALSE_ALARM = 1e-3  # per step over all sensors, of every detector here
 CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign
 CALIBRATION_STEPS = 360
 WARM_UP = 60  # samples: the printed filters are slow to forget how they began
+CHEBYSHEV_ALPHA = 5.0  # alarms of a component falsely at most 1/25, and 6e-7 of Gaussian noise
 PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 reckons in MPa, kg/s, K: its residual (20) adds them as they are
 
 PAPER_FILTERS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(redraw=False), "enkf": Ensemble()}
@@ -86,6 +88,15 @@ DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     "adaptive-threshold:calibrated": (
         "the same with margins under which the published pattern of modules fires",
         lambda plant: adaptive_threshold(plant, "calibrated"),
+    ),
+    "chebyshev": (
+        "residuals of present readings with stochastic thresholds of 5 standard deviations, in a network by local diagnosers "
+        "with consensus (Boem 2018), (15) corrected; no memory in the residuals",
+        lambda plant: Chebyshev(plant, lam=0.0, alpha=CHEBYSHEV_ALPHA),
+    ),
+    "chebyshev:paper": (
+        "the same as printed, with the paper's filter parameter 0.3 and 2 standard deviations; names no sensor",
+        lambda plant: Chebyshev(plant, mode="paper", accommodate=False),
     ),
     "virtual-sensors": (
         "the modules of adaptive-threshold with guaranteed intervals of the faults, whose middles are taken off the readings "

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.adaptive_threshold import AdaptiveThreshold as AdaptiveThreshold
     from fusion_sfdia.calibration import calibrate as calibrate
     from fusion_sfdia.central_filter import CentralFilter as CentralFilter
+    from fusion_sfdia.chebyshev import Chebyshev as Chebyshev
     from fusion_sfdia.detector import Decision as Decision
     from fusion_sfdia.detector import Detector as Detector
     from fusion_sfdia.detector import run as run
@@ -68,6 +69,7 @@ _MODULES = {
     "adaptive_threshold": ("AdaptiveThreshold",),
     "calibration": ("calibrate",),
     "central_filter": ("CentralFilter",),
+    "chebyshev": ("Chebyshev",),
     "detector": ("Decision", "Detector", "run"),
     "diagnose": ("Diagnosis", "Event", "diagnose"),
     "diagnosis_sets": ("DiagnosisLogic",),

@@ -47,10 +47,10 @@ class Foretold(NamedTuple):
     doubt_shared: Array
 
 
-def beginners(areas: Areas, batch: int) -> Diagnosers:
-    """Diagnosers of B runs that know nothing: each copy starts from its first reading, judged from the second on."""
+def beginners(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
+    """Diagnosers of a batch of runs that know nothing: each copy starts from its first reading, judged from the second on."""
     count, n, sides = areas.size
-    own, shared = np.zeros((batch, count, n)), np.zeros((batch, sides))
+    own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
     unknown = np.full_like(own, UNKNOWN), np.full_like(shared, UNKNOWN)
     return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy())
 

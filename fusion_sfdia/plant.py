@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.areas import Areas
 from fusion_sfdia.arguments import floats, number, require_unique, shown
 from fusion_sfdia.equation import complex_step_jacobian
 from fusion_sfdia.modules import Modules
@@ -38,6 +39,7 @@ class Plant:
     which simulations take their readings unless told otherwise; None where there is none.
     fixed_dt: whether the model holds for its nominal dt only.
     modules: its scalar equations as monitoring modules, in SI; None where it does not say them.
+    areas: its linear areas, each with a diagnoser of its own, in SI; None where one diagnoser reads everything.
     sensor_scale: what a sensor shows over what it measures in SI (N,); `in_units` sets it.
     """
 
@@ -60,6 +62,7 @@ class Plant:
     fixed_dt: bool = False
     max_dt: float = np.inf
     modules: Modules | None = None
+    areas: Areas | None = None
     sensor_scale: Array | float = 1.0
 
     def __post_init__(self) -> None:

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_equations import STATES, area_rates
 from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel, network_model
 from fusion_sfdia.models.power_network_operation import AreaFault, Switch, conditions, load_profile
@@ -113,6 +114,7 @@ def power_network(
         operation=lambda t: np.tile(profile(t), 2),
         blocks=network_blocks(model),
         fixed_dt=True,
+        areas=network_areas(model),
     )
 
 

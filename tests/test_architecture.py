@@ -18,9 +18,11 @@ LAYERS = [
     | {"particle", "ukf"}
     | {"contractors", "expression", "interval", "interval_kernels", "monotone", "rounding", "sivia"},
     {"estimators"},
-    {"consensus", "consensus_equations"}
+    {"bias_hypotheses", "consensus", "consensus_equations", "threshold_rules"}
     | {"algebraic_bounds", "corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
-    {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"}
+    {"data_driven", "fixed_limits", "pca"}
+    | {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"}
+    | {"area_diagnosers", "chebyshev", "present_readings"}
     | {"adaptive_observer", "fault_memory", "virtual_sensors"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"codac_adapter", "diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},

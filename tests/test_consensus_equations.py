@@ -24,7 +24,7 @@ AT = AREAS.network.topology
 def healthy_run(mode: str, missing: float = 0.0, lam: float = LAM, model: object = MODEL) -> tuple[Array, Array, Array, Array]:
     """Residuals and deviations of a settled closed loop: own (K, B, N, 4), (K, B, N, 4), shared (K, B, 2E), (K, B, 2E)."""
     areas, rng = network_areas(model), np.random.default_rng(3)
-    now, found = beginners(areas, SEEDS), []
+    now, found = beginners(areas, (SEEDS,)), []
     for moment in run_network(model, STEPS, range(SEEDS), loads=lambda t: np.zeros(15)):
         load = np.broadcast_to(moment.load, moment.reference.shape)
         ahead = foretell(areas, now, moment.reference, load, lam, mode)
@@ -72,7 +72,7 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
     unlike = replace(
         AREAS, noise=AREAS.noise * rng.uniform(0.2, 5, AREAS.noise.shape), shared_noise=rng.uniform(1e-6, 1e-4, 34)
     )
-    now = beginners(unlike, 1)
+    now = beginners(unlike, (1,))
     zero = np.zeros((1, 15))
     now = take(
         foretell(unlike, now, zero, zero, 0.0, "corrected"), rng.standard_normal((1, 15, 4)), rng.standard_normal((1, 34))
@@ -96,7 +96,7 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
 def test_an_area_reads_nothing_but_its_own_and_what_neighbours_tell() -> None:
     rng, i = np.random.default_rng(1), AT.index("5")
     count = AREAS.size[0]
-    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in beginners(AREAS, 2)))
+    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in beginners(AREAS, (2,))))
     reference, load = rng.standard_normal((2, 2, count))
     near = AT.neighbour[AREAS.network.sides(i)]
     about = np.isin(AT.neighbour, [i, *near])  # copies of the states that area 5 shares
@@ -129,7 +129,7 @@ def test_an_area_reads_nothing_but_its_own_and_what_neighbours_tell() -> None:
 def test_of_a_drive_one_number_crosses_the_border() -> None:
     rng, i = np.random.default_rng(2), AT.index("5")
     j = int(AT.neighbour[AREAS.network.sides(i)][0])
-    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in beginners(AREAS, 1)))
+    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in beginners(AREAS, (1,))))
     reference, load = rng.standard_normal((2, 1, 15))
     other, given = Diagnosers(*(a.copy() for a in whole)), reference.copy()
     other.held[0, j, 1:] += [1.0, -2.0, 3.0]
@@ -144,7 +144,7 @@ def test_of_a_drive_one_number_crosses_the_border() -> None:
 
 def test_a_copy_starts_from_its_first_reading_and_an_open_tie_has_none() -> None:
     away = network_areas(network_model(unplugged=["4"]))
-    now = beginners(away, 1)
+    now = beginners(away, (1,))
     zero, y = np.zeros((1, 15)), np.random.default_rng(4).standard_normal((1, 15, 4))
     shared = np.where(away.network.closed, 0.5, np.nan)[None]
     first = foretell(away, now, zero, zero, LAM, "corrected")

@@ -42,6 +42,7 @@ MISSED = {
     ("power-network", "fusing-enkf"): {"angle", "speed", "mechanical power", "valve"},
     ("power-network", "kf-chi2"): {"speed"},
 }
+NAMELESS = {"chebyshev:paper"}  # as published it tells that there is a fault, not of which sensor
 SETTLED = 20  # samples in which the filters forget their initial covariance
 
 
@@ -170,6 +171,9 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
     t, y, u = healthy(pair[0], SETTLED + 100, runs)
     _, d = run(detector, detector.init((runs,)), t, y, u)
     assert not d.diverged.any()
+    if pair[1] == "chebyshev:paper":  # its claim, of each sensor by itself: Chebyshev's inequality for 2 standard deviations
+        assert np.all(np.mean(d.scores[SETTLED:] > 1, axis=(0, 1)) < 1 / 4)
+        return
     alarm = d.alarm[SETTLED:]
     begun = np.sum(alarm[1:] & ~alarm[:-1]) + np.sum(alarm[0])  # an alarm is held until readmission: its beginnings count
     # In each step an alarm begins with a probability of at most FALSE_ALARM. Where it is exact, their number is binomial. A
@@ -246,7 +250,7 @@ def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, st
         size = d.fault_size[35, run_index, i] / plant.sensor_sigma[i]
         # reading less what the others say: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
         assert size == pytest.approx(30.0, abs=4 * np.sqrt(2))
-    assert missed == MISSED.get(pair, set())
+    assert missed == (set(chosen) if pair[1] in NAMELESS else MISSED.get(pair, set()))
 
 
 @every_pair

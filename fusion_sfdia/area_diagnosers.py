@@ -1,0 +1,97 @@
+"""The diagnosers of a plant's areas behind the face of one: readings (B, N) go to those who own the sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.areas import Areas
+from fusion_sfdia.batch_detector import Moment
+from fusion_sfdia.consensus import Diagnosers, beginners, foretell, take
+from fusion_sfdia.consensus_equations import UNKNOWN
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.present_readings import Outlook, Taken
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class AreaDiagnosers:
+    """The local diagnosers of a plant that says its areas; the core is `Diagnosers`.
+
+    ValueError where the plant's states or inputs are not those of its areas, or a sensor has no place in them.
+    """
+
+    plant: Plant
+    areas: Areas
+    lam: float
+    mode: str
+
+    def __post_init__(self) -> None:
+        plant, count = self.plant, self.areas.size[0]
+        named = tuple(name for names in self.areas.states for name in names)
+        if tuple(s.name for s in plant.states) != named or len(plant.inputs) != 2 * count:
+            raise ValueError(
+                f"plant {plant.name!r} has {len(plant.states)} states and {len(plant.inputs)} inputs, its areas "
+                f"{len(named)} states and {2 * count} inputs, references then loads; give the areas of this plant"
+            )
+        for s in plant.sensors:
+            self.areas.place(s.measures, s.owner)
+
+    @cached_property
+    def _place(self) -> Array:
+        return np.array([self.areas.place(s.measures, s.owner) for s in self.plant.sensors])
+
+    @cached_property
+    def _scale(self) -> Array:
+        return np.broadcast_to(self.plant.sensor_scale, self._place.shape)
+
+    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]:
+        """Without knowledge, as B18, Algorithm 1: judged from the second reading on."""
+        return tuple(beginners(self.areas, batch))
+
+    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
+        count = self.areas.size[0]
+        ahead = foretell(self.areas, Diagnosers(*core), u[..., :count], u[..., count:], self.lam, self.mode)
+        deviation = self._of_sensors(ahead.deviation, ahead.deviation_shared)
+        deviation = np.where(deviation < UNKNOWN**0.5, np.abs(self._scale) * deviation, np.inf)
+        expected = self._scale * self._of_sensors(ahead.estimate, ahead.estimate_shared)
+        lost = ~np.all(np.isfinite(expected), axis=-1)
+        return Outlook(expected, deviation, np.zeros(lost.shape, bool), lost, ahead)
+
+    def take(self, outlook: Outlook, y: Array) -> Taken:
+        """After the readings y (B, N), NaN where missing or left out."""
+        core = take(outlook.inner, *self._of_areas(y / self._scale, np.nan))
+        return Taken(tuple(core), core.held.reshape(*core.held.shape[:-2], -1), None)
+
+    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]:
+        """As of PresentReadings: the equations at unit readings and unit residuals."""
+        doubt, doubt_shared = (a[rows][:, None] for a in core[2:4])
+        units = self._of_areas(np.eye(self._place.size), 0.0)
+        nothing = np.zeros((1, 1, self.areas.size[0]))
+        found = []
+        for readings in (True, False):
+            own, shared = (np.broadcast_to(a, (doubt.shape[0], *a.shape)) for a in units)
+            still = tuple(np.zeros_like(a) for a in (own, shared))
+            first, second = ((own, shared), still) if readings else (still, (own, shared))
+            if readings:
+                first = own * (doubt == 0.0), shared * (doubt_shared == 0.0)
+            probe = Diagnosers(first[0], first[1], doubt, doubt_shared, second[0], second[1], still[0], still[1])
+            ahead = foretell(self.areas, probe, nothing, nothing, self.lam, self.mode)
+            change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
+            found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
+        return found[0], -found[1]
+
+    def _of_sensors(self, own: Array, shared: Array) -> Array:
+        flat = own.reshape(*own.shape[:-2], -1)
+        return np.concatenate([flat, np.broadcast_to(shared, (*flat.shape[:-1], shared.shape[-1]))], axis=-1)[..., self._place]
+
+    def _of_areas(self, of_sensors: Array, otherwise: float) -> tuple[Array, Array]:
+        count, n, sides = self.areas.size
+        whole = np.full((*of_sensors.shape[:-1], count * n + sides), otherwise)
+        whole[..., self._place] = of_sensors
+        return whole[..., : count * n].reshape(*whole.shape[:-1], count, n), whole[..., count * n :]
