@@ -156,6 +156,19 @@ def test_a_batch_has_the_bits_of_its_runs(changes: dict[str, Any]) -> None:
         np.testing.assert_array_equal(interval.lo[:, [b]], held.lo)
 
 
+def test_a_single_run_is_stepped_without_a_batch() -> None:
+    recording = healthy(30, 2)
+    y = with_offsets(recording, 20, {TORQUE: -4.5e4})
+    _, whole, held = watch(DETECTOR, recording, y)
+    state = DETECTOR.init()
+    for k, t in enumerate(recording.t):
+        state, decision = DETECTOR.step(state, float(t), y[k, 1], recording.u[k])
+    found = DETECTOR.fault_interval(state)
+    assert found.shape == (10,) and decision.isolated[TORQUE]
+    np.testing.assert_array_equal([found.lo, found.hi], [held.lo[-1, 1], held.hi[-1, 1]])
+    np.testing.assert_array_equal(decision.measured, whole.measured[-1, 1])
+
+
 def test_without_compiled_modules_it_is_the_same() -> None:
     assert ENGINE.modules is not None
     plain = replace(DETECTOR, plant=replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))
