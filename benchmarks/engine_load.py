@@ -140,7 +140,8 @@ def load_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
                 ]
     drives = {task["drive"]: arrays for task, arrays in results}
     figures = [drive_figure(drives, settings["onset"]), *(_matrix_figure(a, firsts) for a in settings["allowed"])]
-    figures += [_run_figure(settings, *cell, parts[0]) for cell, parts in cells.items() if cell[0] != "constant"]
+    moved = [cell for cell in cells if cell[0] != "constant" and cell[1] == settings["allowed"][-1]]
+    figures += [_run_figure(settings, *cell, cells[cell][0]) for cell in moved]
     return Summary(rows, figures, highlights=[_silence(rows)], remarks=_remarks(settings, rows))
 
 
