@@ -18,6 +18,7 @@ from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary
 from fusion_sfdia.storage import atomic_write
 
 OPEN_ROWS = 40  # a longer table is folded
+SORTED_ROWS = 8  # a table of at least so many can be sorted and filtered
 
 
 @dataclass(frozen=True)
@@ -51,14 +52,19 @@ class Section:
 def write_report(path: Path, command: Command, sections: list[Section], manifest: dict[str, Any]) -> None:
     """Write report.html, whole or not at all; every name and text is escaped."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters.update(number=number, interval=interval, setting=_setting)
-    source = resources.files("fusion_sfdia.benchmarks").joinpath("report.html.j2").read_text(encoding="utf-8")
-    page = environment.from_string(source).render(
+    environment.filters.update(number=number, interval=interval, setting=_setting, sort_key=_sort_key)
+    template, script = (
+        resources.files("fusion_sfdia.benchmarks").joinpath(name).read_text(encoding="utf-8")
+        for name in ("report.html.j2", "sortable.min.js")
+    )
+    page = environment.from_string(template).render(
         command=command.text,
         sections=sections,
         manifest=manifest,
         failures=[line for section in sections for line in section.failures],
         open_rows=OPEN_ROWS,
+        sorted_rows=SORTED_ROWS,
+        sortable=Markup(script),
     )
     with atomic_write(path) as file:
         file.write(page)
@@ -80,6 +86,11 @@ def interval(row: Row) -> str:
     if math.isnan(row.low) or math.isnan(row.high):
         return ""
     return f"{number(float(row.low))} to {number(float(row.high))}"
+
+
+def _sort_key(value: float) -> str:
+    """What a number is sorted by: with all its digits, empty for NaN."""
+    return "" if math.isnan(value) else repr(float(value))
 
 
 def _setting(value: Any) -> str:

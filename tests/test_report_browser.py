@@ -1,0 +1,111 @@
+"""The report in a browser: nothing is fetched, nothing fails, tables sort and filter, it fits a phone, it follows the dark."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from toy_scenario import TOY
+
+from fusion_sfdia.benchmarks.runner import run_scenarios
+from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Summary, Task
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="needs the optional package selenium")
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+if not (CHROMIUM and DRIVER):
+    pytest.skip("needs a browser: chromium and chromedriver on the path", allow_module_level=True)
+
+QUIET = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage")
+OFFLINE = ("--disable-background-networking", "--disable-component-update", "--disable-sync")
+
+
+def long_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """The toy's summary with its rows for five quantities."""
+    found = TOY.summarise(settings, results)
+    return replace(found, rows=[replace(r, quantity=f"q{i}", value=r.value + i) for i in range(5) for r in found.rows])
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    folder = tmp_path_factory.mktemp("browser")
+    run_scenarios([replace(TOY, summarise=long_summary)], folder / "report", workers=1, seeds=20)
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for argument in (*QUIET, *OFFLINE, f"--user-data-dir={folder / 'profile'}", "--window-size=1200,900"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        driver.get((folder / "report" / "report.html").as_uri())
+        yield driver
+    finally:
+        driver.quit()
+
+
+def column(browser: Any, index: int) -> list[str]:
+    return browser.execute_script(
+        "const table = document.querySelector('details table');"
+        "return [...table.tBodies[0].rows].filter(r => !r.hidden).map(r => r.cells[arguments[0]].textContent)",
+        index,
+    )
+
+
+def test_nothing_is_fetched_and_nothing_fails(browser: Any) -> None:
+    assert [entry for entry in browser.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")] == []
+    fetched = browser.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
+    assert fetched == []
+
+
+def test_tables_sort_by_their_numbers(browser: Any) -> None:
+    header = "document.querySelector('details table').tHead.rows[0].cells[5]"
+    browser.execute_script("document.querySelector('details').open = true")
+    for direction in ("descending", "ascending"):
+        browser.execute_async_script(
+            "const done = arguments[0]; const table = document.querySelector('details table');"
+            f"table.addEventListener('sort-end', () => done(), {{once: true}}); {header}.click();"
+        )
+        assert browser.execute_script(f"return {header}.getAttribute('aria-sort')") == direction
+        values = [float(v) for v in column(browser, 5) if v != "undefined"]
+        assert values == sorted(values, reverse=direction == "descending") and len(values) > 1
+        assert column(browser, 5)[-1] == "undefined"  # what is no number stands last either way
+
+
+def test_tables_filter_by_words(browser: Any) -> None:
+    before = column(browser, 1)
+    field = "document.querySelector('details .filter')"
+    enter = f"const field = {field}; field.value = arguments[0]; field.dispatchEvent(new Event('input'));"
+    browser.execute_script(enter, "Q3 mean")
+    assert 0 < len(column(browser, 1)) < len(before)
+    browser.execute_script(enter, "nothing-has-this-word")
+    assert column(browser, 1) == []
+    browser.execute_script(enter, "")
+    assert sorted(column(browser, 1)) == sorted(before)
+
+
+def test_it_fits_a_phone(browser: Any) -> None:
+    phone = {"width": 360, "height": 740, "deviceScaleFactor": 2, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
+    assert browser.execute_script("return window.innerWidth") == phone["width"]
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_follows_the_light(browser: Any, scheme: str) -> None:
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    text, page = browser.execute_script("const s = getComputedStyle(document.body); return [s.color, s.backgroundColor]")
+    luminance = [relative_luminance(colour) for colour in (text, page)]
+    assert (luminance[1] > 0.5) == (scheme == "light")
+    assert (max(luminance) + 0.05) / (min(luminance) + 0.05) >= 7  # WCAG 2.2, 1.4.6: enhanced contrast
+
+
+def relative_luminance(colour: str) -> float:
+    """Of "rgb(r, g, b)", as WCAG 2.2 defines it."""
+    channels = [int(v) / 255 for v in colour[4:-1].split(",")]
+    linear = [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in channels]
+    return sum(w * v for w, v in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
