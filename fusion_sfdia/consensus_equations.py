@@ -41,9 +41,10 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.equation import equation
+from fusion_sfdia.equation import compiled, equation
 
 UNKNOWN = 1e100  # a doubt beyond which nothing is known: such residuals are not judged
+ENOUGH = UNKNOWN**0.5  # deviations below are of what is known
 
 
 @equation
@@ -92,3 +93,129 @@ def error_deviation(memory: Any, variance: Any, process_variance: Any, doubt: An
 def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise: Any, doubt: Any) -> Any:
     """(14): s of a reading with this noise, lam s + sqrt(Var[f(x) - f(y)] + sigma_w^2 + sigma^2) + doubts."""
     return memory + np.sqrt(variance + process_variance + noise) + doubt
+
+
+@compiled
+def foretell_areas(
+    held: Any, held_shared: Any, doubt: Any, doubt_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
+    deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
+    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any,
+    estimate: Any, estimate_shared: Any, s: Any, s_shared: Any, unsure: Any, unsure_shared: Any,
+) -> None:  # fmt: skip
+    """Write estimates, deviations s and doubts for the next readings into the last six arrays (B, N, n), (B, 2E) by turns.
+
+    held to deviation_shared: of consensus.Diagnosers, in this order; reference, load (B, N); printed: (15), (17) as printed.
+    matrices to opposite: of Areas; its sides may be followed by others, such as copies that are kept elsewhere. All who share
+    z_i are treated with area i: it needs the copies at its sides and at their opposites, and writes the latter.
+    """
+    n = held.shape[2]
+    for b in range(held.shape[0]):
+        for i in range(held.shape[1]):
+            inflow, inflow_variance, inflow_doubt = 0.0, 0.0, 0.0
+            for side in range(start[i], start[i + 1]):
+                if closed[side]:
+                    P, d = slope[side], doubt_shared[b, side]
+                    inflow += P * held_shared[b, side]
+                    inflow_variance += P * P * noise_read(shared_noise[side], d)
+                    inflow_doubt += abs(P) * d
+            drive, drive_variance, drive_doubt = 0.0, 0.0, 0.0
+            for r in range(n):
+                F, G = matrices[i, r], matrices[i, r, n + 1]
+                value = F[n] * reference[b, i] + G * (inflow - load[b, i])
+                variance, d = G * G * inflow_variance, abs(G) * inflow_doubt
+                for c in range(0 if r else 1, n):
+                    value += F[c] * held[b, i, c]
+                    variance += F[c] * F[c] * noise_read(noise[i, c], doubt[b, i, c])
+                    d += abs(F[c]) * doubt[b, i, c]
+                if r == 0:
+                    drive, drive_variance, drive_doubt = value, variance, d
+                else:
+                    memory, q = lam * deviation[b, i, r], process_variance[i, r]
+                    estimate[b, i, r] = private_term(value, residual[b, i, r], lam)
+                    s[b, i, r] = residual_deviation(memory, variance, q, noise[i, r], d)
+                    unsure[b, i, r] = np.minimum(error_deviation(memory, variance, q, d), UNKNOWN)
+
+            a, q, v, d = matrices[i, 0, 0], process_variance[i, 0], noise[i, 0], doubt[b, i, 0]
+            own = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
+            total = 0.0
+            for side in range(start[i], start[i + 1]):
+                if closed[side]:
+                    v, d = shared_noise[opposite[side]], doubt_shared[b, opposite[side]]
+                    total += precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
+            total += own
+            agreed, memory, variance, away, bracket = 0.0, 0.0, 0.0, 0.0, 0.0
+            for side in range(start[i], start[i + 1]):
+                if closed[side]:
+                    k = opposite[side]
+                    v, d = shared_noise[k], doubt_shared[b, k]
+                    W = (precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)) / total
+                    agreed += W * shared_term(held_shared[b, k], drive, residual_shared[b, k], a, lam)
+                    memory += W * deviation_shared[b, k]
+                    variance += W * W * noise_read(v, d)
+                    away += W * d
+                    bracket += W * W * printed_variance(v, d, a, drive_variance, q)
+            W, v, d = own / total, noise[i, 0], doubt[b, i, 0]
+            agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
+            memory = lam * (W * deviation[b, i, 0] + memory)
+            variance = a * a * (W * W * noise_read(v, d) + variance) + drive_variance
+            away = abs(a) * (W * d + away) + drive_doubt
+            bracket += W * W * printed_variance(v, d, a, drive_variance, q)
+            estimate[b, i, 0] = agreed
+            unsure[b, i, 0] = np.minimum(error_deviation(memory, variance, q, away), UNKNOWN)
+            s[b, i, 0] = memory + np.sqrt(bracket) + away if printed else residual_deviation(memory, variance, q, v, away)
+            for side in range(start[i], start[i + 1]):
+                k = opposite[side]
+                if closed[side]:
+                    estimate_shared[b, k] = agreed
+                    unsure_shared[b, k] = unsure[b, i, 0]
+                    s_shared[b, k] = s[b, i, 0]
+                    if not printed:
+                        s_shared[b, k] = residual_deviation(memory, variance, q, shared_noise[k], away)
+                else:
+                    estimate_shared[b, k], unsure_shared[b, k], s_shared[b, k] = held_shared[b, k], UNKNOWN, UNKNOWN
+
+
+@compiled
+def take_readings(y: Any, held: Any, doubt: Any, residual: Any, s: Any) -> None:
+    """Make estimates (in held), doubts and deviations into what is kept after readings y, and write residual; all flat."""
+    for k in range(y.size):
+        if np.isfinite(y[k]):
+            known = s[k] < ENOUGH
+            residual[k] = y[k] - held[k] if known else 0.0  # a copy that knew nothing starts here
+            held[k], doubt[k] = y[k], 0.0
+            if not known:
+                s[k] = 0.0
+        else:
+            residual[k], s[k] = 0.0, 0.0
+
+
+@compiled
+def find_alarms(residual: Any, residual_shared: Any, deviation: Any, deviation_shared: Any, alpha: Any, start: Any) -> Any:
+    """(B, N): whether |residual| > alpha deviation of a reading of an area, its own or one of a neighbour's first state."""
+    alarm = np.zeros(residual.shape[:2], np.bool_)
+    for b in range(residual.shape[0]):
+        for i in range(residual.shape[1]):
+            crossed = False
+            for c in range(residual.shape[2]):
+                crossed |= abs(residual[b, i, c]) > alpha * deviation[b, i, c]
+            for side in range(start[i], start[i + 1]):
+                crossed |= abs(residual_shared[b, side]) > alpha * deviation_shared[b, side]
+            alarm[b, i] = crossed
+    return alarm
+
+
+@compiled
+def step_areas(
+    held: Any, held_shared: Any, doubt: Any, doubt_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
+    deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
+    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, own: Any, shared: Any,
+    h: Any, h_shared: Any, d: Any, d_shared: Any, r: Any, r_shared: Any, s: Any, s_shared: Any,
+) -> None:  # fmt: skip
+    """`foretell_areas`, then the readings own (B, N, n) and shared (B, 2E); the last eight arrays are the Diagnosers after."""
+    foretell_areas(
+        held, held_shared, doubt, doubt_shared, residual, residual_shared, deviation, deviation_shared, reference, load, lam,
+        printed, matrices, slope, closed, process_variance, noise, shared_noise, start, opposite,
+        h, h_shared, s, s_shared, d, d_shared,
+    )  # fmt: skip
+    take_readings(own.ravel(), h.ravel(), d.ravel(), r.ravel(), s.ravel())
+    take_readings(shared.ravel(), h_shared.ravel(), d_shared.ravel(), r_shared.ravel(), s_shared.ravel())

@@ -18,11 +18,11 @@ LAYERS = [
     | {"particle", "ukf"}
     | {"contractors", "expression", "interval", "interval_kernels", "monotone", "rounding", "sivia"},
     {"estimators"},
-    {"bias_hypotheses", "consensus", "consensus_equations", "threshold_rules"}
+    {"bias_hypotheses", "confirmation", "consensus", "consensus_equations", "monte_carlo", "network_step", "threshold_rules"}
     | {"algebraic_bounds", "corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
     {"data_driven", "fixed_limits", "pca"}
     | {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"}
-    | {"area_diagnosers", "chebyshev", "present_readings"}
+    | {"area_diagnosers", "chebyshev", "present_readings", "replug"}
     | {"adaptive_observer", "fault_memory", "virtual_sensors"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"codac_adapter", "diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
@@ -83,7 +83,19 @@ def test_benchmarks_do_not_import_the_command_line(name: str) -> None:
 
 
 def test_the_runner_knows_no_scenario_and_no_detector() -> None:
-    general = {"cluster", "results", "scenario", "parts", "provenance", "output", "plots", "report", "runner", "workers", "registry"}
+    general = {
+        "cluster",
+        "results",
+        "scenario",
+        "parts",
+        "provenance",
+        "output",
+        "plots",
+        "report",
+        "runner",
+        "workers",
+        "registry",
+    }
     for name in general - {"registry"}:
         path = MODULES["benchmarks"][name]
         assert own(imports(path), "fusion_sfdia.benchmarks") <= general, name

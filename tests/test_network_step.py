@@ -1,0 +1,103 @@
+"""The compiled step of a whole network: the numbers of the arrays' way to rounding, and the same bits in any batch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.areas import Areas
+from fusion_sfdia.consensus import MODES, Diagnosers, beginners, foretell, take
+from fusion_sfdia.models.power_network_diagnosis import network_areas
+from fusion_sfdia.models.power_network_model import network_model
+from fusion_sfdia.models.power_network_parameters import generate_network
+from fusion_sfdia.network_step import network_step
+from fusion_sfdia.plant import Array
+
+ALPHA, LAM = 2.0, 0.3
+NETWORKS = {
+    "paper": network_areas(network_model()),
+    "area 4 away": network_areas(network_model(unplugged=["4"])),
+    "dense": network_areas(network_model(generate_network(40, 1, degree=9.0), unplugged=["7", "8", "20"])),
+}
+
+
+def anything(areas: Areas, batch: int, seed: int = 0) -> tuple[Diagnosers, dict[str, Array]]:
+    """Diagnosers that hold anything, a quarter of their readings missing now or before, and what comes next."""
+    rng = np.random.default_rng(seed)
+    empty = beginners(areas, (batch,))
+    state = Diagnosers(*(rng.uniform(0.1, 1.0, a.shape) for a in empty))
+    for doubt in (state.doubt, state.doubt_shared):
+        doubt *= rng.random(doubt.shape) < 0.25
+    reference, load = rng.standard_normal((2, *state.held.shape[:2]))
+    readings = [np.where(rng.random(a.shape) < 0.25, np.nan, rng.standard_normal(a.shape)) for a in empty[:2]]
+    return state, {"own": readings[0], "shared": readings[1], "reference": reference, "load": load}
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("network", NETWORKS)
+def test_the_compiled_step_is_that_of_the_arrays(network: str, mode: str) -> None:
+    areas = NETWORKS[network]
+    state, given = anything(areas, 3)
+    ahead = foretell(areas, state, given["reference"], given["load"], LAM, mode)
+    wanted = take(ahead, given["own"], given["shared"])
+    found, alarm = network_step(areas, state, **given, alpha=ALPHA, lam=LAM, mode=mode)
+    # each number is a sum of at most n + 2 + 4 terms for each of the sides, in another order; with all terms positive the sum
+    # of their magnitudes is what foretell gives for magnitudes, and each of the two roundings at a term costs eps of it
+    operations = 2 * (6 + 4 * int(np.diff(areas.network.topology.start).max()))
+    magnitudes = replace(
+        areas, matrices=np.abs(areas.matrices), slope=np.abs(areas.slope), shared_gain=np.abs(areas.shared_gain)
+    )
+    positive = Diagnosers(*(-a if k in (4, 5) else a for k, a in enumerate(state)))
+    most = foretell(magnitudes, positive, np.abs(given["reference"]), -np.abs(given["load"]), LAM, mode)
+    for k, name in enumerate(Diagnosers._fields):
+        size = np.abs(getattr(most, name.replace("held", "estimate").replace("residual", "estimate")))
+        assert np.all(np.abs(found[k] - wanted[k]) <= operations * np.finfo(float).eps * size), name
+    crossed = np.abs(wanted.residual) > ALPHA * wanted.deviation
+    beside = np.abs(wanted.residual_shared) > ALPHA * wanted.deviation_shared
+    at = areas.network.topology
+    expected = [[crossed[b, i].any() or beside[b, at.node == i].any() for i in range(areas.size[0])] for b in range(3)]
+    np.testing.assert_array_equal(alarm, expected)
+    assert alarm.any() and not alarm.all()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_bits_depend_on_no_batch_and_on_no_reused_memory(mode: str) -> None:
+    areas = NETWORKS["area 4 away"]
+    state, given = anything(areas, 5)
+    used = [Diagnosers(*(np.full_like(a, np.nan) for a in state)), Diagnosers(*map(np.copy, state))]
+    whole, alone = state, [Diagnosers(*(a[b : b + 1] for a in state)) for b in range(5)]
+    for k in range(4):
+        whole, alarm = network_step(areas, used[1] if k else state, **given, alpha=ALPHA, lam=LAM, mode=mode, out=used[0])
+        used = [used[1], used[0]]
+        for b in range(5):
+            one = {name: a[b : b + 1] for name, a in given.items()}
+            alone[b], by_itself = network_step(areas, alone[b], **one, alpha=ALPHA, lam=LAM, mode=mode)
+            for together, single in zip((*whole, alarm), (*alone[b], by_itself), strict=True):
+                assert together[b : b + 1].tobytes() == single.tobytes()
+
+
+def test_diagnosers_that_know_nothing_start_from_their_first_readings() -> None:
+    areas = NETWORKS["paper"]
+    _, given = anything(areas, 1)
+    now, alarm = network_step(areas, beginners(areas, (1,)), **given, alpha=ALPHA, lam=LAM)
+    assert not alarm.any() and not now.residual.any()
+    read = np.isfinite(given["own"])
+    np.testing.assert_array_equal(now.held[read], given["own"][read])
+    np.testing.assert_array_equal(now.doubt[~read] > 1e50, True)
+
+
+def test_wrong_shapes_are_named() -> None:
+    areas = NETWORKS["paper"]
+    state, given = anything(areas, 2)
+    for name, array in given.items():
+        with pytest.raises(ValueError, match="have the shapes"):
+            network_step(areas, state, **{**given, name: array[..., :-1]}, alpha=ALPHA, lam=LAM)
+    with pytest.raises(ValueError, match="have the shapes"):
+        network_step(NETWORKS["dense"], state, **given, alpha=ALPHA, lam=LAM)
+    with pytest.raises(ValueError, match="mode is 'papr'; known: corrected, paper"):
+        network_step(areas, state, **given, alpha=ALPHA, lam=LAM, mode="papr")
+    for wrong in (state, beginners(areas, (1,))):
+        with pytest.raises(ValueError, match="needed no more"):
+            network_step(areas, state, **given, alpha=ALPHA, lam=LAM, out=wrong)
