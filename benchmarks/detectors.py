@@ -8,13 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.arguments import Array
 from fusion_sfdia.calibration import calibrate
 from fusion_sfdia.central_filter import CentralFilter
 from fusion_sfdia.chebyshev import Chebyshev
 from fusion_sfdia.detector import Detector
 from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Unscented
+from fusion_sfdia.fixed_limits import FixedLimits
 from fusion_sfdia.fusing_bank import FusingBank
 from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.pca import PrincipalComponents
 from fusion_sfdia.plant import Plant
 from fusion_sfdia.simulate import simulate
 from fusion_sfdia.virtual_sensors import VirtualSensors
@@ -42,6 +45,17 @@ def calibrated(bank: FusingBank) -> FusingBank:
     healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model")
     u = np.broadcast_to(healthy.u[:, None], (*healthy.y.shape[:2], healthy.u.shape[-1]))
     return calibrate(bank, healthy.t, healthy.y, u, FALSE_ALARM, WARM_UP)
+
+
+def healthy_data(plant: Plant) -> Array:
+    """Healthy readings (K, B, N) by the plant's own model, runs enough for the limits of each quantity at FALSE_ALARM.
+
+    Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
+    """
+    wanted = 1.5 * 4 * len(plant.quantities) / FALSE_ALARM  # two checks of each, set on every other sample
+    runs = max(len(CALIBRATION_SEEDS), int(np.ceil(wanted / CALIBRATION_STEPS)))
+    seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
+    return simulate(plant, CALIBRATION_STEPS, seeds, truth="model").y
 
 
 def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
@@ -75,6 +89,14 @@ DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     "kf-chi2": (
         "one extended Kalman filter with a test of each innovation; names the largest, accommodates nothing",
         lambda plant: CentralFilter(plant, false_alarm=FALSE_ALARM),
+    ),
+    "limits": (
+        "fixed limits of each reading and of its change since the last, learnt from healthy data",
+        lambda plant: FixedLimits.fit(plant, healthy_data(plant), FALSE_ALARM),
+    ),
+    "pca": (
+        "principal components of healthy data: T2 and SPE, isolation by reconstruction-based contributions",
+        lambda plant: PrincipalComponents.fit(plant, healthy_data(plant), FALSE_ALARM),
     ),
     "adaptive-threshold": (
         "observers and algebraic residuals with thresholds that bounded noise cannot cross, and diagnosis sets "

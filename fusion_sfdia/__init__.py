@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.faults import apply as apply_faults  # noqa: F401
     from fusion_sfdia.faults import load_faults as load_faults
     from fusion_sfdia.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
+    from fusion_sfdia.fixed_limits import FixedLimits as FixedLimits
     from fusion_sfdia.fusing_bank import FusingBank as FusingBank
     from fusion_sfdia.interval import Interval as Interval
     from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
@@ -44,8 +45,10 @@ if TYPE_CHECKING:
     from fusion_sfdia.logs import write_log as write_log
     from fusion_sfdia.models.gas_pipeline import gas_pipeline as gas_pipeline
     from fusion_sfdia.models.marine_engine import marine_engine as marine_engine
+    from fusion_sfdia.models.two_tanks import two_tanks as two_tanks
     from fusion_sfdia.monotone import monotone_hull as monotone_hull
     from fusion_sfdia.particle_filter import ParticleFilter as ParticleFilter
+    from fusion_sfdia.pca import PrincipalComponents as PrincipalComponents
     from fusion_sfdia.physics import Block as Block
     from fusion_sfdia.physics import Physics as Physics
     from fusion_sfdia.plant import Plant as Plant
@@ -79,14 +82,17 @@ _MODULES = {
     "fault_draws": ("FaultRange", "draw_faults:draw"),
     "faults": ("Fault", "apply_faults:apply", "load_faults"),
     "filterpy_adapter": ("plant_from_filterpy",),
+    "fixed_limits": ("FixedLimits",),
     "fusing_bank": ("FusingBank",),
     "interval": ("Interval",),
     "leave_one_out_bank": ("LeaveOneOutBank",),
     "logs": ("Log", "read_log", "write_log"),
     "models.gas_pipeline": ("gas_pipeline",),
     "models.marine_engine": ("marine_engine",),
+    "models.two_tanks": ("two_tanks",),
     "monotone": ("monotone_hull",),
     "particle_filter": ("ParticleFilter",),
+    "pca": ("PrincipalComponents",),
     "physics": ("Block", "Physics"),
     "plant": ("Plant",),
     "signals": ("Sensor", "Signal"),
