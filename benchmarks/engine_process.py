@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine_campaign import (
@@ -19,7 +18,6 @@ from fusion_sfdia.benchmarks.engine_campaign import (
     VALID,
     check,
     engine_detector,
-    logic,
     moving_detector,
     noise,
     response,
@@ -29,26 +27,26 @@ from fusion_sfdia.benchmarks.engine_campaign import (
     verdict_rows,
     watch,
 )
-from fusion_sfdia.benchmarks.engine_campaign_figures import run_figure, share_matrix
+from fusion_sfdia.benchmarks.engine_campaign_figures import run_figure
+from fusion_sfdia.benchmarks.engine_process_figures import (
+    ALL,
+    ATTACKS,
+    attack_cases,
+    attack_figure,
+    process_cases,
+    process_figure,
+    told,
+)
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row
 from fusion_sfdia.benchmarks.findings import pick, span
-from fusion_sfdia.benchmarks.plots import panels
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.faults import Fault, apply
 from fusion_sfdia.metrics import Estimate
 from fusion_sfdia.models.marine_engine import SENSORS
-from fusion_sfdia.models.marine_engine_faults import PROCESS_FAULTS
 
 Array = NDArray[Any]
 
 CHUNK = 5  # runs in one task
-ATTACKS = {  # on a measurement from the onset on: what it reads then; sizes are ours
-    "offset": "too much by some thresholds of its own module",
-    "scaling": "too much by a factor, as much at full load",
-    "sign": "minus what it is",
-    "replay": "what it read in the seconds before",
-}
-ALL = "all sensors"  # replayed at once
 PROCESS, ATTACK = "process", "attack"
 
 
@@ -61,16 +59,6 @@ def process_tasks(settings: Settings, seeds: int) -> list[Task]:
     process = {"what": PROCESS, "drive": "constant", "severities": list(settings["severities"])}
     attacks = [{"what": ATTACK, "drive": d, "size": settings["size"], "period": settings["period"]} for d in settings["drives"]]
     return [common | part | {"seeds": block} for part in (process, *attacks) for block in seed_blocks(seeds, CHUNK)]
-
-
-def process_cases(severities: list[float]) -> list[tuple[str, float]]:
-    """Kind and severity of the process faults."""
-    return [(kind, severity) for kind in PROCESS_FAULTS for severity in severities]
-
-
-def attack_cases() -> list[tuple[str, str]]:
-    """Kind and sensor of the attacks."""
-    return [*((kind, sensor) for kind in ATTACKS for sensor in SENSORS), ("replay", ALL)]
 
 
 def process_work(task: Task) -> Arrays:
@@ -126,8 +114,8 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
         diverged = np.concatenate([p["diverged"] for p in parts], axis=1)
         cases = process_cases(list(settings["severities"])) if what == PROCESS else attack_cases()
         for case, times, lost in zip(cases, first, diverged, strict=True):
-            told = (f"{case[0]} {case[1]:.0%}", "all") if what == PROCESS else (case[0], f"{case[1]}, {drive}")
-            at = partial(row, "engine/process", settings["detector"], *told)
+            where = (f"{case[0]} {case[1]:.0%}", "all") if what == PROCESS else (case[0], f"{case[1]}, {drive}")
+            at = partial(row, "engine/process", settings["detector"], *where)
             faulty = list(SENSORS).index(str(case[1])) if case[1] in SENSORS else None
             answer = response(times, settings["onset"], range(len(NAMES)))
             early = Estimate(float((times < settings["onset"]).any(axis=-1).sum()), math.nan, math.nan, len(times))
@@ -140,27 +128,10 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
             ]
     figures = []
     for key in (k for k in firsts if k[0] == PROCESS):
-        figures += [_process_figure(list(settings["severities"]), firsts[key]), _run_figure(settings, cells[key][0])]
-    figures += [_attack_figure(drive, first) for (what, drive), first in firsts.items() if what == ATTACK]
-    return Summary(rows, figures, highlights=_highlights(rows), remarks=_remarks(settings, rows))
-
-
-def _process_figure(severities: list[float], first: Array) -> Figure:
-    def draw() -> Drawing:
-        figure, axes = panels(["fired", "accused"], width=8.5, height=3.0)
-        fired, cases = np.isfinite(first), [f"{kind} {severity:.0%}" for kind, severity in process_cases(severities)]
-        share_matrix(axes[0], fired.mean(axis=1), cases, NAMES, ylabel="process fault")
-        share_matrix(axes[1], logic().isolated(fired).mean(axis=1), cases, tuple(SENSORS))
-        return figure
-
-    return Figure(
-        "process",
-        "Process faults: modules that fire and sensors accused",
-        "Share of runs in which a module has fired (left) and a sensor, all of them healthy, is accused (right) at the end. "
-        "Dark: all runs.",
-        draw,
-        "Matrices of process fault against modules that fired and against sensors accused",
-    )
+        figures += [process_figure(list(settings["severities"]), firsts[key]), _run_figure(settings, cells[key][0])]
+    figures += [attack_figure(drive, first) for (what, drive), first in firsts.items() if what == ATTACK]
+    noticed = [x for (what, _), first in firsts.items() if what == PROCESS for x in told(list(settings["severities"]), first)]
+    return Summary(rows, figures, highlights=_highlights(rows), remarks=[*noticed, *_remarks(settings, rows)])
 
 
 def _run_figure(settings: Settings, arrays: Arrays) -> Figure:
@@ -170,27 +141,6 @@ def _run_figure(settings: Settings, arrays: Arrays) -> Figure:
     first = arrays["first"][_drawn(severities), 0]
     begun = ((kind, settings["onset"]),)
     return run_figure("run", title, arrays["trace"], first, settings, begun, "the process fault begins")
-
-
-def _attack_figure(drive: str, first: Array) -> Figure:
-    fired = np.isfinite(first[: len(ATTACKS) * len(SENSORS)]).reshape(len(ATTACKS), len(SENSORS), -1, len(NAMES))
-    isolated = logic().isolated(fired)
-    right = np.stack([isolated[:, i, :, i] for i in range(len(SENSORS))], axis=1)
-
-    def draw() -> Drawing:
-        figure, axes = panels(["detected", "attacked sensor accused", "accused alone"], columns=3, width=10.0, height=2.2)
-        alone = right & (isolated.sum(axis=-1) == 1)
-        for panel, values in zip(axes, (fired.any(axis=-1), right, alone), strict=True):
-            share_matrix(panel, values.mean(axis=-1), tuple(ATTACKS), tuple(SENSORS))
-        return figure
-
-    return Figure(
-        f"attacks-{drive}",
-        f"Attacks on one measurement: {DRIVES[drive]}",
-        "Share of runs in which any module has fired, the attacked sensor is accused, no other is, at the end. Dark: all runs.",
-        draw,
-        "Matrices of the kind of attack against the attacked sensor: detected, accused, accused alone",
-    )
 
 
 def _highlights(rows: list[Row]) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks import engine_campaign as campaign
-from fusion_sfdia.benchmarks import engine_noise, engine_process, engine_sensitivity
+from fusion_sfdia.benchmarks import engine_noise, engine_process, engine_process_figures, engine_sensitivity
 from fusion_sfdia.benchmarks.engine_campaign import VALID, engine_detector, fork, noise, response, truth, watch
 from fusion_sfdia.benchmarks.engine_noise_figures import AGENTS, FAULTS, OTHERS, OWN, modules_of, published
 from fusion_sfdia.benchmarks.engine_trials import BIN, NAMES
@@ -176,9 +176,9 @@ def test_two_thresholds_cannot_be_hidden() -> None:
 def test_attacks_change_the_reading_of_the_attacked_sensor_alone() -> None:
     task = {"onset": 0.3, "period": 0.1}
     nominal = truth(1.0).signal[0]
-    for kind, sensor in engine_process.attack_cases():
+    for kind, sensor in engine_process_figures.attack_cases():
         faults = engine_process.attack(kind, sensor, 0.1 * nominal, nominal, task)
-        assert {f.sensor for f in faults} == (set(SENSORS) if sensor == engine_process.ALL else {sensor})
+        assert {f.sensor for f in faults} == (set(SENSORS) if sensor == engine_process_figures.ALL else {sensor})
     offset, scaling, sign = (
         engine_process.attack(k, "S(4){1}", 0.1 * nominal, nominal, task)[0] for k in ("offset", "scaling", "sign")
     )
@@ -187,14 +187,22 @@ def test_attacks_change_the_reading_of_the_attacked_sensor_alone() -> None:
 
 def test_a_replay_at_constant_load_is_as_good_as_a_reading_and_a_load_step_betrays_it() -> None:
     common = {"detector": VALID, "noise": 0.05, "onset": 0.5, "duration": 3.0, "what": "attack", "size": 2.0, "period": 0.4}
-    cases = engine_process.attack_cases()
+    cases = engine_process_figures.attack_cases()
     replay = [i for i, (kind, _) in enumerate(cases) if kind == "replay"]
-    fuel, everyone = cases.index(("replay", "S(1){1}")), cases.index(("replay", engine_process.ALL))
+    fuel, everyone = cases.index(("replay", "S(1){1}")), cases.index(("replay", engine_process_figures.ALL))
     still = engine_process.process_work({**common, "drive": "constant", "seeds": [0]})["first"]
     moved = engine_process.process_work({**common, "drive": "step", "seeds": [0]})["first"]
     assert np.isinf(still[replay]).all()
     assert np.isfinite(moved[[fuel, everyone]]).any(axis=-1).all()
     assert np.isfinite(still[: len(cases) - 11]).any(axis=-1).all()  # offset, scaling, sign
+
+
+def test_who_is_accused_of_a_process_fault_is_told() -> None:
+    first = np.full((10, 2, 10), np.inf)
+    first[0, :, NAMES.index("M(4,2)")] = 5.0
+    first[1, 0, 0] = 5.0  # one run of two is not most
+    (sentence,) = engine_process_figures.told([0.05, 0.2], first)
+    assert sentence == "turbine-fouling of 5% is noticed by M(4,2) in most runs and laid to S(4){2}."
 
 
 def test_gains_are_those_of_the_designs() -> None:

@@ -1,0 +1,88 @@
+"""The cases of engine/process and their figures."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure as Drawing
+
+from fusion_sfdia.benchmarks.engine_campaign import DRIVES, Array, logic
+from fusion_sfdia.benchmarks.engine_campaign_figures import share_matrix
+from fusion_sfdia.benchmarks.engine_trials import NAMES
+from fusion_sfdia.benchmarks.plots import panels
+from fusion_sfdia.benchmarks.scenario import Figure
+from fusion_sfdia.models.marine_engine import SENSORS
+from fusion_sfdia.models.marine_engine_faults import PROCESS_FAULTS
+
+ATTACKS = {  # on a measurement from the onset on: what it reads then; sizes are ours
+    "offset": "too much by some thresholds of its own module",
+    "scaling": "too much by a factor, as much at full load",
+    "sign": "minus what it is",
+    "replay": "what it read in the seconds before",
+}
+ALL = "all sensors"  # replayed at once
+
+
+def process_cases(severities: list[float]) -> list[tuple[str, float]]:
+    """Kind and severity of the process faults."""
+    return [(kind, severity) for kind in PROCESS_FAULTS for severity in severities]
+
+
+def attack_cases() -> list[tuple[str, str]]:
+    """Kind and sensor of the attacks."""
+    return [*((kind, sensor) for kind in ATTACKS for sensor in SENSORS), ("replay", ALL)]
+
+
+def process_figure(severities: list[float], first: Array) -> Figure:
+    """Modules and sensors by process fault, from first firings (cases, B, N)."""
+
+    def draw() -> Drawing:
+        figure, axes = panels(["fired", "accused"], width=8.5, height=3.0)
+        fired, cases = np.isfinite(first), [f"{kind} {severity:.0%}" for kind, severity in process_cases(severities)]
+        share_matrix(axes[0], fired.mean(axis=1), cases, NAMES, ylabel="process fault")
+        share_matrix(axes[1], logic().isolated(fired).mean(axis=1), cases, tuple(SENSORS))
+        return figure
+
+    return Figure(
+        "process",
+        "Process faults: modules that fire and sensors accused",
+        "Share of runs in which a module has fired (left) and a sensor, all of them healthy, is accused (right) at the end. "
+        "Dark: all runs.",
+        draw,
+        "Matrices of process fault against modules that fired and against sensors accused",
+    )
+
+
+def attack_figure(drive: str, first: Array) -> Figure:
+    """Detection and isolation by attack, from first firings (cases, B, N)."""
+    fired = np.isfinite(first[: len(ATTACKS) * len(SENSORS)]).reshape(len(ATTACKS), len(SENSORS), -1, len(NAMES))
+    isolated = logic().isolated(fired)
+    right = np.stack([isolated[:, i, :, i] for i in range(len(SENSORS))], axis=1)
+
+    def draw() -> Drawing:
+        figure, axes = panels(["detected", "attacked sensor accused", "accused alone"], columns=3, width=10.0, height=2.2)
+        alone = right & (isolated.sum(axis=-1) == 1)
+        for panel, values in zip(axes, (fired.any(axis=-1), right, alone), strict=True):
+            share_matrix(panel, values.mean(axis=-1), tuple(ATTACKS), tuple(SENSORS))
+        return figure
+
+    return Figure(
+        f"attacks-{drive}",
+        f"Attacks on one measurement: {DRIVES[drive]}",
+        "Share of runs in which any module has fired, the attacked sensor is accused, no other is, at the end. Dark: all runs.",
+        draw,
+        "Matrices of the kind of attack against the attacked sensor: detected, accused, accused alone",
+    )
+
+
+def told(severities: list[float], first: Array) -> list[str]:
+    """Of each process fault that is noticed: what fires and who is accused in most runs, in a sentence."""
+    sentences = []
+    for (kind, severity), fired in zip(process_cases(severities), np.isfinite(first), strict=True):
+        modules = [name for name, share in zip(NAMES, fired.mean(axis=0), strict=True) if share > 0.5]
+        accused = [name for name, share in zip(SENSORS, logic().isolated(fired).mean(axis=0), strict=True) if share > 0.5]
+        if modules:
+            sentences.append(
+                f"{kind} of {severity:.0%} is noticed by {', '.join(modules)} in most runs and laid to "
+                f"{', '.join(accused) or 'no sensor'}."
+            )
+    return sentences
