@@ -26,7 +26,7 @@ from fusion_sfdia.benchmarks.engine_noise_figures import (
 )
 from fusion_sfdia.benchmarks.engine_published import DELAYS, Delay, Offset
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row, timeline
-from fusion_sfdia.benchmarks.findings import pick, span
+from fusion_sfdia.benchmarks.findings import listed, pick, span
 from fusion_sfdia.benchmarks.scenario import (
     Arrays,
     Row,
@@ -154,6 +154,9 @@ def _remarks(levels: list[float], found: Found, rows: list[Row]) -> list[str]:
         f"Alarms before the onset: {sum(r.value for r in early):.0f} in {sum(r.n for r in early)} runs.",
         f"Missed by the own module, and by all other agents. {'. '.join(told)}.",
         f"Own modules that detect the fault do so within {span(late)} s.",
+        "Means over the levels by fault, P^U "
+        f"{listed(pick(rows, metric='isolation_performance_percent'), 'fault')} %; P^E "
+        f"{listed(pick(rows, metric='exoneration_performance_percent'), 'fault')} %.",
         "Table VI has delays beyond 89 s of other modules at 6 % noise, more than a run has after the onset.",
     ]
 
