@@ -72,13 +72,10 @@ class Areas:
                 f"differently: its factor is {self.matrices[j, 0, 0]:g} there, {self.shared_gain[s]:g} here; give both the same"
             )
 
-    @cached_property
+    @property
     def opposite(self) -> Array:
         """(2E,): the side at the other end of each side's tie."""
-        pairs = np.argsort(self.network.topology.link, kind="stable").reshape(-1, 2)
-        other = np.empty(pairs.size, dtype=np.int64)
-        other[pairs] = pairs[:, ::-1]
-        return other
+        return self.network.topology.opposite
 
     @property
     def size(self) -> tuple[int, int, int]:

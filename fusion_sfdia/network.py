@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +98,34 @@ class Topology:
         """(N + 1,): the sides of node i are those from start[i] to start[i + 1]."""
         return np.concatenate([[0], np.cumsum(np.bincount(self.node, minlength=len(self.names)))])
 
+    @cached_property
+    def opposite(self) -> Array:
+        """(2E,): the side at the other end of each side's link."""
+        place: Array = np.empty_like(self._order)
+        place[self._order] = np.arange(place.size)
+        other: Array = place[(self._order + len(self.links)) % max(place.size, 1)]
+        return other
+
+    def sides(self, nodes: Array) -> tuple[Array, Array]:
+        """All sides of some nodes (M,), one node after the other, and where each begins among them (M,)."""
+        count = self.start[nodes + 1] - self.start[nodes]
+        first = np.cumsum(count) - count
+        return np.repeat(self.start[nodes] - first, count) + np.arange(count.sum()), first
+
+
+class Change(NamedTuple):
+    """What becomes of a network when nodes join or leave it: only this.
+
+    nodes, plugged (M,): those that join (True) or leave. sides, closed (K,): where links close (True) or open. touched: the
+    nodes at these sides, in the order of their positions.
+    """
+
+    nodes: Array
+    plugged: Array
+    sides: Array
+    closed: Array
+    touched: Array
+
 
 @dataclass(frozen=True, eq=False)
 class Network:
@@ -138,28 +166,40 @@ class Network:
         at = self.topology
         return tuple(at.names[j] for j in at.neighbour[self.sides(at.index(name))])
 
-    def switched(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Network:
-        """The network after nodes joined and left it, all at once.
+    def change(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:
+        """What changes when nodes join and leave, all at once, at a cost of their links alone.
 
         ValueError for an unknown node, one named twice, one to plug in that is plugged in, one to unplug that is not, or
         nothing to do.
         """
-        joins, leaves = tuple(plug_in), tuple(unplug)
+        at, joins, leaves = self.topology, tuple(plug_in), tuple(unplug)
         if not joins and not leaves:
             raise ValueError("no node to plug in or to unplug; name at least one")
         require_unique("nodes to plug in and to unplug", (*joins, *leaves))
-        plugged = self.plugged.copy()
-        for names, value in ((joins, True), (leaves, False)):
-            for name in names:
-                i = self.topology.index(name)
-                if plugged[i] == value:
-                    raise ValueError(f"node {name!r} is {'plugged in' if value else 'unplugged'} already; leave it out")
-                plugged[i] = value
-        return Network(self.topology, plugged)
+        wanted = {at.index(name): value for names, value in ((joins, True), (leaves, False)) for name in names}
+        for i, value in wanted.items():
+            if self.plugged[i] == value:
+                raise ValueError(f"node {at.names[i]!r} is {'plugged in' if value else 'unplugged'} already; leave it out")
+        nodes = np.array(sorted(wanted))
+        plugged = np.array([wanted[i] for i in nodes.tolist()])
+        own = at.sides(nodes)[0]
+        sides = np.unique(np.concatenate([own, at.opposite[own]]))
+        both = np.ones(sides.size, bool)
+        for ends in (at.node[sides], at.neighbour[sides]):
+            place = np.minimum(np.searchsorted(nodes, ends), nodes.size - 1)
+            both &= np.where(nodes[place] == ends, plugged[place], self.plugged[ends])
+        other = both != self.closed[sides]
+        return Change(nodes, plugged, sides[other], both[other], np.unique(at.node[sides[other]]))
 
-    def touched(self, after: Network) -> Array:
-        """Positions of the nodes that have other closed links in `after`, a network of the same topology."""
-        return np.unique(self.topology.node[self.closed != after.closed])
+    def switched(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Network:
+        """The network after nodes joined and left it, all at once; ValueError as of `change`."""
+        return self.after(self.change(plug_in=plug_in, unplug=unplug))
+
+    def after(self, change: Change) -> Network:
+        """The network after a change of it."""
+        plugged = self.plugged.copy()
+        plugged[change.nodes] = change.plugged
+        return Network(self.topology, plugged)
 
 
 def listed(names: Sequence[str]) -> str:

@@ -9,13 +9,16 @@ from fusion_sfdia.models.power_network_equations import STATES
 from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel
 
 
-def network_areas(model: NetworkModel) -> Areas:
-    """The areas of a network, their neighbours' angles held over a step, as local diagnosers have to take it."""
+def network_areas(model: NetworkModel, *, named: bool = True) -> Areas:
+    """The areas of a network, their neighbours' angles held over a step, as local diagnosers have to take it.
+
+    named: False leaves out the names of states and owners, which take longer and more memory than all numbers together.
+    """
     at, n = model.network.topology, len(model.names)
     return Areas(
         network=model.network,
-        states=tuple(tuple(f"{s}_{i}" for s in STATES) for i in model.names),
-        owners=tuple(f"area {i}" for i in model.names),
+        states=tuple(tuple(f"{s}_{i}" for s in STATES) for i in model.names if named),
+        owners=tuple(f"area {i}" for i in model.names if named),
         matrices=model.area,
         slope=model.side_slope,
         shared_gain=model.area[at.neighbour, 0, 0],

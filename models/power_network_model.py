@@ -126,9 +126,10 @@ class NetworkModel:
 
         Area by area only the rows of these areas and of their neighbours change; all others keep their bits.
         """
-        network = self.network.switched(plug_in=plug_in, unplug=unplug)
-        slope = np.where(network.closed, self.parameters.side_slope, 0.0)
-        return self._changed(self.network.touched(network), network=network, side_slope=slope)
+        change = self.network.change(plug_in=plug_in, unplug=unplug)
+        slope = self.side_slope.copy()
+        slope[change.sides] = np.where(change.closed, self.parameters.side_slope[change.sides], 0.0)
+        return self._changed(change.touched, network=self.network.after(change), side_slope=slope)
 
     def altered(self, area: str, **constants: float) -> NetworkModel:
         """The model with other constants of one area, such as governor_time=1000.0; ValueError for what is no constant."""
@@ -145,8 +146,14 @@ class NetworkModel:
 
     def _changed(self, rows: Array, **changes: Any) -> NetworkModel:
         after = replace(self, **changes, area=self.area.copy())
-        after.area[rows] = equations.hold(equations.area_matrices(after.stiffness[rows], after.constants[rows]), self.dt)
+        after.area[rows] = after.rows(rows)
         return after
+
+    def rows(self, areas: Array) -> Array:
+        """(M, 4, 6) rows of `area`, from the constants and slopes of these areas (M,) alone."""
+        sides, first = self.network.topology.sides(areas)
+        stiff = np.add.reduceat(self.side_slope[sides], first) if areas.size else np.empty(0)
+        return np.asarray(equations.hold(equations.area_matrices(stiff, self.constants[areas]), self.dt))
 
     @cached_property
     def continuous(self) -> tuple[Array, Array, Array]:

@@ -23,6 +23,10 @@ def test_sides_are_the_links_seen_from_both_ends() -> None:
         assert topology.neighbour[own].tolist() == expected
         for side in own:
             assert set(links[topology.link[side]].tolist()) == {i, int(topology.neighbour[side])}
+            other = topology.opposite[side]
+            assert other != side and topology.link[other] == topology.link[side] and topology.node[other] != i
+    sides, first = topology.sides(np.array([7, 3]))
+    np.testing.assert_array_equal(topology.node[sides], np.repeat([7, 3], [first[1], sides.size - first[1]]))
 
 
 def test_a_link_is_closed_while_both_ends_are_plugged_in() -> None:
@@ -46,9 +50,23 @@ def test_several_nodes_switch_at_once() -> None:
 def test_touched_are_the_switched_node_and_its_neighbours() -> None:
     chain = Topology.joined("abcdef", [("a", "b"), ("b", "c"), ("c", "d"), ("d", "e"), ("e", "f")])
     whole = Network.of(chain)
-    assert [chain.names[i] for i in whole.touched(whole.switched(unplug=["c"]))] == ["b", "c", "d"]
+    assert [chain.names[i] for i in whole.change(unplug=["c"]).touched] == ["b", "c", "d"]
     away = Network.of(chain, unplugged=["c"])
-    assert [chain.names[i] for i in away.touched(away.switched(unplug=["d"]))] == ["d", "e"]  # the tie c-d was open
+    assert [chain.names[i] for i in away.change(unplug=["d"]).touched] == ["d", "e"]  # the tie c-d was open
+
+
+def test_a_change_is_what_differs_afterwards() -> None:
+    rng, network = np.random.default_rng(1), Network.of(SQUARE)
+    for _ in range(30):
+        chosen = [SQUARE.names[i] for i in rng.permutation(4)[: rng.integers(1, 4)]]
+        joins = [name for name in chosen if not network.plugged[SQUARE.index(name)]]
+        leaves = [name for name in chosen if name not in joins]
+        change, after = network.change(plug_in=joins, unplug=leaves), network.switched(plug_in=joins, unplug=leaves)
+        np.testing.assert_array_equal(change.nodes, np.flatnonzero(network.plugged != after.plugged))
+        np.testing.assert_array_equal(change.sides, np.flatnonzero(network.closed != after.closed))
+        np.testing.assert_array_equal(change.closed, after.closed[change.sides])
+        np.testing.assert_array_equal(change.touched, np.unique(SQUARE.node[change.sides]))
+        network = after
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,49 @@
+"""A power network of any size that changes while it runs: areas join and leave at a cost that their number does not raise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from fusion_sfdia.areas import Areas
+from fusion_sfdia.models.power_network_diagnosis import network_areas
+from fusion_sfdia.models.power_network_model import NetworkModel
+from fusion_sfdia.network import Change, Network
+
+
+class RunningNetwork:
+    """A model in arrays of its own, which `switch` changes in place: where a change touches them and nowhere else.
+
+    Elsewhere a change gives another model and leaves the one before, at the price of a copy; here there is one, for networks
+    whose copies take longer than a step. The model it is made of stays as it is.
+    areas: what the diagnosers know, without names of their states; the same arrays, so it is always that of now.
+    """
+
+    def __init__(self, model: NetworkModel) -> None:
+        network = Network(model.network.topology, model.network.plugged)
+        network.plugged.flags.writeable = True  # a copy, and nobody else's
+        self._model = replace(model, network=network, area=model.area.copy(), side_slope=model.side_slope.copy())
+        self.areas: Areas = network_areas(self._model, named=False)
+
+    @property
+    def model(self) -> NetworkModel:
+        """The model of now, in the arrays that the next switch changes."""
+        return replace(self._model)
+
+    def switch(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:
+        """Let areas join and leave, all at once, after the step at which they do; what changed.
+
+        The diagnosers go on with their state: a copy whose tie closes starts from its first reading. ValueError as of
+        Network.change, and then nothing has changed.
+        """
+        now, network = self._model, self._model.network
+        change = network.change(plug_in=plug_in, unplug=unplug)
+        network.plugged[change.nodes] = change.plugged
+        network.closed[change.sides] = change.closed
+        now.side_slope[change.sides] = np.where(change.closed, now.parameters.side_slope[change.sides], 0.0)
+        now.area[change.touched] = now.rows(change.touched)
+        theirs, _ = network.topology.sides(change.touched)
+        self.areas.shared_gain[network.topology.opposite[theirs]] = now.area[network.topology.node[theirs], 0, 0]
+        return change
