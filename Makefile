@@ -3,7 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 WORKERS ?= 2
-DEMO ?= pipeline/estimation pipeline/roc pipeline/isolation pipeline/accuracy pipeline/accommodation pipeline/units
+DEMO ?= pipeline/estimation pipeline/roc pipeline/isolation pipeline/accuracy pipeline/accommodation pipeline/units \
+	engine/three-faults engine/virtual-sensors
 DEMO_OUT ?= demo-report
 DEMO_ARGS ?= --set steps=150
 BENCH_ARGS ?=
