@@ -26,7 +26,7 @@ FALSE_ALARM = 1e-3  # per step over all sensors, of every detector here
 CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign
 CALIBRATION_STEPS = 360
 WARM_UP = 60  # samples: the printed filters are slow to forget how they began
-CHEBYSHEV_ALPHA = 5.0  # alarms of a component falsely at most 1/25, and 6e-7 of Gaussian noise
+CHEBYSHEV_ALPHA = 5.0  # a component alarms falsely in at most 1/25 of all steps, of Gaussian noise in 6e-7
 PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 reckons in MPa, kg/s, K: its residual (20) adds them as they are
 
 PAPER_FILTERS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(redraw=False), "enkf": Ensemble()}

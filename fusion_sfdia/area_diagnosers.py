@@ -13,7 +13,7 @@ from fusion_sfdia.areas import Areas
 from fusion_sfdia.batch_detector import Moment
 from fusion_sfdia.consensus import Diagnosers, beginners, foretell, take
 from fusion_sfdia.consensus_equations import UNKNOWN
-from fusion_sfdia.plant import Plant
+from fusion_sfdia.plant import Plant, diagonal
 from fusion_sfdia.present_readings import Outlook, Taken
 
 Array = NDArray[Any]
@@ -50,9 +50,21 @@ class AreaDiagnosers:
     def _scale(self) -> Array:
         return np.broadcast_to(self.plant.sensor_scale, self._place.shape)
 
+    def at_sides(self, sides: Array) -> Array:
+        """(N,): the sensors that read at the sides chosen by (2E,)."""
+        count, n, _ = self.areas.size
+        chosen: Array = np.concatenate([np.zeros(count * n, bool), sides])[self._place]
+        return chosen
+
     def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]:
-        """Without knowledge, as B18, Algorithm 1: judged from the second reading on."""
-        return tuple(beginners(self.areas, batch))
+        """At the plant's x0 and initial covariance; copies at open ties know nothing."""
+        count, n, _ = self.areas.size
+        neighbour, closed = self.areas.network.topology.neighbour, self.areas.network.closed
+        x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
+        now = beginners(self.areas, batch)
+        now.held[...], now.doubt[...] = x0, sigma
+        now.held_shared[...], now.doubt_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
+        return tuple(now)
 
     def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
         count = self.areas.size[0]

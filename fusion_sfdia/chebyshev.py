@@ -8,7 +8,7 @@ other has one (present_readings). Sensors are isolated by the sizes of a constan
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.area_diagnosers import AreaDiagnosers
-from fusion_sfdia.arguments import floats, number, shown, whole
+from fusion_sfdia.arguments import floats, number, probability, shown, whole
 from fusion_sfdia.batch_detector import BatchDetector, Moment
 from fusion_sfdia.bias_hypotheses import Evidence, explain
 from fusion_sfdia.consensus import MODES
-from fusion_sfdia.detector import Decision, State
+from fusion_sfdia.detector import Decision, State, run
 from fusion_sfdia.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.exclusion import Exclusion, exclude, nobody, watch
 from fusion_sfdia.present_readings import Outlook, PresentReadings, Taken
-from fusion_sfdia.threshold_rules import CONFORMAL, alpha_for, require_alpha, require_rule
+from fusion_sfdia.threshold_rules import CONFORMAL, alpha_for, conformal_alpha, require_alpha, require_rule
 from fusion_sfdia.ukf import SigmaPoints
 
 Array = NDArray[Any]
@@ -176,3 +176,21 @@ class Chebyshev(BatchDetector):
         sensor, size = np.full(rows.shape, -1), np.full(rows.shape, np.nan)
         sensor[rows], size[rows] = found.sensor, found.size
         return sensor, size
+
+
+def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> Chebyshev:
+    """Return the detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
+
+    t (K,), y (K, ..., N), u (K, ..., m). Each sensor has its share of what its diagnoser may alarm falsely in a step; the
+    first `warm_up` samples are left out. ValueError where there are too few of them.
+    """
+    plain = replace(detector, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
+    whole("warm_up", warm_up, least=0)
+    probability("false_alarm", false_alarm)
+    t, y = floats("t", t), floats("y", y)
+    if t.ndim != 1 or not t.size or y.ndim < 2:
+        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; wanted at least one time (K,) and readings (K, ..., sensors)")
+    _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - detector.plant.dt), t, y, u)
+    scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
+    alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(detector.components)]
+    return replace(detector, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None)

@@ -1,0 +1,329 @@
+"""The detector of stochastic thresholds: laws of its residuals, claims of its rules, isolation, readings that do not exist."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from toy_plants import chain, readings, tanks
+
+from fusion_sfdia.bias_hypotheses import Evidence, explain
+from fusion_sfdia.chebyshev import Chebyshev, calibrated
+from fusion_sfdia.consensus import Diagnosers, foretell, take
+from fusion_sfdia.detector import Decision, run
+from fusion_sfdia.estimators import Extended, Unscented
+from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.marine_engine import marine_engine
+from fusion_sfdia.models.power_network import power_network
+from fusion_sfdia.monte_carlo import MonteCarlo
+from fusion_sfdia.plant import Array, Plant
+from fusion_sfdia.simulate import simulate
+from fusion_sfdia.threshold_rules import false_alarm_of
+
+RUNS, STEPS, SETTLED = 300, 40, 10
+WATCHING = {"accommodate": False}
+
+
+@cache
+def network() -> Plant:
+    return power_network(loads=(), noise="lit")
+
+
+@cache
+def healthy(name: str, runs: int = RUNS) -> tuple[Array, Array, Array]:
+    """t (K,), y (K, B, N), u (K, B, m) of the plant's own model."""
+    if name == "network":
+        r = simulate(network(), STEPS, range(runs), truth="model", process_noise=True)
+        return r.t, r.y, np.broadcast_to(r.u[:, None], (STEPS, runs, r.u.shape[-1]))
+    t, _, y, u = readings({"chain": chain, "tanks": tanks}[name](), STEPS, runs, seed=1)
+    return t, y, u
+
+
+def plant_of(name: str) -> Plant:
+    return network() if name == "network" else {"chain": chain, "tanks": tanks}[name]()
+
+
+def decisions(detector: Chebyshev, data: tuple[Array, Array, Array], batch: tuple[int, ...] | None = None) -> Decision:
+    t, y, u = data
+    return run(detector, detector.init(y.shape[1:-1] if batch is None else batch), t, y, u)[1]
+
+
+# Of M squares of unit normals the root of the mean has the standard error 1 / sqrt(2 M); neighbouring times correlate, so M
+# counts the runs alone: five of them for the largest of up to 94 components.
+ERROR = 5 / np.sqrt(2 * RUNS)
+
+
+@pytest.mark.parametrize("name", ["chain", "tanks", "network"])
+@pytest.mark.parametrize("lam", [0.0, 0.3, 0.9])
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_the_deviation_dominates_and_the_residual_has_no_mean(name: str, lam: float, missing: float) -> None:
+    t, y, u = healthy(name)
+    y = np.where(np.random.default_rng(9).random(y.shape) < missing, np.nan, y)
+    detector = Chebyshev(plant_of(name), lam=lam, rule="gaussian", alpha=1.0, **WATCHING)
+    d = decisions(detector, (t, y, u))
+    z = (d.residual / d.threshold)[SETTLED:]
+    spread = np.sqrt(np.nanmean(z**2, axis=(0, 1)))
+    assert np.all(spread < 1 + ERROR)
+    if lam == 0.0 and not missing:
+        assert np.all(spread > 1 - ERROR), "without memory and with all readings s is the standard deviation itself"
+    # the mean over a run of residuals with a memory varies by at most its deviation: five standard errors of the runs
+    assert np.all(np.abs(np.nanmean(z, axis=(0, 1))) < 5 / np.sqrt(RUNS))
+
+
+def test_sigma_points_are_the_closed_form_where_the_physics_is_linear() -> None:
+    t, y, u = (a[:, :20] if a.ndim > 1 else a for a in healthy("chain"))
+    y = np.where(np.random.default_rng(3).random(y.shape) < 0.2, np.nan, y)
+    closed, points = (decisions(Chebyshev(chain(), moments=m, **WATCHING), (t, y, u)) for m in (Extended(), Unscented()))
+    for name in ("estimate", "residual", "threshold", "measured"):
+        # sigma points with alpha = 1e-3 magnify roundings of values near 1 by 1e6
+        np.testing.assert_allclose(getattr(points, name), getattr(closed, name), rtol=1e-7, atol=1e-7, err_msg=name)
+
+
+def test_random_draws_come_near_the_closed_form_and_are_reproducible() -> None:
+    t, y, u = (a[:, :3] if a.ndim > 1 else a for a in healthy("tanks"))
+    draws = 4000
+    detector = Chebyshev(tanks(), lam=0.0, moments=MonteCarlo(draws), **WATCHING)
+    drawn, points = decisions(detector, (t, y, u)), decisions(Chebyshev(tanks(), lam=0.0, **WATCHING), (t, y, u))
+    np.testing.assert_allclose(drawn.threshold, points.threshold, rtol=5 / np.sqrt(2 * draws))
+    # each mean has the standard error of its deviation, at most threshold / 2, over sqrt(draws), twice
+    assert np.all(np.abs(drawn.residual - points.residual) < 5 * points.threshold / np.sqrt(2 * draws))
+    again = decisions(detector, (t, y, u))
+    np.testing.assert_array_equal(again.residual, drawn.residual)
+    _, other = run(detector, detector.init((3,), seed=1), t, y, u)
+    assert np.any(other.residual != drawn.residual)
+
+
+@pytest.mark.parametrize("make", [marine_engine, gas_pipeline], ids=["engine", "pipeline"])
+def test_random_draws_run_on_nonlinear_plants(make: object) -> None:
+    plant = make()
+    r = simulate(plant, 5, [1])
+    d = decisions(Chebyshev(plant, moments=MonteCarlo(100)), (r.t, r.y[:, 0], r.u), ())
+    assert np.all(np.isfinite(d.estimate)) and not d.diverged.any() and np.all(np.isfinite(d.threshold))
+
+
+@pytest.mark.parametrize(
+    ("rule", "budget"), [("chebyshev", 0.2), ("cantelli", 0.5), ("cantelli-one-sided", 0.3), ("gaussian", 0.05)]
+)
+def test_each_diagnoser_keeps_its_budget_of_false_alarms(rule: str, budget: float) -> None:
+    detector = Chebyshev(network(), rule=rule, false_alarm=budget, **WATCHING)
+    d = decisions(detector, healthy("network"))
+    alarm = d.scores[SETTLED:] > 1
+    owners = np.array([s.owner for s in network().sensors])
+    for owner in np.unique(owners):
+        rate = np.mean(np.any(alarm[..., owners == owner], axis=-1))
+        assert rate <= budget + 5 * np.sqrt(budget / RUNS)  # times in a run correlate: the runs count
+    assert detector.components[owners == "area 4"].tolist() == [7] * 7  # four of its own, three neighbours
+    share = false_alarm_of(rule, float(detector.alphas[0])) * detector.components[0]
+    assert share == pytest.approx(budget)
+
+
+def test_a_gaussian_quantile_without_memory_is_exact() -> None:
+    d = decisions(Chebyshev(network(), lam=0.0, rule="gaussian", alpha=2.0, **WATCHING), healthy("network"))
+    rate, wanted = np.mean(d.scores[SETTLED:] > 1), false_alarm_of("gaussian", 2.0)
+    assert rate == pytest.approx(wanted, abs=5 * np.sqrt(wanted / RUNS / 15))  # areas err nearly independently
+
+
+def test_as_printed_shared_states_alarm_too_often() -> None:
+    """False alarms of angles in B18's setting grow with the number of areas that share them, 4.7 to 16 % of the steps."""
+    d = decisions(Chebyshev(network(), mode="paper", **WATCHING), healthy("network"))
+    c = decisions(Chebyshev(network(), **WATCHING), healthy("network"))
+    angle = np.array([s.measures.startswith("theta") for s in network().sensors])
+    printed, corrected = (np.mean(x.scores[SETTLED:] > 1, axis=(0, 1)) for x in (d, c))
+    np.testing.assert_array_equal(printed[~angle], corrected[~angle])
+    assert printed[angle].min() > 0.03 and printed[angle].max() > 0.14
+    assert corrected.max() < 0.012
+
+
+def test_conformal_thresholds_from_healthy_readings() -> None:
+    t, y, u = healthy("tanks")
+    detector = calibrated(Chebyshev(tanks(), **WATCHING), t, y[:, :200], u[:, :200], false_alarm=0.04, warm_up=5)
+    assert detector.rule == "conformal"
+    rate = np.mean(decisions(detector, (t, y[:, 200:], u[:, 200:])).scores[5:] > 1, axis=(0, 1))
+    assert np.all(rate <= 0.01 + 5 * np.sqrt(0.01 / 100)) and np.mean(rate) > 0.005
+    with pytest.raises(ValueError, match="give at least"):
+        calibrated(detector, t, y[:, :1], u[:, :1], false_alarm=1e-3)
+    with pytest.raises(ValueError, match="do not fit"):
+        calibrated(detector, t[:0], y[:0], u[:0])
+
+
+def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
+    t, y, u = (a[:, :2] if a.ndim > 1 else a for a in healthy("network"))
+    d = decisions(Chebyshev(network(), **WATCHING), (t, y, u))
+    areas = network_areas_of(network())
+    now = Diagnosers(*Chebyshev(network()).init((2,))[-8:])
+    for k in range(STEPS):
+        ahead = foretell(areas, now, u[k, :, :15], u[k, :, 15:], 0.3, "corrected")
+        now = take(ahead, y[k, :, :60].reshape(2, 15, 4), y[k, :, 60:])
+        both = np.concatenate([ahead.estimate.reshape(2, 60), ahead.estimate_shared], axis=-1)
+        np.testing.assert_array_equal(d.residual[k], y[k] - both)
+
+
+def network_areas_of(plant: Plant) -> object:
+    assert plant.areas is not None
+    return plant.areas
+
+
+@pytest.mark.parametrize("name", ["tanks", "network"])
+def test_a_run_in_a_batch_has_the_bits_it_has_alone(name: str) -> None:
+    t, y, u = (a[:, :4] if a.ndim > 1 else a for a in healthy(name))
+    y = y.copy()
+    y[20:30, 1, 0] += 100 * plant_of(name).sensor_sigma[0]
+    y[12, 2, :] = np.nan
+    y[15, 3, 1] = np.nan
+    detector = Chebyshev(plant_of(name), alpha=5.0)
+    together, square = (
+        decisions(detector, (t, y, u)),
+        decisions(detector, (t, y.reshape(STEPS, 2, 2, -1), u.reshape(STEPS, 2, 2, -1))),
+    )
+    for i in range(4):
+        alone = decisions(detector, (t, y[:, i], u[:, i]))
+        for f in fields(Decision):
+            one, many, grid = (getattr(x, f.name) for x in (alone, together, square))
+            if one is not None:
+                np.testing.assert_array_equal(one, many[:, i], err_msg=f.name)
+                np.testing.assert_array_equal(one, grid[:, i // 2, i % 2], err_msg=f.name)
+
+
+@pytest.mark.parametrize("name", ["chain", "tanks", "network"])
+def test_silence_of_all_sensors_passes(name: str) -> None:
+    t, y, u = (a[:, :5] if a.ndim > 1 else a for a in healthy(name))
+    y = y.copy()
+    y[8:30] = np.nan
+    d = decisions(Chebyshev(plant_of(name), alpha=5.0), (t, y, u))
+    assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.measured)) and not d.alarm.any()
+    if name == "network":  # the levels of the others run to rest, and are known better then than one reading tells
+        assert np.all(d.threshold[30] > d.threshold[9])
+    left = 0.3**9  # of the memory; what stands for the readings is as it was
+    assert np.all(d.threshold[39] <= d.threshold[7] * 1.01 + left * d.threshold[30])
+
+
+def partly_measured() -> Plant:
+    """The power network, of whose areas 2, 7 and 13 angle and speed are read alone."""
+    whole = network()
+    keep = [i for i, s in enumerate(whole.sensors) if s.name not in {f"{p}_{a}" for p in ("p_m", "p_v") for a in (2, 7, 13)}]
+    return replace(
+        whole,
+        sensors=tuple(whole.sensors[i] for i in keep),
+        output=lambda t, x, u: whole.output(t, x, u)[..., keep],
+        output_jacobian=lambda t, x, u: whole.output_jacobian(t, x, u)[keep],
+        finer=None,
+    )
+
+
+def test_areas_that_read_angle_and_speed_alone() -> None:
+    plant, whole = partly_measured(), network()
+    kept = [whole.sensor_index(name) for name in plant.sensor_names]
+    t, y, u = healthy("network")
+    d = decisions(Chebyshev(plant, rule="gaussian", alpha=1.0, **WATCHING), (t, y[..., kept], u))
+    full = decisions(Chebyshev(whole, rule="gaussian", alpha=1.0, **WATCHING), (t, y, u))
+    z = (d.residual / d.threshold)[SETTLED:]
+    assert np.all(np.sqrt(np.mean(z**2, axis=(0, 1))) < 1 + ERROR)
+    own = np.array([s.name in {f"{p}_{a}" for p in ("omega",) for a in (2, 7, 13)} for s in plant.sensors])
+    wider = d.threshold[-1, 0] / full.threshold[-1, 0, kept]
+    assert np.all(wider[own] > 1.0) and np.all(wider >= 1 - 1e-12) and wider.max() < 3
+    far = np.array([s.owner == "area 10" and s.name != "theta_7@10" for s in plant.sensors]) & (wider == 1.0)
+    np.testing.assert_array_equal(d.residual[..., far], full.residual[:, :, kept][..., far])
+    faulty = y[..., kept].copy()
+    i = plant.sensor_index("omega_7")
+    faulty[25:, :20, i] += 60 * plant.sensor_sigma[i]
+    found = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (t, faulty[:, :20], u[:, :20]))
+    assert np.mean(found.isolated[25:, :, i]) > 0.9
+
+
+def test_one_diagnoser_follows_states_that_nobody_reads() -> None:
+    plant = chain(6, sensors=4)  # sums of neighbours: no state is read directly
+    t, _, y, u = readings(plant, 60, RUNS, seed=4)
+    d = decisions(Chebyshev(plant, lam=0.0, rule="gaussian", alpha=1.0, moments=Extended(), **WATCHING), (t, y, u))
+    z = (d.residual / d.threshold)[20:]
+    np.testing.assert_allclose(np.sqrt(np.mean(z**2, axis=(0, 1))), 1.0, atol=ERROR)
+
+
+def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:
+    """Of two residuals the second sees the fault of the first ten times as large, after a step."""
+    M = np.array([[[0.5, 0.0], [-10.0, 0.0]]])
+    quiet, one = np.zeros((1, 2)), np.ones((1, 2))
+    before = Evidence(np.array([[2.0, 0.0]]), one, 3 * one)
+    now = Evidence(np.array([[1.0, 20.0]]), one, 3 * one)
+    found = explain(before, now, M, np.zeros((1, 2, 2)), np.array([[True, True]]))
+    # as the fault of sensor 2, fresh, 20 would be left unexplained nowhere; of sensor 1 a step ago it fits every residual
+    assert found.sensor[0] == 0 and found.size[0] == pytest.approx(2.0, abs=0.1)
+    assert 1.7 <= found.low[0] <= found.high[0] <= 2.3
+    none = explain(Evidence(quiet, one, 3 * one), Evidence(9 * one, one, 3 * one), 0 * M, np.zeros((1, 2, 2)), one > 0)
+    assert none.sensor[0] == -1, "two at once are none of these"
+
+
+@pytest.mark.parametrize("name", ["theta_4", "theta_4@3", "omega_9", "p_v_13", "p_m_1"])
+def test_faults_of_every_kind_of_reading_are_named_exactly(name: str) -> None:
+    plant = power_network(loads=(), noise="small")
+    r = simulate(plant, 45, range(20), truth="model", process_noise=True)
+    i, y = plant.sensor_index(name), r.y.copy()
+    y[25:, :, i] += 25 * plant.sensor_sigma[i]
+    d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (r.t, y, np.broadcast_to(r.u[:, None], (45, 20, 30))))
+    assert np.mean(d.isolated[25:, :, i]) > 0.95 and np.mean(np.delete(d.isolated, i, axis=-1)) < 1e-3
+    assert not d.isolated[:25].any()
+    size = np.nanmean(d.fault_size[40:, :, i]) / plant.sensor_sigma[i]
+    assert size == pytest.approx(25.0, abs=3.0)
+    error = (d.measured - r.y)[26:, :, i] / plant.sensor_sigma[i]
+    assert np.sqrt(np.mean(error**2)) < 12.5, "what stands for the reading is nearer to the truth than the reading"
+
+
+def test_a_fault_of_the_process_is_none_of_the_sensors() -> None:
+    plant = power_network(loads=(), noise="small")
+    r = simulate(plant, 30, range(10), truth="model", process_noise=True)
+    y = r.y.copy()
+    areas = [plant.sensor_index(n) for n in ("omega_4", "p_m_4", "p_v_4")]
+    y[20:, :, areas] += 1.0  # three states jump at once
+    d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (r.t, y, np.broadcast_to(r.u[:, None], (30, 10, 30))))
+    assert np.all(d.alarm[20]) and not d.isolated[20].any()
+
+
+def test_confirmations_wait() -> None:
+    t, y, u = (a[:, :1] if a.ndim > 1 else a for a in healthy("network"))
+    y, i = y.copy(), network().sensor_index("p_v_3")
+    y[20:, 0, i] += np.linspace(40, 160, 20) * network().sensor_sigma[i]  # grows: every step stands out
+    first = [
+        int(
+            np.argmax(
+                np.any(decisions(Chebyshev(network(), lam=0.0, alpha=5.0, confirmations=q), (t, y, u)).isolated[:, 0], -1)
+            )
+        )
+        for q in (1, 3)
+    ]
+    assert first[0] == 20 and first[1] >= 22
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"alpha": 1.0}, "must exceed 1"),
+        ({"alpha": np.nan}, "must exceed 1"),
+        ({"alpha": (2.0, 3.0)}, "wanted one number or one for each of 4 sensors"),
+        ({"false_alarm": 0.0}, "strictly between 0 and 1"),
+        ({"false_alarm": 1.5}, "strictly between 0 and 1"),
+        ({"alpha": 2.0, "false_alarm": 0.1}, "each follows from the other: give one"),
+        ({"lam": 1.0}, "lam is 1.0; wanted at least 0 and less than 1"),
+        ({"lam": -0.1}, "lam is -0.1"),
+        ({"mode": "printed"}, "mode is 'printed'; known: corrected, paper"),
+        ({"rule": "markov"}, "rule is 'markov'; known: chebyshev"),
+        ({"rule": "conformal"}, "needs alpha from healthy data"),
+        ({"moments": Unscented}, "estimator is"),
+        ({"moments": None}, "estimator is None"),
+        ({"confirmations": 0}, "confirmations is 0"),
+        ({"plant": None}, "wanted a Plant"),
+    ],
+)
+def test_settings_that_do_not_fit(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Chebyshev(**({"plant": tanks()} | settings))
+
+
+def test_areas_must_be_those_of_the_plant() -> None:
+    with pytest.raises(ValueError, match="its areas 60 states and 30 inputs"):
+        Chebyshev(replace(tanks(), areas=network_areas_of(network())))
+    sensors = tuple(replace(s, owner="area 9") if s.name == "theta_1@2" else s for s in network().sensors)
+    with pytest.raises(ValueError, match="a sensor of theta_1 is owned by 'area 9'"):
+        Chebyshev(replace(network(), sensors=sensors))
+    with pytest.raises(ValueError, match="whole number of at least 2"):
+        MonteCarlo(draws=1)

@@ -1,0 +1,85 @@
+"""Alarms from streams: against plain loops, what they promise, and what they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.confirmation import Consecutive, Cusum, WindowGlr, run
+from fusion_sfdia.threshold_rules import conformal_alpha
+
+TESTS = [Consecutive(2.0, q=3), Cusum(5.0), WindowGlr(4.0, window=5)]
+
+
+def test_against_plain_loops() -> None:
+    z = np.random.default_rng(0).standard_normal((60, 3))
+    rows, up, down, glr = np.zeros_like(z), np.zeros_like(z), np.zeros_like(z), np.zeros_like(z)
+    for k in range(60):
+        if k >= 2:
+            rows[k] = np.min(np.abs(z[k - 2 : k + 1]), axis=0)
+        up[k] = np.maximum((up[k - 1] if k else 0.0) + z[k] - 0.5, 0.0)
+        down[k] = np.maximum((down[k - 1] if k else 0.0) - z[k] - 0.5, 0.0)
+        glr[k] = np.max([np.abs(z[k - n + 1 : k + 1].sum(0)) / np.sqrt(n) for n in range(1, min(k + 1, 5) + 1)], axis=0)
+    np.testing.assert_array_equal(run(TESTS[0], z), rows)
+    np.testing.assert_array_equal(run(TESTS[1], z), np.maximum(up, down))
+    np.testing.assert_allclose(run(TESTS[2], z), glr, rtol=1e-12)  # sums in another order
+
+
+@pytest.mark.parametrize("test", TESTS, ids=lambda t: type(t).__name__)
+def test_streams_are_independent_and_gaps_change_nothing(test: Cusum) -> None:
+    z = np.random.default_rng(1).standard_normal((40, 2, 4))
+    together = run(test, z)
+    np.testing.assert_array_equal(together[:, 1, 2], run(test, z[:, 1, 2]))
+    gaps = np.insert(z, [5, 5, 20], np.nan, axis=0)
+    with_gaps = run(test, gaps)
+    gone = np.isnan(gaps[:, 0, 0])
+    np.testing.assert_array_equal(with_gaps[~gone], together)
+    assert not with_gaps[gone].any()
+    state = test.start((2, 4))
+    before = tuple(a.copy() for a in state)
+    test.step(state, z[0])
+    for a, b in zip(state, before, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_shift_is_found_sooner_by_sums_than_by_three_in_a_row() -> None:
+    rng, K, runs, onset = np.random.default_rng(2), 400, 300, 200
+    healthy = rng.standard_normal((K, runs))
+    shifted = rng.standard_normal((K, runs)) + np.where(np.arange(K) >= onset, 1.5, 0.0)[:, None]
+    delay = []
+    for test in TESTS:
+        level = conformal_alpha(run(test, healthy)[20:].ravel(), 1e-3)
+        after = run(test, shifted)[onset:] > level
+        assert np.mean(np.any(after, axis=0)) > 0.99
+        delay.append(np.mean(np.argmax(after, axis=0)))
+    assert max(delay[1:]) < delay[0]
+
+
+def test_consecutive_alarms_are_not_independent() -> None:
+    """Proposition 5 of B18 claims (1 / alpha^2)^q; shocks of three values with a memory break it, one alarm's bound holds."""
+    rng, alpha, lam, K = np.random.default_rng(3), 5.0, 0.3, 100_000
+    p = 1 / alpha**2 / 50
+    shock = rng.choice([-1.0, 0.0, 1.0], K, p=[p / 2, 1 - p, p / 2]) / np.sqrt(p)
+    residual, s = np.zeros(K), np.zeros(K)
+    for k in range(1, K):
+        residual[k], s[k] = lam * residual[k - 1] + shock[k], lam * s[k - 1] + 1.0
+    twice = run(Consecutive(alpha, q=2), residual[100:] / s[100:]) > alpha
+    once = np.mean(np.abs(residual / np.maximum(s, 1.0)) > alpha)
+    assert np.mean(twice) <= once <= 1 / alpha**2
+    # given an alarm, the next one is more than ten times as likely as alarms are
+    assert np.sum(twice) / (once * K) > 10 * once
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Consecutive(2.0, q=0), "q is 0; wanted a whole number of at least 1"),
+        (lambda: Consecutive(0.0), "level is 0"),
+        (lambda: Cusum(1.0, drift=-0.1), "drift is -0.1"),
+        (lambda: Cusum(np.inf), "level is inf"),
+        (lambda: WindowGlr(1.0, window=1.5), "window is 1.5"),
+    ],
+)
+def test_settings_that_mean_nothing(make: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()

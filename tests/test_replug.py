@@ -1,0 +1,173 @@
+"""Networks that change between two steps: what changes, what keeps its bits, what starts anew, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toy_plants import chain
+
+from fusion_sfdia.chebyshev import Chebyshev
+from fusion_sfdia.detector import Decision, State, run
+from fusion_sfdia.models.power_network import power_network
+from fusion_sfdia.models.power_network_model import network_model
+from fusion_sfdia.models.power_network_operation import Switch
+from fusion_sfdia.models.power_network_simulation import run_network
+from fusion_sfdia.plant import Array, Plant
+from fusion_sfdia.replug import replug
+from fusion_sfdia.storage import load_state, save_state
+
+RUNS, STEPS, AT = 10, 40, 20
+
+
+@cache
+def plant(*unplugged: str) -> Plant:
+    return power_network(loads=(), unplugged=unplugged)
+
+
+@cache
+def closed_loop(before: tuple[str, ...], switch: Switch) -> tuple[Array, Array, Array]:
+    """t (K,), y (K, B, N), u (K, B, m) of a network that switches after the readings of time AT."""
+    model = network_model(unplugged=before)
+    moments = list(run_network(model, STEPS, range(RUNS), loads=lambda t: np.zeros(15), switches=[switch]))[1:]
+    return np.array([m.t for m in moments]), np.stack([m.y for m in moments]), np.stack([m.u for m in moments])
+
+
+def until(detector: Chebyshev, data: tuple[Array, Array, Array]) -> State:
+    t, y, u = data
+    return run(detector, detector.init((RUNS,)), t[:AT], y[:AT], u[:AT])[0]
+
+
+def after(detector: Chebyshev, state: State, data: tuple[Array, Array, Array]) -> tuple[State, Decision]:
+    t, y, u = data
+    return run(detector, state, t[AT:], y[AT:], u[AT:])
+
+
+UNPLUG = ((), Switch(AT, unplug=("4",)), ("4",), {"3", "4", "5", "13"})
+PLUG_IN = (("15",), Switch(AT, plug_in=("15",)), (), {"14", "15"})
+
+
+@pytest.mark.parametrize(("before", "switch", "away", "touched"), [UNPLUG, PLUG_IN], ids=["4 leaves", "15 joins"])
+@pytest.mark.parametrize("mode", ["corrected", "paper"])
+def test_only_the_neighbours_change(
+    before: tuple[str, ...], switch: Switch, away: tuple[str, ...], touched: set[str], mode: str
+) -> None:
+    data, detector = closed_loop(before, switch), Chebyshev(plant(*before), mode=mode, alpha=8.0)
+    state = until(detector, data)
+    kept = tuple(a.copy() for a in state)
+    changed, moved = replug(detector, state, plant(*away))
+    for a, b in zip(state, kept, strict=True):
+        np.testing.assert_array_equal(a, b)
+    t, y, u = (a[AT] for a in data)
+    (_, old), (_, new) = detector.step(state, float(t), y, u), changed.step(moved, float(t), y, u)
+    theirs = np.array([s.measures.split("_")[-1] in touched for s in detector.plant.sensors])  # their states, wherever shared
+    for name in ("residual", "threshold"):
+        a, b = getattr(old, name), getattr(new, name)
+        np.testing.assert_array_equal(a[:, ~theirs], b[:, ~theirs], err_msg=name)
+        own = np.array([s.owner.split()[-1] in touched and s.name.startswith("omega") for s in detector.plant.sensors])
+        assert np.all(a[:, own] != b[:, own]), name
+
+
+@pytest.mark.parametrize(("before", "switch", "away", "touched"), [UNPLUG, PLUG_IN], ids=["4 leaves", "15 joins"])
+def test_a_replugged_detector_is_silent_and_goes_on_without_a_gap(
+    before: tuple[str, ...], switch: Switch, away: tuple[str, ...], touched: set[str]
+) -> None:
+    data, detector = closed_loop(before, switch), Chebyshev(plant(*before), alpha=8.0)
+    changed, state = replug(detector, until(detector, data), plant(*away))
+    _, d = after(changed, state, data)
+    assert not d.alarm.any() and not d.diverged.any()
+    open_now = np.isnan(data[1][-1, 0])
+    assert np.all(np.isinf(d.threshold[:, :, open_now])) and np.all(np.isfinite(d.threshold[:, :, ~open_now]))
+    assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.measured))
+    # the memory of the old network fades as 0.3^k, and then there is no difference to a detector that was always so
+    fresh = Chebyshev(plant(*away), alpha=8.0)
+    _, always = after(fresh, until(fresh, (data[0], np.where(open_now, np.nan, data[1]), data[2])), data)
+    np.testing.assert_allclose(d.residual[-1][:, ~open_now], always.residual[-1][:, ~open_now], atol=1.0 * 0.3**19)
+    _, blind = after(detector, until(detector, data), data)
+    seen = np.array([s.owner.split()[-1] in touched - {"4", "15"} for s in detector.plant.sensors]) & ~open_now
+    assert np.mean(blind.residual[..., seen] ** 2) > np.mean(d.residual[..., seen] ** 2), "without replug the model is wrong"
+
+
+def test_a_copy_that_joins_starts_from_its_first_reading() -> None:
+    before, switch, away, _ = PLUG_IN
+    t, y, u = closed_loop(before, switch)
+    y = y.copy()
+    joins = [plant().sensor_index(n) for n in ("theta_15@14", "theta_14@15")]
+    y[AT - 1, :, joins] += 0.5  # far off: its estimate until now says nothing
+    y[AT:, :, joins] += 0.5
+    detector = Chebyshev(plant(*before), lam=0.3, alpha=8.0, accommodate=False)
+    changed, state = replug(detector, until(detector, (t, y, u)), plant(*away))
+    _, d = after(changed, state, (t, y, u))
+    assert np.all(np.isfinite(d.threshold[0][:, joins])) and np.all(np.abs(d.residual[0][:, joins]) < 0.5)
+
+
+def test_a_sensor_held_faulty_is_forgotten_with_its_tie() -> None:
+    t, y, u = closed_loop((), UNPLUG[1])
+    y, i = y.copy(), plant().sensor_index("theta_4@3")
+    y[10:AT, :, i] += 0.3
+    detector = Chebyshev(plant(), lam=0.0, alpha=8.0)
+    state = until(detector, (t, y, u))
+    changed, moved = replug(detector, state, plant("4"))
+    assert np.all(state[7][:, i]) and not np.any(moved[7][:, i])
+    assert not after(changed, moved, (t, y, u))[1].alarm.any()
+
+
+def test_there_and_back_is_as_before_but_for_the_ties_that_were_open() -> None:
+    data, detector = closed_loop((), UNPLUG[1]), Chebyshev(plant(), alpha=8.0)
+    state = until(detector, data)
+    again, restored = replug(*replug(detector, state, plant("4")), plant())
+    ties = np.array(["4" in (s.measures.split("_")[1], s.owner.split()[1]) and "@" in s.name for s in plant().sensors])
+    assert again.diagnosis.areas.matrices.tobytes() == detector.diagnosis.areas.matrices.tobytes()
+    np.testing.assert_array_equal(restored[4][:, ~ties], state[4][:, ~ties])
+    for a, b in zip(restored[12:], state[12:], strict=True):
+        if a.ndim == 3:
+            np.testing.assert_array_equal(a, b)
+
+
+def test_a_state_is_saved_and_loaded_across_a_change(tmp_path: Path) -> None:
+    before, switch, away, _ = PLUG_IN
+    data, detector = closed_loop(before, switch), Chebyshev(plant(*before), alpha=8.0)
+    save_state(tmp_path / "before.npz", detector, until(detector, data))
+    changed, state = replug(detector, load_state(tmp_path / "before.npz", detector), plant(*away))
+    save_state(tmp_path / "after.npz", changed, state)
+    rebuilt = Chebyshev(power_network(loads=()), alpha=8.0)
+    _, resumed = after(rebuilt, load_state(tmp_path / "after.npz", rebuilt), data)
+    _, went_on = after(changed, state, data)
+    np.testing.assert_array_equal(resumed.residual, went_on.residual)
+    np.testing.assert_array_equal(resumed.threshold, went_on.threshold)
+
+
+def test_a_change_that_fails_leaves_all_as_it_was() -> None:
+    data, detector = closed_loop((), UNPLUG[1]), Chebyshev(plant(), alpha=8.0)
+    state = until(detector, data)
+    kept = tuple(a.copy() for a in state)
+    smaller = power_network(10, loads=())
+    names = {"states": plant().states, "sensors": plant().sensors}
+    other = power_network(15 + 1, loads=())
+    for wrong, message in (
+        (smaller, "has other states or sensors than"),
+        (other, "has other states or sensors than"),
+        (replace(plant(), areas=None), "says no areas"),
+        (replace(plant(), inputs=plant().inputs[:-1], **names), "30 inputs, references then loads"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replug(detector, state, wrong)
+    with pytest.raises(ValueError, match="this is no state of Chebyshev"):
+        replug(detector, state[:-1], plant("4"))
+    for a, b in zip(state, kept, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert np.all(np.isfinite(after(detector, state, data)[1].estimate))
+
+
+def test_one_diagnoser_takes_another_model() -> None:
+    slow, fast = chain(4), chain(4)
+    fast = replace(fast, step=lambda t, x, u, dt: 0.5 * x, step_jacobian=lambda t, x, u, dt: 0.5 * np.eye(4))
+    detector = Chebyshev(slow)
+    state, _ = detector.step(detector.init(), 1.0, np.ones(4), np.zeros(0))
+    changed, moved = replug(detector, state, fast)
+    _, d = changed.step(moved, 2.0, np.zeros(4), np.zeros(0))
+    _, other = detector.step(state, 2.0, np.zeros(4), np.zeros(0))
+    assert np.all(np.abs(d.residual) < np.abs(other.residual))
