@@ -89,7 +89,7 @@ def load_work(task: Task) -> Arrays:
     """
     detector = load_detector(task)
     t, u, signal = truth(task["duration"], task["drive"], task["change"])
-    onset = round(task["onset"] / detector.plant.dt)
+    onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
     biases = np.zeros((len(CASES), 1, len(SENSORS)))
     biases[1:, 0] = np.diag(sizes(engine_detector(task["detector"], task["noise"]), task["size"]))
     draws = noise(detector.plant, t.size, task["seeds"])

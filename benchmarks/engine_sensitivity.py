@@ -62,7 +62,7 @@ def sensitivity_work(task: Task) -> Arrays:
     biases = np.zeros((1 + len(own) * SIZES.size, 1, bound.size))  # the first is none
     for i, sensor in enumerate(own):
         biases[1 + i * SIZES.size : 1 + (i + 1) * SIZES.size, 0, sensor] = SIZES * bound[sensor]
-    onset = round(task["onset"] / detector.plant.dt)
+    onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
     draws = noise(detector.plant, t.size, task["seeds"])
     state, before = watch(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))

@@ -42,6 +42,9 @@ def test_a_campaign_runs_to_its_rows_and_figures(name: str) -> None:
         assert np.isnan(row.low) or row.low <= row.value <= row.high, row
     percent = [r for r in summary.rows if r.metric.endswith("performance_percent")]
     assert bool(percent) == (name == "engine/noise") and all(0 <= r.value <= 100 for r in percent if np.isfinite(r.value))
+    if name == "engine/load":  # no noise hides two thresholds at full load, and the fault is there from its onset on
+        delays = [r for r in summary.rows if r.metric == "detection_delay" and r.quantity == "constant, detector steady"]
+        assert len(delays) == 10 and all(r.value == 0 and r.n == 2 for r in delays)
     for figure in summary.figures:
         assert figure.draw().axes and figure.alt and figure.caption
     healthy = [r for r in summary.rows if r.detector == VALID and r.metric in ("false_alarms", "runs_with_false_alarm")]
