@@ -85,7 +85,7 @@ def delay_figure(levels: list[float], found: Found) -> Figure:
         for panel, sensor in zip(axes, FAULTS, strict=True):
             for i, group in enumerate((OWN, OTHERS)):
                 seen = [(100 * level, r) for level in levels if (r := found[sensor, group, level]).delay.n]
-                x, mean = [s[0] for s in seen], np.array([s[1].delay.value for s in seen])
+                x, mean = [s[0] + (-0.08, 0.08)[i] for s in seen], np.array([s[1].delay.value for s in seen])
                 reach = np.abs(np.array([[s[1].shortest for s in seen], [s[1].longest for s in seen]]) - mean)
                 panel.errorbar(x, mean, reach, color=COLOURS[i], marker="os"[i], markersize=4, capsize=3, lw=1, label=group)
                 stated = {level: p.value for level in levels if (p := published(sensor, group, level, "detection_delay"))}
