@@ -1,7 +1,7 @@
 """Sensor-fault detection, isolation and accommodation: three schools on one state-space interface.
 
 The names below are loaded when they are first used, so that importing the package is cheap. Where a name is that of a
-module too (simulate, discretise, diagnose, sivia), `fusion_sfdia.simulate` is always the function; the module's other names
+module too (simulate, discretise, diagnose, replug, sivia), `fusion_sfdia.simulate` is always the function; the module's other names
 come by `from fusion_sfdia.simulate import ...`.
 """
 
@@ -47,11 +47,13 @@ if TYPE_CHECKING:
     from fusion_sfdia.models.marine_engine import marine_engine as marine_engine
     from fusion_sfdia.models.two_tanks import two_tanks as two_tanks
     from fusion_sfdia.monotone import monotone_hull as monotone_hull
+    from fusion_sfdia.monte_carlo import MonteCarlo as MonteCarlo
     from fusion_sfdia.particle_filter import ParticleFilter as ParticleFilter
     from fusion_sfdia.pca import PrincipalComponents as PrincipalComponents
     from fusion_sfdia.physics import Block as Block
     from fusion_sfdia.physics import Physics as Physics
     from fusion_sfdia.plant import Plant as Plant
+    from fusion_sfdia.replug import replug as replug
     from fusion_sfdia.signals import Sensor as Sensor
     from fusion_sfdia.signals import Signal as Signal
     from fusion_sfdia.signatures import Agent as Agent
@@ -91,10 +93,12 @@ _MODULES = {
     "models.marine_engine": ("marine_engine",),
     "models.two_tanks": ("two_tanks",),
     "monotone": ("monotone_hull",),
+    "monte_carlo": ("MonteCarlo",),
     "particle_filter": ("ParticleFilter",),
     "pca": ("PrincipalComponents",),
     "physics": ("Block", "Physics"),
     "plant": ("Plant",),
+    "replug": ("replug",),
     "signals": ("Sensor", "Signal"),
     "signatures": ("Agent", "SignatureMatrix", "global_signatures", "local_signatures", "sensors_read", "signature_matrix"),
     "simulate": ("Recording", "simulate"),

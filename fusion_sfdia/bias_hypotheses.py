@@ -1,4 +1,4 @@
-"""Which sensor explains the residuals: for each, the sizes of a constant fault that leave every residual within its threshold.
+"""Which sensors explain the residuals: for each, the sizes of a constant fault that leave all it reaches within thresholds.
 
 A fault b of sensor i that began at some time changes the residuals of this step and of the last one by known shares of b:
 
@@ -7,9 +7,11 @@ A fault b of sensor i that began at some time changes the residuals of this step
     it began long ago      (1 - L)^-1 (1 - M) e_i at both
 
 where M is what the readings of the last step have in the expected ones, and L what its residuals have in the present ones.
-Each residual within its threshold of share b gives an interval of b; intersected over all residuals and both steps they are
-the sizes that explain everything. A sensor none of whose sizes does is excluded: if all are, the fault is none of these. Of
-those that are left the least sum of squares, in units of the deviations, has the name.
+Its reach is its own residual and those of which M or L depend on it: in a network, those of its area and of those who share.
+Each residual within its threshold of share b gives an interval of b; intersected over the reach and both steps they are the
+sizes that explain everything there. A sensor none of whose sizes does is excluded; if all are, the fault is none of these. Of
+those that are left and that explain an alarm the one with the largest log-likelihood ratio to no fault has the name, then the
+best of those whose reach does not touch that of the first, and so on: faults apart from each other are named at once.
 """
 
 from __future__ import annotations
@@ -31,36 +33,53 @@ class Evidence(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """The sensor (R,) that explains the residuals best, -1 where none does; the interval and the estimate of its fault (R,)."""
+    """Whether a sensor is named, and of the best hypothesis of each the interval and the estimate of its fault, (R, N) each."""
 
-    sensor: Array
+    named: Array
     low: Array
     high: Array
     size: Array
 
 
 def explain(before: Evidence, now: Evidence, from_readings: Array, from_residuals: Array, suspects: Array) -> Explanation:
-    """Explain R runs by one of the suspects (R, N) each; from_readings M and from_residuals L (R, N, N)."""
+    """Explain R runs by suspects (R, N); from_readings M and from_residuals L (R, N, N)."""
     one = np.broadcast_to(np.eye(suspects.shape[-1]), from_readings.shape)
+    reach = (one != 0) | (from_readings != 0) | (from_residuals != 0)
     fresh = one - from_readings
     lasting = np.linalg.solve(one - from_residuals, fresh)
-    found = [_sizes(before, now, *shares) for shares in ((0.0 * one, one), (one, fresh + from_residuals), (lasting, lasting))]
-    low, high, size, cost = (np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True))
-    cost = np.where((low <= high) & np.tile(suspects, 3), cost, np.inf)
-    best = np.argmin(cost, axis=-1)[:, None]
-    chosen = (np.take_along_axis(a, best, axis=-1)[:, 0] for a in (low, high, size))
-    explained = np.isfinite(np.take_along_axis(cost, best, axis=-1)[:, 0])
-    return Explanation(np.where(explained, best[:, 0] % suspects.shape[-1], -1), *chosen)
+    hypotheses = (0.0 * one, one), (one, fresh + from_residuals), (lasting, lasting)
+    found = [_sizes(before, now, *(np.where(reach, share, 0.0) for share in shares), reach) for shares in hypotheses]
+    low, high, size, gain = (np.stack(parts) for parts in zip(*found, strict=True))
+    explains = (low <= high) & ~((low <= 0) & (high >= 0))
+    gain = np.where(explains & suspects, gain, -np.inf)
+    best = np.argmax(gain, axis=0)[None]
+    low, high, size, gain = (np.take_along_axis(a, best, axis=0)[0] for a in (low, high, size, gain))
+    return Explanation(_apart(gain, reach), low, high, size)
 
 
-def _sizes(before: Evidence, now: Evidence, share_before: Array, share_now: Array) -> tuple[Array, Array, Array, Array]:
-    """(R, N) each: interval of the faults that explain the residuals, the best of them, and its sum of squares."""
+def _apart(gain: Array, reach: Array) -> Array:
+    """(R, N): the best, then the best of those whose reach does not touch that of one chosen."""
+    named = np.zeros(gain.shape, bool)
+    runs, gain = np.arange(len(gain)), gain.copy()
+    while np.any(gain > -np.inf):
+        best = np.argmax(gain, axis=-1)
+        found = gain[runs, best] > -np.inf
+        named[runs[found], best[found]] = True
+        touched = np.any(reach & reach[runs, :, best][:, :, None], axis=-2)
+        gain = np.where(touched & found[:, None], -np.inf, gain)
+    return named
+
+
+def _sizes(
+    before: Evidence, now: Evidence, share_before: Array, share_now: Array, reach: Array
+) -> tuple[Array, Array, Array, Array]:
+    """(R, N) each: interval of the faults that explain the residuals, the best of them, and twice its log-likelihood ratio."""
     residual, deviation, threshold = (np.concatenate(parts, axis=-1)[..., None] for parts in zip(before, now, strict=True))
     share = np.concatenate([share_before, share_now], axis=-2)
-    says = np.isfinite(residual) & np.isfinite(threshold)
+    says = np.isfinite(residual) & np.isfinite(threshold) & np.concatenate([reach, reach], axis=-2)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        ends = np.stack([(residual - threshold) / share, (residual + threshold) / share])
-        without = np.where(np.abs(residual) > threshold, np.nan, np.inf)  # of no share: explained already, or never
+        ends = (residual - threshold) / share, (residual + threshold) / share
+        without = np.where(np.abs(residual) > threshold, -np.inf, np.inf)  # of no share: explained already, or never
         least = np.where(share == 0.0, -without, np.minimum(*ends))
         most = np.where(share == 0.0, without, np.maximum(*ends))
     low = np.max(np.where(says, least, -np.inf), axis=-2)
@@ -70,5 +89,5 @@ def _sizes(before: Evidence, now: Evidence, share_before: Array, share_now: Arra
     square, product = np.sum(weight * share**2, axis=-2), np.sum(weight * share * value, axis=-2)
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.clip(product / square, low, high)
-    cost = np.sum(weight * value**2, axis=-2) - 2 * size * product + size**2 * square
-    return low, high, size, np.where(np.isfinite(cost), cost, np.inf)
+        gain = 2 * size * product - size**2 * square
+    return low, high, size, np.where(np.isfinite(gain), gain, -np.inf)

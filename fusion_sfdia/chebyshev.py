@@ -1,8 +1,9 @@
 """Detector: residuals of present readings with stochastic thresholds alpha s (Boem et al. 2018, "B18", sec. III).
 
 A plant that says its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
-other has one (present_readings). Sensors are isolated by the sizes of a constant fault that explain every residual
-(bias_hypotheses), left out, and readmitted when healthy again (exclusion).
+other has one (present_readings). Sensors are isolated by the sizes of a constant fault that explain every residual that it
+reaches (bias_hypotheses), left out, and readmitted when healthy again (exclusion). B18 isolates no sensors: there a diagnoser
+needs nothing of others but brackets and drives; who names a sensor reads the residuals of its area and of those who share.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ Array = NDArray[Any]
 
 CUBATURE = SigmaPoints(alpha=1.0, beta=0.0)
 PAPER_ALPHA, PAPER_LAMBDA = 2.0, 0.3  # B18, sec. VIII
+AT_ONCE = 32  # runs whose alarms are explained together
 READMISSION = 1e-3  # probability with which a sensor that is still faulty comes back: exp(-level) of the evidence
 
 
@@ -138,8 +140,8 @@ class Chebyshev(BatchDetector):
             trusted = np.isfinite(y) & ~exclusion.out
             rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
             if np.any(rows):
-                sensor, size = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
-                exclusion = exclude(exclusion, np.arange(y.shape[-1]) == sensor[..., None], size[..., None])
+                named, size = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
+                exclusion = exclude(exclusion, named, size)
         used = np.where(exclusion.out, np.nan, y)
         taken = self.diagnosis.take(outlook, used)
         decision = Decision(
@@ -168,14 +170,17 @@ class Chebyshev(BatchDetector):
         residual: Array,
         threshold: Array,
     ) -> tuple[Array, Array]:
-        """The sensor that explains each run, -1 for none, and the size of its fault."""
-        said = np.where(trusted, residual, np.nan)[rows]
-        earlier = Evidence(core[0][rows], core[1][rows] / self.limits, core[1][rows])
-        present = Evidence(said, threshold[rows] / self.limits, threshold[rows])
-        found = explain(earlier, present, *self.diagnosis.effects(core[8:], outlook, now, u, rows), trusted[rows])
-        sensor, size = np.full(rows.shape, -1), np.full(rows.shape, np.nan)
-        sensor[rows], size[rows] = found.sensor, found.size
-        return sensor, size
+        """Which sensors explain the runs chosen by `rows`, and the sizes of their faults (B, N)."""
+        named, size = np.zeros(trusted.shape, bool), np.full(trusted.shape, np.nan)
+        flat = np.flatnonzero(rows)
+        for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
+            few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
+            earlier = Evidence(core[0][few], core[1][few] / self.limits, core[1][few])
+            said = np.where(trusted[few], residual[few], np.nan)
+            present = Evidence(said, threshold[few] / self.limits, threshold[few])
+            found = explain(earlier, present, *self.diagnosis.effects(core[8:], outlook, now, u, few), trusted[few])
+            named[few], size[few] = found.named, found.size
+        return named, size
 
 
 def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> Chebyshev:

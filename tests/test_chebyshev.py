@@ -248,10 +248,13 @@ def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:
     now = Evidence(np.array([[1.0, 20.0]]), one, 3 * one)
     found = explain(before, now, M, np.zeros((1, 2, 2)), np.array([[True, True]]))
     # as the fault of sensor 2, fresh, 20 would be left unexplained nowhere; of sensor 1 a step ago it fits every residual
-    assert found.sensor[0] == 0 and found.size[0] == pytest.approx(2.0, abs=0.1)
-    assert 1.7 <= found.low[0] <= found.high[0] <= 2.3
-    none = explain(Evidence(quiet, one, 3 * one), Evidence(9 * one, one, 3 * one), 0 * M, np.zeros((1, 2, 2)), one > 0)
-    assert none.sensor[0] == -1, "two at once are none of these"
+    np.testing.assert_array_equal(found.named, [[True, False]])
+    assert found.size[0, 0] == pytest.approx(2.0, abs=0.1) and 1.7 <= found.low[0, 0] <= found.high[0, 0] <= 2.3
+    healthy, both = Evidence(quiet, one, 3 * one), Evidence(9 * one, one, 3 * one)
+    assert not explain(healthy, both, M, np.zeros((1, 2, 2)), one > 0).named[0, 0], "it would not have moved the other yet"
+    apart = explain(healthy, both, 0 * M, np.zeros((1, 2, 2)), one > 0)
+    np.testing.assert_array_equal(apart.named, [[True, True]])  # neither reaches the other: two faults
+    np.testing.assert_array_equal(apart.size, [[9.0, 9.0]])
 
 
 @pytest.mark.parametrize("name", ["theta_4", "theta_4@3", "omega_9", "p_v_13", "p_m_1"])
@@ -277,6 +280,16 @@ def test_a_fault_of_the_process_is_none_of_the_sensors() -> None:
     y[20:, :, areas] += 1.0  # three states jump at once
     d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (r.t, y, np.broadcast_to(r.u[:, None], (30, 10, 30))))
     assert np.all(d.alarm[20]) and not d.isolated[20].any()
+
+
+def test_faults_apart_from_each_other_are_named_at_once() -> None:
+    t, y, u = (a[:, :20] if a.ndim > 1 else a for a in healthy("network"))
+    y, faulty = y.copy(), [network().sensor_index(n) for n in ("omega_1", "p_v_9", "theta_13@14")]
+    for i in faulty:
+        y[25:, :, i] += 60 * network().sensor_sigma[i]
+    d = decisions(Chebyshev(network(), lam=0.0, alpha=5.0), (t, y, u))
+    assert np.mean(np.all(d.isolated[25, :, faulty], axis=0)) > 0.9
+    assert np.mean(d.isolated[25:][..., faulty]) > 0.95 and np.mean(np.delete(d.isolated, faulty, axis=-1)) < 1e-3
 
 
 def test_confirmations_wait() -> None:
