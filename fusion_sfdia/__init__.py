@@ -1,8 +1,8 @@
 """Sensor-fault detection, isolation and accommodation: three schools on one state-space interface.
 
 The names below are loaded when they are first used, so that importing the package is cheap. Where a name is that of a
-module too (simulate, discretise, diagnose, replug, sivia), `fusion_sfdia.simulate` is always the function; the module's other names
-come by `from fusion_sfdia.simulate import ...`.
+module too (simulate, discretise, diagnose, replug, sivia), `fusion_sfdia.simulate` is always the function; the module's other
+names come by `from fusion_sfdia.simulate import ...`.
 """
 
 import sys

@@ -48,7 +48,7 @@ def explain(before: Evidence, now: Evidence, from_readings: Array, from_residual
     fresh = one - from_readings
     lasting = np.linalg.solve(one - from_residuals, fresh)
     hypotheses = (0.0 * one, one), (one, fresh + from_residuals), (lasting, lasting)
-    found = [_sizes(before, now, *(np.where(reach, share, 0.0) for share in shares), reach) for shares in hypotheses]
+    found = [_sizes(before, now, np.where(reach, a, 0.0), np.where(reach, b, 0.0), reach) for a, b in hypotheses]
     low, high, size, gain = (np.stack(parts) for parts in zip(*found, strict=True))
     explains = (low <= high) & ~((low <= 0) & (high >= 0))
     gain = np.where(explains & suspects, gain, -np.inf)
