@@ -19,6 +19,8 @@ LAYERS = [
     | {"contractors", "expression", "interval", "interval_kernels", "monotone", "rounding", "sivia"},
     {"estimators"},
     {"bias_hypotheses", "confirmation", "consensus", "consensus_equations", "monte_carlo", "network_step", "threshold_rules"}
+    | {"fault_hypotheses"}
+    | {"network_part", "partitioned_network"}
     | {"algebraic_bounds", "corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
     {"data_driven", "fixed_limits", "pca"}
     | {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"}
@@ -26,7 +28,7 @@ LAYERS = [
     | {"adaptive_observer", "fault_memory", "virtual_sensors"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"codac_adapter", "diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},
-    {"cli"},
+    {"cli", "cli_runs"},
 ]  # fmt: skip
 ROOT = Path(__file__).resolve().parent.parent
 MODULES = {

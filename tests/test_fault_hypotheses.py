@@ -1,0 +1,259 @@
+"""Isolation over fault functions: the equations of the detection with other models, answers by hand, and what is guaranteed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.areas import Areas
+from fusion_sfdia.consensus import MODES, Diagnosers, beginners, foretell, take
+from fusion_sfdia.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED, FaultHypotheses, exclusion_alpha
+from fusion_sfdia.models.power_network_diagnosis import network_areas
+from fusion_sfdia.models.power_network_faults import fault_function
+from fusion_sfdia.models.power_network_model import network_model
+from fusion_sfdia.models.power_network_operation import AreaFault, conditions, load_profile
+from fusion_sfdia.models.power_network_parameters import load_steps
+from fusion_sfdia.models.power_network_simulation import run_network
+from fusion_sfdia.plant import Array
+
+MODEL = network_model(unplugged=["3"])  # area 4 has an open tie
+AREAS = network_areas(MODEL)
+LAM, AREA = 0.3, 3
+FAULTS = {
+    "slow governor": AreaFault("governor", "4", 1000.0),
+    "sign flip": AreaFault("input-gain", "4", -1.0),
+    "twice": AreaFault("input-gain", "4", 2.0),
+    "ten times": AreaFault("input-gain", "4", 10.0),
+    "lost load": AreaFault("load-loss", "4", 0.1),
+}
+SET = {name: fault_function(MODEL, fault) for name, fault in FAULTS.items()}
+
+
+def nothing(x: Array, u: Array, e: Array) -> Array:
+    return np.zeros(x.shape)
+
+
+def anything(runs: int, seed: int = 0) -> tuple[Diagnosers, Array, Array]:
+    """Diagnosers that have read everything once, and reference and load."""
+    rng = np.random.default_rng(seed)
+    empty = beginners(AREAS, (runs,))
+    own, shared = (rng.standard_normal(a.shape) for a in empty[:2])
+    start = take(foretell(AREAS, empty, np.zeros((runs, 15)), np.zeros((runs, 15)), LAM, "corrected"), own, shared)
+    reference, load = rng.standard_normal((2, runs, 15))
+    return start, reference, load
+
+
+def same_model(fault: AreaFault | None) -> Areas:
+    """The areas whose diagnosers know of the fault."""
+    if fault is None or fault.kind != "governor":
+        return AREAS
+    altered = MODEL.altered(fault.area, governor_time=fault.value)
+    return network_areas(altered)
+
+
+def as_known(fault: AreaFault | None, reference: Array, load: Array) -> tuple[Array, Array]:
+    reference, load = reference.copy(), load.copy()
+    if fault is not None and fault.kind == "input-gain":
+        reference[:, AREA] *= fault.value
+    if fault is not None and fault.kind == "load-loss":
+        load[:, AREA] -= fault.value
+    return reference, load
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("missing", [False, True])
+def test_each_hypothesis_is_the_diagnoser_that_knows_its_fault(mode: str, missing: bool) -> None:
+    """(24) to (28) are (5), (6), (14), (15), (17) for the model with the fault; without one, those of the detection."""
+    runs, everyone = 4, {"none": None} | FAULTS
+    observer = FaultHypotheses(AREAS, "4", {"none": nothing} | SET, lam=LAM, mode=mode)
+    start, reference, load = anything(runs)
+    state = observer.begin(observer.idle(runs), np.ones(runs, bool), start)
+    clean = start._replace(
+        residual=0 * start.residual, residual_shared=0 * start.residual_shared,
+        deviation=0 * start.deviation, deviation_shared=0 * start.deviation_shared,
+    )  # fmt: skip
+    knowing = dict.fromkeys(everyone, clean)
+    detection = clean
+    rng = np.random.default_rng(1)
+    there = AREAS.opposite[AREAS.network.topology.start[AREA] : AREAS.network.topology.start[AREA + 1]]
+    for _ in range(4):
+        own, shared = rng.standard_normal((runs, 15, 4)), rng.standard_normal(start.held_shared.shape)
+        shared[:, ~AREAS.network.closed] = np.nan
+        if missing:
+            own[1, AREA, 2], shared[2, there[0]] = np.nan, np.nan
+        state = observer.step(state, detection, reference, load, own, shared)
+        for place, (name, fault) in enumerate(everyone.items()):
+            areas = same_model(fault)
+            # what the area holds of its neighbours' angles is that of the detection, as B18 has no hypothesis of theirs
+            at = AREAS.network.topology
+            sides = np.arange(at.start[AREA], at.start[AREA + 1])
+            knows = knowing[name]
+            mixed = {k: np.array(getattr(knows, k)) for k in ("held_shared", "doubt_shared")}
+            for k, a in mixed.items():
+                a[:, sides] = getattr(detection, k)[:, sides]
+            ahead = foretell(areas, knows._replace(**mixed), *as_known(fault, reference, load), LAM, mode)
+            knowing[name] = knows = take(ahead, own, shared)
+            open_there = ~AREAS.network.closed[there]
+            for k in ("held", "doubt", "residual", "deviation"):
+                wanted = np.concatenate([getattr(knows, k)[:, AREA], getattr(knows, f"{k}_shared")[:, there]], axis=-1)
+                wanted[:, 4:][:, open_there] = found_open = getattr(state, k)[:, place, 4:][:, open_there]
+                assert np.all(np.isfinite(found_open))
+                # the derivatives are differences over 3e-3, so of the sums of some 10 terms up to 10 each they keep 1e-11
+                np.testing.assert_allclose(getattr(state, k)[:, place], wanted, rtol=1e-9, atol=1e-9, err_msg=f"{name}, {k}")
+        detection = knowing["none"]
+
+
+def test_a_curved_fault_function_counts_by_its_slope() -> None:
+    """phi = c x_2^2 in the row of p_m adds c y^2 to the estimate and (2 c y)^2 to the square of its slope by x_2."""
+    c = 0.7
+
+    def curved(x: Array, u: Array, e: Array) -> Array:
+        return np.stack([0 * u, 0 * u, c * x[..., 2] ** 2, 0 * u], axis=-1)
+
+    observer = FaultHypotheses(AREAS, "4", {"none": nothing, "curved": curved}, lam=LAM)
+    start, reference, load = anything(5)
+    begun = observer.begin(observer.idle(5), np.ones(5, bool), start)
+    estimate, deviation, _ = observer._foretell(begun, start, reference, load)
+    y, row = start.held[:, AREA, 2], AREAS.matrices[AREA, 2]
+    np.testing.assert_allclose(estimate[:, 1, 2] - estimate[:, 0, 2], c * y**2, rtol=1e-12, atol=1e-14)  # of estimates up to 10
+    more = ((row[2] + 2 * c * y) ** 2 - row[2] ** 2) * AREAS.noise[AREA, 2]
+    np.testing.assert_allclose(deviation[:, 1, 2] ** 2 - deviation[:, 0, 2] ** 2, more, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_fault_functions_are_what_the_faults_do(name: str) -> None:
+    rng = np.random.default_rng(2)
+    x, reference, load = rng.standard_normal((6, 15, 4)), rng.standard_normal((6, 15)), rng.standard_normal((6, 15))
+    faulty = conditions(MODEL, [FAULTS[name]])(0.0).step(x, reference, load)
+    added = SET[name](x[:, AREA], reference[:, AREA], MODEL.external(x[..., 0], load)[:, AREA])
+    # sums of 10 terms of both signs, of magnitude up to some 30
+    np.testing.assert_allclose(added, (faulty - MODEL.step(x, reference, load))[:, AREA], atol=1e-12)
+
+
+def observed(outcomes: Sequence[Sequence[bool]], **settings: Any) -> list[str]:
+    """The answers, step by step, when the residuals of each hypothesis exceed their thresholds or not as given."""
+    observer = FaultHypotheses(AREAS, "4", {f"h{i}": nothing for i in range(len(outcomes[0]))}, **settings)
+    start, reference, load = anything(1)
+    state = observer.begin(observer.idle(1), np.ones(1, bool), start)
+    said = []
+    for step in outcomes:
+        # each hypothesis gets a last residual of its own by what it held, so that one reading does what is wanted
+        estimate, deviation, _ = observer._foretell(state, start, 0 * reference, 0 * load)
+        own, shared = np.zeros((1, 15, 4)), np.where(AREAS.network.closed, 0.0, np.nan)[None]
+        own[0, AREA] = estimate[0, 0, :4]
+        shift = np.array([1.5 if beyond else 0.0 for beyond in step]) * observer.alpha * deviation[0, :, 1] / LAM
+        state = state._replace(held=np.broadcast_to(estimate[:, :1], state.held.shape).copy())
+        residual = np.zeros_like(state.residual)
+        residual[0, :, 1] = shift
+        state = state._replace(residual=residual)
+        expected, _, _ = observer._foretell(state, start, 0 * reference, 0 * load)
+        own[0, AREA] = expected[0, 0, :4]
+        own[0, AREA, 1] = expected[0, 0, 1] + LAM * shift[0]
+        state = observer.step(state, start, 0 * reference, 0 * load, own, shared)
+        said.append(observer.answers[int(observer.answer(state)[0])])
+    return said
+
+
+YES, NO = True, False
+
+
+def test_the_one_left_none_of_these_and_time_out() -> None:
+    p2 = {"confirmations": 2, "patience": 6}
+    assert observed([[NO, YES], [NO, YES], [NO, YES]], **p2) == [UNDECIDED, "h0", "h0"]
+    assert observed([[NO, YES], [NO, NO], [NO, YES], [NO, YES]], **p2) == [UNDECIDED] * 3 + ["h0"]
+    # the last one is named when its own residual is within its threshold, and excluded too if it is not
+    assert observed([[NO, YES], [YES, YES], [YES, YES]], **p2) == [UNDECIDED, UNDECIDED, NONE]
+    assert observed([[NO, YES], [YES, YES], [NO, YES]], **p2) == [UNDECIDED, UNDECIDED, "h0"]
+    # an answer is taken back within the patience, and stands after it
+    assert observed([[NO, YES]] * 3 + [[YES, NO]] * 2, **p2) == [UNDECIDED, "h0", "h0", UNDECIDED, NONE]
+    assert observed([[NO, YES]] * 6 + [[YES, NO]] * 3, **p2)[-4:] == ["h0"] * 4
+    assert observed([[NO, NO]] * 7, **p2) == [UNDECIDED] * 5 + [NOT_ISOLATED] * 2
+    assert observed([[NO, NO]] * 6 + [[NO, YES]] * 3, **p2)[-1] == NOT_ISOLATED
+    assert observed([[NO]] * 3, **p2) == [UNDECIDED, "h0", "h0"]
+
+
+def test_nothing_happens_before_the_start_or_without_a_reading() -> None:
+    observer = FaultHypotheses(AREAS, "4", SET, alpha=1.1, confirmations=1)
+    start, reference, load = anything(3)
+    state = observer.begin(observer.idle(3), np.array([False, True, True]), start)
+    own, shared = np.full((3, 15, 4), 50.0), np.full(start.held_shared.shape, np.nan)
+    own[2] = np.nan
+    after = observer.step(state, start, reference, load, own, shared)
+    assert after.excluded.any(axis=-1).tolist() == [False, True, False]
+    assert after.age.tolist() == [-1, 1, 1]
+    assert [observer.answers[a] for a in observer.answer(after)] == [UNDECIDED, NONE, UNDECIDED]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"faults": {}}, "no fault function"),
+        ({"faults": {"x": lambda x, u, e: x[..., :3]}}, r"'x' gives float64 \(3, 3\).*wanted 4 finite numbers"),
+        ({"faults": {"x": lambda x, u, e: np.zeros(4)}}, r"gives float64 \(4,\) for states \(3, 4\)"),
+        ({"faults": {"x": lambda x, u, e: x + np.nan}}, "finite"),
+        ({"faults": {"x": lambda x, u, e: x.astype(str)}}, "wanted 4 finite numbers"),
+        ({"faults": {NONE: nothing}}, "more than once"),
+        ({"area": "16"}, "unknown node '16'"),
+        ({"alpha": 0.9}, "must exceed 1"),
+        ({"rule": "conformal"}, "conformal"),
+        ({"lam": 1.0}, "lam is 1.0"),
+        ({"mode": "printed"}, "known: corrected, paper"),
+        ({"confirmations": 0}, "confirmations"),
+        ({"patience": 2}, "patience is 2; wanted a whole number of at least 3"),
+    ],
+)
+def test_settings_that_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FaultHypotheses(**({"areas": AREAS, "area": "4", "faults": SET} | change))
+
+
+def test_the_guarantee_is_one_alarm_for_each_block_of_confirmations() -> None:
+    """For all sequences of alarms: those that contain p in a row have an alarm at a multiple of p."""
+    for p, steps in product((1, 2, 3), (3, 7)):
+        for alarms in product((False, True), repeat=steps):
+            excluded = any(all(alarms[k : k + p]) for k in range(steps - p + 1))
+            at_multiples = sum(alarms[k] for k in range(p - 1, steps, p))
+            assert excluded <= at_multiples
+    alpha = exclusion_alpha("chebyshev", 0.05, 4, 30)
+    observer = FaultHypotheses(AREAS, "4", SET, alpha=alpha)
+    assert observer.false_exclusion() == pytest.approx(0.05, rel=1e-12)
+    assert observer.false_exclusion(2) == 0.0  # not excluded before the third step
+    assert observer.false_exclusion(3) == pytest.approx(0.005, rel=1e-12)
+    assert replace(observer, alpha=2.0).false_exclusion() == 1.0
+    assert replace(observer, mode="paper").false_exclusion() == 1.0
+
+
+def shares_excluded(noise: str, alpha: float, rule: str, confirmations: int, runs: int = 200) -> tuple[float, float]:
+    """In how many runs the true fault, a sign flip from 0 on, is excluded within 30 steps of the start; and the bound."""
+    model = network_model(noise=noise)
+    flip = AreaFault("input-gain", "5", -1.0)
+    areas = network_areas(model)
+    observer = FaultHypotheses(
+        areas, "5", {"flip": fault_function(model, flip)}, alpha=alpha, rule=rule, confirmations=confirmations
+    )
+    now, state = beginners(areas, (runs,)), observer.idle(runs)
+    loads = load_profile(model, load_steps("2"))
+    for moment in run_network(model, 35, range(runs), loads=loads, faults=[flip]):
+        load = np.broadcast_to(moment.load, moment.reference.shape)
+        state = observer.step(state, now, moment.reference, load, moment.own, moment.shared)
+        now = take(foretell(areas, now, moment.reference, load, LAM, "corrected"), moment.own, moment.shared)
+        if moment.t == 5.0:
+            state = observer.begin(state, np.ones(runs, bool), now)
+    assert state.age.tolist() == [30] * runs
+    return float(state.excluded[:, 0].mean()), observer.false_exclusion()
+
+
+@pytest.mark.parametrize("noise", ["lit", "small"])
+def test_the_true_fault_is_excluded_no_more_often_than_stated(noise: str) -> None:
+    """Residuals here are Gaussian, of a deviation at most s, so both rules hold; started at a fixed time."""
+    runs = 200
+    for rule, confirmations in (("chebyshev", 3), ("gaussian", 1)):
+        alpha = exclusion_alpha(rule, 0.2, 4, 30, confirmations)
+        share, bound = shares_excluded(noise, alpha, rule, confirmations, runs)
+        assert bound == pytest.approx(0.2, rel=1e-12)
+        assert share <= bound + 3 * np.sqrt(bound * (1 - bound) / runs)
