@@ -217,5 +217,9 @@ def step_areas(
         printed, matrices, slope, closed, process_variance, noise, shared_noise, start, opposite,
         h, h_shared, s, s_shared, d, d_shared,
     )  # fmt: skip
-    take_readings(own.ravel(), h.ravel(), d.ravel(), r.ravel(), s.ravel())
-    take_readings(shared.ravel(), h_shared.ravel(), d_shared.ravel(), r_shared.ravel(), s_shared.ravel())
+    size = own.size  # reshape, not ravel: of arrays in another order that would be a copy
+    take_readings(own.reshape(size), h.reshape(size), d.reshape(size), r.reshape(size), s.reshape(size))
+    size = shared.size
+    take_readings(
+        shared.reshape(size), h_shared.reshape(size), d_shared.reshape(size), r_shared.reshape(size), s_shared.reshape(size)
+    )

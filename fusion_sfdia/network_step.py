@@ -36,11 +36,15 @@ def network_step(
     if given != wanted:
         raise ValueError(f"what is held, own, shared, reference, load have the shapes {given}; wanted {wanted}")
     if out is None:
-        out = Diagnosers(*map(np.empty_like, state))
-    elif out.held.shape != state.held.shape or any(map(np.may_share_memory, out, state)):
-        raise ValueError("out is the state or of another size; give diagnosers of the same batch that are needed no more")
+        out = Diagnosers(*(np.empty(a.shape) for a in state))
+    elif any(
+        new.shape != a.shape or not new.flags.c_contiguous or np.may_share_memory(new, a)
+        for new, a in zip(out, state, strict=True)
+    ):
+        raise ValueError("out is the state or not like it; give what this function returned before and is needed no more")
+    before = Diagnosers(*map(_plain, state))
     consensus_equations.step_areas(
-        *state, _plain(reference), _plain(load), lam, mode == "paper", areas.matrices, areas.slope, areas.network.closed,
+        *before, _plain(reference), _plain(load), lam, mode == "paper", areas.matrices, areas.slope, areas.network.closed,
         areas.process_variance, areas.noise, areas.shared_noise, at.start, areas.opposite, _plain(own), _plain(shared), *out,
     )  # fmt: skip
     alarm = consensus_equations.find_alarms(
