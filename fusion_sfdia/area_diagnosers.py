@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.areas import Areas
 from fusion_sfdia.batch_detector import Moment
-from fusion_sfdia.consensus import Diagnosers, beginners, foretell, take
-from fusion_sfdia.consensus_equations import UNKNOWN
+from fusion_sfdia.consensus import Diagnosers, Foretold, beginners, take
+from fusion_sfdia.consensus_equations import UNKNOWN, foretell_areas
 from fusion_sfdia.plant import Plant, diagonal
 from fusion_sfdia.present_readings import Outlook, Taken
 
@@ -68,7 +68,7 @@ class AreaDiagnosers:
 
     def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
         count = self.areas.size[0]
-        ahead = foretell(self.areas, Diagnosers(*core), u[..., :count], u[..., count:], self.lam, self.mode)
+        ahead = self._ahead(core, u[..., :count], u[..., count:])
         deviation = self._of_sensors(ahead.deviation, ahead.deviation_shared)
         deviation = np.where(deviation < UNKNOWN**0.5, np.abs(self._scale) * deviation, np.inf)
         expected = self._scale * self._of_sensors(ahead.estimate, ahead.estimate_shared)
@@ -84,7 +84,7 @@ class AreaDiagnosers:
         """As of PresentReadings: the equations at unit readings and unit residuals."""
         doubt, doubt_shared = (a[rows][:, None] for a in core[2:4])
         units = self._of_areas(np.eye(self._place.size), 0.0)
-        nothing = np.zeros((1, 1, self.areas.size[0]))
+        nothing = np.zeros((len(doubt), self._place.size, self.areas.size[0]))
         found = []
         for readings in (True, False):
             own, shared = (np.broadcast_to(a, (doubt.shape[0], *a.shape)) for a in units)
@@ -92,11 +92,26 @@ class AreaDiagnosers:
             first, second = ((own, shared), still) if readings else (still, (own, shared))
             if readings:
                 first = own * (doubt == 0.0), shared * (doubt_shared == 0.0)
-            probe = Diagnosers(first[0], first[1], doubt, doubt_shared, second[0], second[1], still[0], still[1])
-            ahead = foretell(self.areas, probe, nothing, nothing, self.lam, self.mode)
+            doubts = (np.broadcast_to(a, (*own.shape[:2], *a.shape[2:])) for a in (doubt, doubt_shared))
+            ahead = self._ahead((*first, *doubts, *second, *still), nothing, nothing)
             change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
             found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
+
+    def _ahead(self, core: tuple[Array, ...], reference: Array, load: Array) -> Foretold:
+        """`consensus.foretell`, compiled."""
+        areas, batch = self.areas, core[0].shape[:-2]
+
+        def flat(a: Array) -> Array:
+            return np.ascontiguousarray(a.reshape(-1, *a.shape[len(batch) :]))
+
+        now = Diagnosers(*map(flat, core))
+        ahead = Foretold(*map(np.empty_like, (now.held, now.held_shared) * 3))
+        foretell_areas(
+            *now, flat(reference), flat(load), self.lam, self.mode == "paper", areas.matrices, areas.slope, areas.network.closed,
+            areas.process_variance, areas.noise, areas.shared_noise, areas.network.topology.start, areas.opposite, *ahead,
+        )  # fmt: skip
+        return Foretold(*(a.reshape(*batch, *a.shape[1:]) for a in ahead))
 
     def _of_sensors(self, own: Array, shared: Array) -> Array:
         flat = own.reshape(*own.shape[:-2], -1)
