@@ -98,7 +98,12 @@ K22_OBSERVER_BOUNDS = {
     "p_receiver": ObserverBound(1.0, 541.0, 465.0, 2.0),
     "p_charge": ObserverBound(1.0, 301.0, 320.0, 1.0),
 }
-DESIGNS = {"K24": (GAINS, OBSERVER_BOUNDS), "K22": (K22_GAINS, K22_OBSERVER_BOUNDS)}
+AT_NOMINAL_SPEED = "K24 (30)"  # the design of K24 with p_6 and T_6 as printed there: at nominal speed, whatever the torque
+DESIGNS = {
+    "K24": (GAINS, OBSERVER_BOUNDS),
+    AT_NOMINAL_SPEED: (GAINS, OBSERVER_BOUNDS),
+    "K22": (K22_GAINS, K22_OBSERVER_BOUNDS),
+}
 
 # Signature matrices as printed. f3(2) is the fault of sensor S(2){3}, E(2,3) the residual of module M(2,3). Only single
 # faults are printed; a column that is not printed is 0

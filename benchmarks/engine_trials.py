@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.detectors import build
-from fusion_sfdia.benchmarks.engine_published import DESIGNS, Offset
+from fusion_sfdia.benchmarks.engine_published import AT_NOMINAL_SPEED, DESIGNS, Offset
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Published, Settings, Task, seed_blocks
 from fusion_sfdia.corner_bounds import Slopes
@@ -24,6 +24,7 @@ from fusion_sfdia.detector import run
 from fusion_sfdia.faults import Fault, apply
 from fusion_sfdia.metrics import Estimate
 from fusion_sfdia.models.marine_engine import MODULES, marine_engine
+from fusion_sfdia.models.marine_engine_equations import NOMINAL_SPEED
 from fusion_sfdia.plant import Plant
 from fusion_sfdia.simulate import Recording, simulate
 
@@ -41,11 +42,14 @@ MOST_NOISE = 0.12  # of the nominal values: the envelope is twice as wide and mu
 
 @cache
 def engine(noise: float, design: str) -> Plant:
-    """The engine at full load with readings of that noise and observers as designed in K24 or K22."""
+    """The engine at full load with readings of that noise and modules as designed in K24 or K22."""
     plant = marine_engine(noise=noise)
     assert plant.modules is not None
     gains, bounds = DESIGNS[design]
-    return replace(plant, modules=replace(plant.modules, gains=gains, observer_bounds=bounds))
+    modules = replace(plant.modules, gains=gains, observer_bounds=bounds)
+    if design == AT_NOMINAL_SPEED:
+        modules = replace(modules, equations=dict(modules.equations) | NOMINAL_SPEED, monitor=None)
+    return replace(plant, modules=modules)
 
 
 @cache
@@ -53,14 +57,15 @@ def engine_detector(name: str, noise: float, design: str = "K24") -> AdaptiveThr
     """A named detector on that engine, built once for all tasks of a process."""
     detector = build(name, engine(noise, design))
     assert isinstance(detector, AdaptiveThreshold)
-    vars(detector)["slopes"] = proof(noise)  # the cached property: seconds, and the same for all modes and designs
+    alike = design if design == AT_NOMINAL_SPEED else "K24"
+    vars(detector)["slopes"] = proof(noise, alike)  # the cached property: seconds, and the same for all modes, gains, bounds
     return detector
 
 
 @cache
-def proof(noise: float) -> Slopes:
+def proof(noise: float, design: str) -> Slopes:
     """The slopes of the engine's equations over the readings' range at that noise."""
-    return AdaptiveThreshold(engine(noise, "K24")).slopes
+    return AdaptiveThreshold(engine(noise, design)).slopes
 
 
 @lru_cache(maxsize=1)

@@ -54,7 +54,7 @@ INVERSIONS = ("corners", "sivia")
 def virtual_sensors(noise: float, variant: str, inversion: str) -> VirtualSensors:
     """The detector on the engine with the observers of V22, built once for all tasks of a process."""
     detector = VirtualSensors(engine(noise, "K22"), inversion=inversion, **VARIANTS[variant])
-    vars(detector.thresholds)["slopes"] = proof(noise)  # the cached property: seconds, and the same for all
+    vars(detector.thresholds)["slopes"] = proof(noise, "K24")  # the cached property: seconds, and the same for all
     return detector
 
 
