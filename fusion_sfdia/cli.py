@@ -1,4 +1,4 @@
-"""The command line: list what there is, run scenarios, simulate a log, diagnose a log, measure the speed."""
+"""The command line: list what there is, run scenarios, compare detectors, simulate a log, diagnose a log, measure the speed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia import __version__
+from fusion_sfdia.cli_runs import add_compare, add_run
 
 KINDS = ("plants", "detectors", "faults", "scenarios")
 
@@ -35,20 +36,8 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--json", action="store_true", help="print JSON")
     one.set_defaults(work=_list)
 
-    one = commands.add_parser("run", help="run scenarios and write a report", allow_abbrev=False)
-    one.add_argument("scenario", nargs="+", help="a name, or a glob such as 'pipeline/*'")
-    size = one.add_mutually_exclusive_group()
-    size.add_argument("--seeds", type=int, metavar="N", help="runs of each scenario")
-    size.add_argument("--full", action="store_true", help="as many runs as the paper")
-    one.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
-    one.add_argument("--scheduler", metavar="ADDRESS", help="work on a running dask cluster instead, such as tcp://host:8786")
-    one.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of the results (default: results/ and the scenario's name)"
-    )
-    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the scenarios")
-    one.add_argument("--force", action="store_true", help="write into a folder that is in use for something else")
-    one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")
-    one.set_defaults(work=_run)
+    add_run(commands, _run)
+    add_compare(commands, _run)
 
     one = commands.add_parser("simulate", help="write a log of simulated readings", allow_abbrev=False)
     one.add_argument("--plant", default="gas-pipeline", help="default: gas-pipeline")
@@ -93,7 +82,7 @@ def parser() -> argparse.ArgumentParser:
     one.set_defaults(work=_diagnose)
 
     one = commands.add_parser("bench", help="measure the speed on this machine, on one thread", allow_abbrev=False)
-    one.add_argument("part", nargs="*", help="bank, model, scaling, lorenz (default: all)")
+    one.add_argument("part", nargs="*", help="bank, model, scaling, lorenz, engine (default: all)")
     one.add_argument("--seconds", type=float, default=2.0, metavar="S", help="for each thing that is timed (default: 2)")
     one.add_argument("--out", type=Path, metavar="DIR", help="folder for metrics.csv")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")
@@ -114,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        resumes = "; the same command goes on where it stood" if chosen.command == "run" else ""
+        resumes = "; the same command goes on where it stood" if chosen.command in ("run", "compare") else ""
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return 130
     except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:

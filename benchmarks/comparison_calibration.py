@@ -1,0 +1,103 @@
+"""One rate of false alarms for all detectors: plants, healthy readings and calibrated detectors, made once a process.
+
+Two forms of a detector are run. The silent one has thresholds so high that nothing is ever accused, replaced or latched: its
+scores, times that scale, are those over which a threshold can be swept. The deployed one has its thresholds scaled to the
+common rate and does all that it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks import registry
+from fusion_sfdia.benchmarks.comparison_truths import DISTURBED
+from fusion_sfdia.detector import Decision, Detector, run
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.simulate import Recording, simulate
+
+Array = NDArray[Any]
+
+SILENT = 1e6  # thresholds are so many times as high
+CALIBRATION_SEEDS = 910_000  # the first: apart from those of any run and from those that detectors are fitted on
+CLAIMS = {  # alarms a step over all sensors, of those that have no setting false_alarm
+    **dict.fromkeys(("fusing-ekf", "fusing-ukf", "fusing-enkf", "limits", "pca"), 1e-3),  # what they are fitted to
+    **dict.fromkeys(("adaptive-threshold", "virtual-sensors"), 0.0),  # guaranteed for bounded noise
+}
+
+
+class Calibrated(NamedTuple):
+    """A detector, the scale of its thresholds for the common rate, its healthy scores (K, R) at its own, and its claim."""
+
+    detector: Any  # a Detector that is a dataclass with threshold_scale
+    scale: float
+    scores: Array
+    claim: float  # NaN for none
+
+
+@cache
+def plant_of(name: str) -> Plant:
+    """A registered plant."""
+    return registry.plant(name)
+
+
+@lru_cache(maxsize=4)
+def healthy(plant: str, steps: int, seeds: tuple[int, ...]) -> Recording:
+    """Healthy readings from the finer twin of a plant, the same for all detectors."""
+    return simulate(plant_of(plant), steps, seeds, process_noise=plant in DISTURBED)
+
+
+@lru_cache(maxsize=2)
+def calibrated(plant: str, name: str, settle: int, steps: int, seeds: int, false_alarm: float) -> Calibrated:
+    """A registered detector and the scale at which it alarms at that rate, on healthy runs of `steps` samples after settling.
+
+    The order statistic whose expected exceedance by a fresh sample is at most `false_alarm`. ValueError for a detector that
+    the plant cannot have, or whose scores cannot set a threshold.
+    """
+    detector: Any = registry.detector(name, plant_of(plant))
+    recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + seeds)))
+    scores = silent_scores(watch(silent(detector), recording.t, recording.y, recording.u))[settle:]
+    ranked = np.sort(scores, axis=None)
+    scale = float(ranked[min(int(np.ceil((ranked.size + 1) * (1 - false_alarm))), ranked.size) - 1])
+    if not 0 < scale < np.inf:
+        raise ValueError(
+            f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"
+        )
+    claim = getattr(detector, "false_alarm", None)
+    return Calibrated(detector, scale, scores, CLAIMS.get(name, np.nan) if claim is None else float(claim))
+
+
+def silent(detector: Any) -> Any:
+    """The detector with thresholds beyond reach."""
+    return replace(detector, threshold_scale=SILENT * detector.threshold_scale)
+
+
+def deployed(calibration: Calibrated) -> Any:
+    """The detector with thresholds at the common rate of false alarms."""
+    return replace(calibration.detector, threshold_scale=calibration.scale * calibration.detector.threshold_scale)
+
+
+def silent_scores(decision: Decision) -> Array:
+    """Scores (K, B) of a silent detector over its own thresholds; what diverged scores nothing."""
+    return np.nan_to_num(decision.score * SILENT, nan=0.0)
+
+
+def watch(detector: Detector, t: Array, y: Array, u: Array) -> Decision:
+    """The decisions on readings y (K, B, N) at t (K,), from the start; u (K, m) is of all runs."""
+    start = detector.init((y.shape[1],), float(t[0]) - detector.plant.dt)
+    return run(detector, start, t, y, of_each(u, y.shape[1]))[1]
+
+
+def of_each(u: Array, runs: int) -> Array:
+    """The inputs (K, m) as those of each run (K, B, m)."""
+    return np.broadcast_to(u[:, None], (u.shape[0], runs, u.shape[-1]))
+
+
+def seeds_of(task_seeds: Sequence[int]) -> tuple[int, ...]:
+    """Seeds as they are told to caches."""
+    return tuple(int(s) for s in task_seeds)

@@ -1,0 +1,201 @@
+"""Figures of a comparison. A family of detectors has a colour, its members have dashes and markers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
+from matplotlib.ticker import NullFormatter
+from numpy.typing import NDArray
+
+from fusion_sfdia import detection_metrics as metrics
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
+from fusion_sfdia.benchmarks.comparison_protocol import GRADED
+from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, MARKERS, panels
+from fusion_sfdia.metrics import Estimate
+
+Array = NDArray[Any]
+Cells = Mapping[tuple[str, str], Cell]
+
+FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca")
+
+
+def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Colour, dashes and marker of each detector."""
+    found: dict[str, dict[str, Any]] = {}
+    members: dict[str, int] = {}
+    families = [*FAMILIES, *sorted({_family(d) for d in detectors} - set(FAMILIES))]
+    for d in detectors:
+        family = _family(d)
+        i = members[family] = members.get(family, -1) + 1
+        place = families.index(family)
+        found[d] = {
+            "color": COLOURS[place % len(COLOURS)],
+            "linestyle": DASHES[i % len(DASHES)],
+            "marker": MARKERS[(place + i) % len(MARKERS)],
+        }
+    return found
+
+
+def _family(detector: str) -> str:
+    return detector.partition(":")[0].partition("-")[0]
+
+
+def of_plant(cells: Cells, plant: str) -> dict[str, Cell]:
+    """The detectors of a plant."""
+    return {detector: cell for (where, detector), cell in cells.items() if where == plant}
+
+
+def heat(
+    axes: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *, form: str = "{:.2f}", log: bool = False
+) -> None:
+    """Numbers on colours, larger darker; NaN is grey and blank."""
+    shown = np.log10(np.maximum(values, 1e-4)) if log else values
+    low, high = (-4.0, 0.0) if log else (0.0, 1.0)
+    colours = matplotlib.colormaps["cividis_r"].with_extremes(bad="0.9")
+    axes.imshow(np.ma.masked_invalid(shown), cmap=colours, vmin=low, vmax=high, aspect="auto")
+    for i, j in np.ndindex(*values.shape):
+        if np.isfinite(values[i, j]):
+            dark = (shown[i, j] - low) / (high - low) > 0.55
+            axes.text(
+                j, i, form.format(values[i, j]), ha="center", va="center", fontsize=6.5, color="white" if dark else "black"
+            )
+    axes.set_xticks(range(len(columns)), columns, fontsize=7, rotation=30, ha="right")
+    axes.set_yticks(range(len(rows)), rows, fontsize=7)
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+
+
+def draw_overview(cells: Cells, numbers: Mapping[str, Callable[[Cell], float]], logarithmic: Sequence[str]) -> Drawing:
+    """A panel a number, detectors down, plants across."""
+    plants, detectors = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+    figure, axes = panels(list(numbers), columns=3, width=12.5, height=1.2 + 0.22 * len(detectors))
+    for axis, (title, number) in zip(axes, numbers.items(), strict=True):
+        values = np.array([[number(cells[p, d]) if (p, d) in cells else np.nan for p in plants] for d in detectors])
+        log = title in logarithmic
+        heat(axis, values, detectors, plants, form="{:.2g}" if log else "{:.2f}", log=log)
+    return figure
+
+
+def draw_roc(cells: Mapping[str, Cell], conditions: Sequence[str]) -> Drawing:
+    """Detection against false alarms of the silent detectors; the false-alarm axis is logarithmic."""
+    figure, axes = panels([c.replace("-", " ") for c in conditions], columns=len(conditions), width=10.5, height=4.2)
+    look = looks(list(cells))
+    for axis, name in zip(axes, conditions, strict=True):
+        for detector, cell in cells.items():
+            scores, active = cell.swept(name)
+            curve = metrics.roc(scores, active[..., None])
+            style = {k: v for k, v in look[detector].items() if k != "marker"}
+            axis.plot(*curve[:2], label=detector, drawstyle="steps-post", **style)
+        chance = np.geomspace(1e-4, 1.0, 100)
+        axis.plot(chance, chance, color="0.6", linewidth=0.8)
+        least = min(1.0 / cell["trunk"].size for cell in cells.values())
+        axis.set(xscale="log", xlim=(least, 1.05), ylim=(-0.02, 1.02))
+        axis.set(xlabel="false-alarm probability of a sample", ylabel="detection probability of a sample")
+    legend_columns(figure)
+    return figure
+
+
+def legend_columns(figure: Drawing, columns: int = 5) -> None:
+    """The legend of all panels above them, in rows of some entries."""
+    entries: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(str(label), handle)
+    figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=columns, fontsize=8)
+
+
+def draw_magnitudes(cells: Mapping[str, Cell]) -> Drawing:
+    """Runs with an alarm, exact isolation and delay against the size of a fault: a column a kind."""
+    some = next(iter(cells.values()))
+    sizes = sorted(some.settings["magnitudes"])
+    kinds = [k for k in GRADED if k in some.settings["faults"]]
+    look = looks(list(cells))
+    measures: list[tuple[str, Callable[[Cell, Array], Estimate]]] = [
+        ("runs with an alarm", lambda cell, rows: cell.detected(rows)),
+        ("samples with the exact names", lambda cell, rows: cell.exact(rows)),
+        ("delay (s)", lambda cell, rows: cell.delay(rows)),
+    ]
+    figure, axes = panels(
+        [kind if r == 0 else "" for r in range(3) for kind in kinds], columns=len(kinds), width=11.5, height=2.5
+    )
+    for r, (label, measure) in enumerate(measures):
+        for c, kind in enumerate(kinds):
+            axis = axes[r * len(kinds) + c]
+            for i, (detector, cell) in enumerate(cells.items()):
+                values = [measure(cell, cell.rows_of(f"{kind}-{m:g}-sigma")).value for m in sizes]
+                shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
+                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.0, label=detector, **look[detector])
+            axis.set_xscale("log")
+            axis.xaxis.set_minor_formatter(NullFormatter())
+            axis.set_xticks(sizes, [f"{m:g}" for m in sizes])
+            if r < 2:
+                axis.set_ylim(-0.03, 1.03)
+            else:
+                axis.set_ylim(bottom=0.0)
+                axis.set_xlabel("size (sigma of the noise)")
+            if c == 0:
+                axis.set_ylabel(label)
+    legend_columns(figure)
+    return figure
+
+
+def draw_confusion(cells: Mapping[str, Cell]) -> Drawing:
+    """A panel a detector: the quantity of the faulty sensor against what was named most."""
+    some = next(iter(cells.values()))
+    quantities = list(some.model.quantities)
+    columns = ["none", *(f"other {q}" for q in quantities), "the right one"]
+    figure, axes = panels(list(cells), columns=4, width=12.5, height=1.5 + 0.28 * len(quantities))
+    for axis, cell in zip(axes, cells.values(), strict=True):
+        counts = confusion(cell)
+        total = counts.sum(axis=1, keepdims=True)
+        heat(axis, np.divide(counts, total, out=np.full(counts.shape, np.nan), where=total > 0), quantities, columns)
+    return figure
+
+
+def draw_departures(cells: Mapping[str, Cell], healthy: str, biased: str) -> Drawing:
+    """False alarms, healthy sensors named and exact isolation by departure; the first column has none."""
+    truths = next(iter(cells.values())).truths
+    measures: list[tuple[str, Callable[[Cell, str], float]]] = [
+        ("healthy: samples with an alarm", lambda c, t: c.rate("alarms", c.rows_of(healthy, truth=t), c.window).value),
+        ("healthy: samples with a sensor named", lambda c, t: c.blame(c.rows_of(healthy, truth=t)).value),
+        (f"{biased.replace('-', ' ')}: exact names", lambda c, t: c.exact(c.rows_of(biased, truth=t)).value),
+    ]
+    figure, axes = panels([title for title, _ in measures], columns=3, width=12.5, height=1.9 + 0.24 * len(cells))
+    for axis, (_, measure) in zip(axes, measures, strict=True):
+        values = np.array(
+            [
+                [measure(cell, t) if cell.rows_of(healthy, truth=t).size else np.nan for t in ("", *truths)]
+                for cell in cells.values()
+            ]
+        )
+        heat(axis, values, list(cells), ["as believed", *truths])
+    for axis in axes[1:]:
+        axis.set_yticklabels([])
+    return figure
+
+
+def draw_cost(cells: Cells, score: Callable[[Cell], Estimate]) -> Drawing:
+    """What is found against what a step costs: a panel a plant."""
+    plants, detectors = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+    figure, axes = panels(plants, columns=2, width=10.0, height=3.2)
+    look = looks(detectors)
+    for axis, plant in zip(axes, plants, strict=True):
+        for detector, cell in of_plant(cells, plant).items():
+            e = score(cell)
+            style = {"color": look[detector]["color"], "marker": look[detector]["marker"]}
+            spread = [[max(e.value - e.low, 0.0)], [max(e.high - e.value, 0.0)]]
+            filled = look[detector]["linestyle"] == "-"
+            axis.errorbar(
+                cell.step_seconds * 1e3, e.value, spread, linestyle="none", markersize=6, elinewidth=0.8, capsize=2,
+                mfc=style["color"] if filled else "white", label=detector, **style,
+            )  # fmt: skip
+        axis.set(
+            xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with the exact names"
+        )
+    legend_columns(figure)
+    return figure

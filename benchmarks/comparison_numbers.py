@@ -1,0 +1,235 @@
+"""Numbers of a comparison: cells of one detector on one plant, and the rows that they give.
+
+A run is an alarm's or a name's chance once: shares of runs have Wilson's interval, means that of Student over runs. A run in
+which the estimator broke down counts as one without alarm and without name; its errors are left out, see `diverged`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from fusion_sfdia import detection_metrics as metrics
+from fusion_sfdia.benchmarks.comparison_calibration import plant_of
+from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY, conditions
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Task
+from fusion_sfdia.metrics import LEVEL, NOTHING, Estimate, proportion, rate_over_runs
+
+Array = NDArray[Any]
+
+SCENARIO = "comparison"
+PER_SEED = {"trunk": 1, "swept": 2}  # the axis of seeds; of the rest it is 1 where there are two axes
+POOLED = "graded"  # bias, drift, noise and scale of one size
+
+
+class Cell:
+    """What one detector did on one plant: the arrays of `comparison_work`, the seeds of all tasks side by side."""
+
+    def __init__(self, plant: str, detector: str, settings: Settings, parts: Sequence[Arrays]) -> None:
+        self.plant, self.detector, self.settings = plant, detector, settings
+        self.window = int(settings["window"])
+        self.model = plant_of(plant)
+        self.arrays = {
+            name: np.concatenate([p[name] for p in parts], axis=PER_SEED.get(name, 1))
+            if name in PER_SEED or parts[0][name].ndim == 2
+            else parts[0][name]
+            for name in parts[0]
+        }
+        self.step_seconds = float(min(p["step_seconds"] for p in parts))
+        self.scale = float(parts[0]["scale"])
+        self.sigmas = {c.name: c.sigmas for c in conditions(settings, plant)}
+        self.kinds = {c.name: c.kind for c in conditions(settings, plant)}
+
+    def __getitem__(self, name: str) -> Array:
+        return self.arrays[name]
+
+    def rows_of(self, *names: str, truth: str = "") -> Array:
+        """Indices of conditions by name."""
+        return np.flatnonzero(np.isin(self["condition"], names) & (self["truth"] == truth))
+
+    def graded(self, sigmas: float) -> list[str]:
+        """The conditions of that size."""
+        return [name for name, kind in self.kinds.items() if kind in GRADED and self.sigmas[name] == sigmas]
+
+    @cached_property
+    def truths(self) -> list[str]:
+        """The departures that were tried."""
+        return [t for t in dict.fromkeys(self["truth"].tolist()) if t]
+
+    # each takes rows of conditions; runs of all of them count alike
+
+    def detected(self, rows: Array) -> Estimate:
+        """Share of runs with an alarm."""
+        seen = np.isfinite(self["first"][rows])
+        return proportion(int(seen.sum()), seen.size)
+
+    def rate(self, what: str, rows: Array, of: Array | float) -> Estimate:
+        """A share of samples, or of sensor-samples, with an interval over runs."""
+        hits = self[what][rows].ravel()
+        return rate_over_runs(hits, np.broadcast_to(of, self[what][rows].shape).ravel())
+
+    def exact(self, rows: Array) -> Estimate:
+        """Share of samples at which exactly the faulty sensors are named."""
+        return self.rate("exact", rows, self.window)
+
+    def blame(self, rows: Array) -> Estimate:
+        """Share of samples at which a healthy sensor is named."""
+        return self.rate("blamed", rows, self.window)
+
+    def delay(self, rows: Array) -> Estimate:
+        """Mean seconds to the first alarm, of the runs that have one."""
+        first = self["first"][rows].ravel()
+        return mean(first[np.isfinite(first)] * self.model.dt)
+
+    def rms(self, what: str, rows: Array) -> Estimate:
+        """Root mean square over runs, in standard deviations of the noise."""
+        return root(mean(self[what][rows].ravel()))
+
+    def gain(self, rows: Array) -> Estimate:
+        """Error of `measured` over that of the readings as they came, of the faulty sensors: geometric mean over runs."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.log(self["measured"][rows] / self["raw"][rows]).ravel() / 2
+        e = mean(ratio[np.isfinite(ratio)])
+        return Estimate(float(np.exp(e.value)), float(np.exp(e.low)), float(np.exp(e.high)), e.n)
+
+    def auc(self, name: str) -> Estimate:
+        """Area under the curve of the silent detector: samples under a fault against those of the healthy trunk."""
+        scores, active = self.swept(name)
+        return metrics.auc(scores, active[..., None])
+
+    def swept(self, name: str) -> tuple[Array, Array]:
+        """Scores (K, S) of trunk and fault one after the other, and where the fault is."""
+        (j,) = np.flatnonzero(self["swept_condition"] == name)
+        trunk, faulty = self["trunk"], self["swept"][j]
+        scores = np.concatenate([trunk, faulty]).astype(float)
+        return scores, np.arange(scores.shape[0])[:, None] >= np.full(scores.shape[1], trunk.shape[0])
+
+    @property
+    def nominal(self) -> Estimate:
+        """Healthy samples above the detector's own threshold."""
+        return rate_over_runs(self["nominal_alarms"], np.full(self["nominal_alarms"].size, self.settings["calibration_steps"]))
+
+    @property
+    def matched(self) -> Estimate:
+        """Healthy samples above the common threshold, of other seeds than set it."""
+        alarms = (self["trunk"] > self.scale).sum(axis=0)
+        return rate_over_runs(alarms, np.full(alarms.size, self["trunk"].shape[0]))
+
+
+def mean(values: Array) -> Estimate:
+    """The mean over runs with Student's interval; NaN values are left out."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return NOTHING
+    middle = float(known.mean())
+    if known.size < 2:
+        return Estimate(middle, np.nan, np.nan, 1)
+    half = float(stats.t.ppf((1 + LEVEL) / 2, known.size - 1) * known.std(ddof=1) / np.sqrt(known.size))
+    return Estimate(middle, middle - half, middle + half, known.size)
+
+
+def root(e: Estimate) -> Estimate:
+    """The square root of a mean square."""
+    return Estimate(float(np.sqrt(e.value)), float(np.sqrt(max(e.low, 0.0))), float(np.sqrt(e.high)), e.n)
+
+
+def gather(settings: Settings, results: Iterable[tuple[Task, Arrays]]) -> tuple[dict[tuple[str, str], Cell], dict[Any, str]]:
+    """The cells by plant and detector, and the reasons of those that cannot run."""
+    parts: dict[tuple[str, str], list[Arrays]] = {}
+    reasons: dict[tuple[str, str], str] = {}
+    for task, arrays in results:
+        key = task["plant"], task["detector"]
+        if "reason" in arrays:
+            reasons[key] = str(arrays["reason"])
+        else:
+            parts.setdefault(key, []).append(arrays)
+    return {key: Cell(*key, settings, found) for key, found in parts.items()}, reasons
+
+
+def confusion(cell: Cell) -> Array:
+    """Runs by the quantity of the faulty sensor (Q,) and of the one named most, first none (Q + 1), last the right one (Q + 2).
+
+    Single faults of all kinds but dropouts, at their two largest sizes.
+    """
+    groups = list(cell.model.quantities.values())
+    of = np.zeros(len(cell.model.sensors) + 1, int)  # the last for none, -1
+    for q, members in enumerate(groups, start=1):
+        of[members] = q
+    large = sorted(cell.settings["magnitudes"])[-2:]
+    single = [n for n, kind in cell.kinds.items() if (kind in GRADED and cell.sigmas[n] in large) or kind in ("sign", "replay")]
+    rows = cell.rows_of(*single)
+    sensor, guess = cell["sensor"][rows].ravel(), cell["guess"][rows].ravel()
+    counts = np.zeros((len(groups), len(groups) + 2))
+    column = np.where(sensor == guess, len(groups) + 1, of[guess])
+    np.add.at(counts, (of[sensor] - 1, column), 1)
+    return counts
+
+
+def share_right(cell: Cell) -> float:
+    """Share of the runs of `confusion` in which the faulty sensor is named most."""
+    counts = confusion(cell)
+    return float(counts[:, -1].sum() / counts.sum()) if counts.any() else np.nan
+
+
+def rows_of_cell(cell: Cell) -> list[Row]:
+    """All rows of a cell."""
+    found: list[Row] = []
+
+    def add(fault: str, quantity: str, metric: str, e: Estimate) -> None:
+        found.append(Row(SCENARIO, cell.plant, cell.detector, fault, quantity, metric, *e))
+
+    exactly = cell.settings["false_alarm"]
+    add(HEALTHY, "all", "threshold_scale", Estimate(cell.scale, np.nan, np.nan, cell["nominal_alarms"].size))
+    add(HEALTHY, "all", "nominal_false_alarm_probability", cell.nominal)
+    if np.isfinite(cell["claim"]):
+        add(HEALTHY, "all", "claimed_false_alarm_probability", Estimate(float(cell["claim"]), np.nan, np.nan, 0))
+    add(HEALTHY, "all", "wanted_false_alarm_probability", Estimate(exactly, np.nan, np.nan, 0))
+    add(HEALTHY, "all", "matched_false_alarm_probability", cell.matched)
+    add(HEALTHY, "all", "state_size", Estimate(float(cell["state_bytes"]), np.nan, np.nan, 0))
+    samples = cell.window * len(cell.model.sensors)
+    for name in cell.kinds:
+        _rows_of_runs(cell, add, name, "all", cell.rows_of(name), samples)
+    for size in cell.settings["magnitudes"]:
+        if members := cell.graded(size):
+            _rows_of_runs(cell, add, f"{POOLED}-{size:g}-sigma", "all", cell.rows_of(*members), samples)
+    for name in cell["swept_condition"].tolist():
+        add(name, "all", "auc", cell.auc(name))
+    for truth in cell.truths:
+        for name in dict.fromkeys(cell["condition"][cell["truth"] == truth].tolist()):
+            _rows_of_runs(cell, add, name, truth, cell.rows_of(name, truth=truth), samples)
+    counts, quantities = confusion(cell), list(cell.model.quantities)
+    for q, quantity in enumerate(quantities):
+        for column, named in enumerate(["none", *(f"another {n}" for n in quantities), "the right one"]):
+            if total := int(counts[q].sum()):
+                add("large", f"{quantity}: {named}", "named_share", proportion(int(counts[q, column]), total))
+    return found
+
+
+def _rows_of_runs(cell: Cell, add: Any, fault: str, quantity: str, rows: Array, samples: int) -> None:
+    faulty = cell["faulty"][rows]
+    if faulty.any():
+        seen = cell.detected(rows)
+        add(fault, quantity, "missed_detection_rate", Estimate(1 - seen.value, 1 - seen.high, 1 - seen.low, seen.n))
+        add(fault, quantity, "detection_probability", cell.rate("alarms", rows, cell.window))
+        add(fault, quantity, "detection_delay", cell.delay(rows))
+        add(fault, quantity, "exact_isolation", cell.exact(rows))
+        add(fault, quantity, "isolation_recall", cell.rate("right", rows, faulty))
+        add(fault, quantity, "isolation_precision", cell.rate("right", rows, cell["named"][rows]))
+        size = mean(cell["size_error"][rows].ravel())
+        add(fault, quantity, "fault_mape_percent", Estimate(100 * size.value, 100 * size.low, 100 * size.high, size.n))
+        for what, metric in (("measured", "rmse_sigma"), ("raw", "rmse_unaccommodated_sigma"), ("noise", "rmse_healthy_sigma")):
+            add(fault, quantity, metric, cell.rms(what, rows))
+        add(fault, quantity, "rmse_ratio", cell.gain(rows))
+    else:
+        add(fault, quantity, "alarm_probability", cell.rate("alarms", rows, cell.window))
+    wrong = (cell["named"] - cell["right"])[rows].ravel()
+    add(fault, quantity, "false_flag_rate", rate_over_runs(wrong, (samples - faulty).ravel()))
+    add(fault, quantity, "blame_probability", cell.blame(rows))
+    add(fault, quantity, "rmse_all_sigma", cell.rms("all_measured", rows))
+    add(fault, quantity, "diverged", proportion(int(cell["diverged"][rows].sum()), faulty.size))

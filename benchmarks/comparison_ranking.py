@@ -1,0 +1,123 @@
+"""Which detectors differ: paired tests over clusters of runs, and ranks that are shared where nothing differs.
+
+A cluster is a seed and a group of conditions: its runs share noise and sensor, so they count as one, by their mean. Detectors
+are compared pairwise on the same clusters by Wilcoxon's signed ranks (1945), all pairs of a plant and criterion at a
+family-wise error of 5 % (Holm 1979). The rank of a detector is one more than the number of those that are better beyond chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, mean
+from fusion_sfdia.benchmarks.comparison_protocol import UNGRADED
+from fusion_sfdia.metrics import LEVEL, Estimate
+
+Array = NDArray[Any]
+
+
+class Standing(NamedTuple):
+    """A detector's mean over clusters, its rank, and those from which it does not differ."""
+
+    mean: Estimate
+    rank: int
+    alike: tuple[str, ...]
+
+
+def detection(cell: Cell) -> dict[str, Array]:
+    """Share of runs with an alarm (S,) by group of faulty sensors."""
+    return _by_group(cell, np.isfinite(cell["first"]), faulty=True)
+
+
+def isolation(cell: Cell) -> dict[str, Array]:
+    """Share of samples at which exactly the faulty sensors are named."""
+    return _by_group(cell, cell["exact"] / cell.window, faulty=True)
+
+
+def accommodation(cell: Cell) -> dict[str, Array]:
+    """Error of `measured` over that of the readings, of the faulty sensors: tenfold less is 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        better = -np.log10(cell["measured"] / cell["raw"]) / 2
+    return _by_group(cell, np.where(np.isfinite(better), better, 0.0), faulty=True)
+
+
+def exoneration(cell: Cell) -> dict[str, Array]:
+    """Share of samples at which no healthy sensor is named: under departures, faults of the plant, missing readings."""
+    return _by_group(cell, 1 - cell["blamed"] / cell.window, faulty=False)
+
+
+CRITERIA: dict[str, Callable[[Cell], dict[str, Array]]] = {
+    "detection": detection,
+    "isolation": isolation,
+    "accommodation": accommodation,
+    "exoneration": exoneration,
+}
+
+
+def _by_group(cell: Cell, values: Array, *, faulty: bool) -> dict[str, Array]:
+    """Means (S,) over the conditions of a kind, or of a departure."""
+    found: dict[str, list[int]] = {}
+    for j, (name, truth) in enumerate(zip(cell["condition"].tolist(), cell["truth"].tolist(), strict=True)):
+        kind = cell.kinds.get(name, "bias")
+        sensor_fault = not truth and kind not in ("none", "plant", UNGRADED[1])
+        if sensor_fault and faulty:
+            found.setdefault(kind, []).append(j)
+        elif not faulty and (truth or kind in ("plant", UNGRADED[1])):
+            found.setdefault(truth or name, []).append(j)
+    return {group: values[rows].mean(axis=0) for group, rows in found.items()}
+
+
+def clusters(cells: Mapping[str, Cell], criterion: str) -> dict[str, Array]:
+    """The values of each detector on all clusters, in the same order."""
+    return {
+        name: np.concatenate([*CRITERIA[criterion](cell).values(), np.empty(0)]).astype(float) for name, cell in cells.items()
+    }
+
+
+def ranking(values: Mapping[str, Array]) -> dict[str, Standing]:
+    """Standing of detectors by their values on the same clusters (C,), larger being better."""
+    names = list(values)
+    pairs = list(combinations(names, 2))
+    p = holm([paired_p(values[a] - values[b]) for a, b in pairs])
+    better: dict[str, set[str]] = {name: set() for name in names}
+    for (a, b), probability in zip(pairs, p, strict=True):
+        if probability < 1 - LEVEL:
+            first, second = (a, b) if _advantage(values[a] - values[b]) > 0 else (b, a)
+            better[second].add(first)
+    return {
+        name: Standing(
+            mean(values[name]),
+            1 + len(better[name]),
+            tuple(o for o in names if o != name and o not in better[name] and name not in better[o]),
+        )
+        for name in names
+    }
+
+
+def paired_p(difference: Array) -> float:
+    """Two-sided probability of differences as large under no difference; 1 where there is none."""
+    if not np.any(difference != 0):
+        return 1.0
+    return float(stats.wilcoxon(difference, zero_method="pratt", method="asymptotic").pvalue)
+
+
+def _advantage(difference: Array) -> float:
+    """Signed ranks: who is better in the sense of the test."""
+    ranks = stats.rankdata(np.abs(difference))
+    return float(np.sum(np.sign(difference) * ranks))
+
+
+def holm(p: list[float]) -> Array:
+    """Adjusted probabilities (Holm 1979), in the order given."""
+    given = np.asarray(p, dtype=float)
+    order = np.argsort(given)
+    adjusted = np.maximum.accumulate(given[order] * np.arange(given.size, 0, -1)).clip(max=1.0)
+    found = np.empty_like(given)
+    found[order] = adjusted
+    return found

@@ -1,0 +1,90 @@
+"""What is kept of a branch: a few numbers a run, so that parts are small and any metric is a sum over runs."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.scenario import Arrays
+from fusion_sfdia.detector import Decision
+from fusion_sfdia.plant import Plant
+
+Array = NDArray[Any]
+
+
+class Branch(NamedTuple):
+    """Readings of a branch (W, B, N): as the detector gets them, without the sensors' faults, without noise; active, size."""
+
+    y: Array
+    unfaulted: Array
+    signal: Array
+    active: Array
+    size: Array
+
+
+def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
+    """Arrays (B,) of the runs of a branch of W samples.
+
+    alarms: samples with an alarm. first: samples until the first, inf for none. right, named, faulty: sensor-samples that are
+    named and faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a
+    healthy sensor is. guess: the sensor named on most samples, -1 for none. size_error: mean |size / true size - 1| where
+    named. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty sensors measured,
+    raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
+    """
+    count = len(plant.sensors)
+    isolated, active = decision.isolated[..., :count], branch.active
+    right = isolated & active
+    alarm = decision.alarm
+    votes = isolated.sum(axis=0)
+    told = right & np.isfinite(decision.fault_size[..., :count]) & np.isfinite(branch.size) & (branch.size != 0)
+    ratio = np.where(told, decision.fault_size[..., :count], 1.0) / np.where(told, branch.size, 1.0)
+    return {
+        "alarms": alarm.sum(axis=0),
+        "first": np.where(alarm.any(axis=0), np.argmax(alarm, axis=0), np.inf),
+        "right": right.sum(axis=(0, 2)),
+        "named": isolated.sum(axis=(0, 2)),
+        "faulty": active.sum(axis=(0, 2)),
+        "exact": ((isolated == active).all(axis=-1) & active.any(axis=-1)).sum(axis=0),
+        "blamed": (isolated & ~active).any(axis=-1).sum(axis=0),
+        "guess": np.where(votes.any(axis=-1), np.argmax(votes, axis=-1), -1),
+        "size_error": _mean(np.abs(ratio - 1), told),
+        "measured": _error(plant, decision.measured, branch, active),
+        "raw": _error(plant, branch.y, branch, active),
+        "noise": _error(plant, branch.unfaulted, branch, active),
+        "all_measured": _error(plant, decision.measured, branch, np.ones_like(active)),
+        "all_raw": _error(plant, branch.y, branch, np.ones_like(active)),
+        "diverged": decision.diverged.any(axis=0),
+    }
+
+
+def _error(plant: Plant, readings: Array, branch: Branch, where: Array) -> Array:
+    """Mean squared error (B,) in variances of the sensors' noise; NaN where there is no reading."""
+    square = (readings - branch.signal) ** 2 / plant.sensor_cov
+    return _mean(square, where & np.isfinite(square))
+
+
+def _mean(values: Array, where: Array) -> Array:
+    counted = where.sum(axis=(0, 2))
+    with warnings.catch_warnings(), np.errstate(invalid="ignore"):
+        total = np.where(where, values, 0.0).sum(axis=(0, 2))
+    return np.asarray(np.where(counted > 0, total / np.maximum(counted, 1), np.nan))
+
+
+def labelled(arrays: Arrays, condition: Sequence[str], truth: str, sensors: Sequence[Sequence[int]]) -> Arrays:
+    """The arrays of a batch, conditions one after the other, as (conditions, S), with their names, truth and first sensors."""
+    shaped = {k: a.reshape(len(condition), -1) for k, a in arrays.items()}
+    first = [one[0] if one else -1 for one in sensors]
+    return shaped | {
+        "condition": np.array(condition),
+        "truth": np.array([truth] * len(condition)),
+        "sensor": np.array(first).reshape(len(condition), -1),
+    }
+
+
+def join(parts: Sequence[Arrays]) -> Arrays:
+    """Batches of conditions one below the other."""
+    return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}

@@ -1,0 +1,224 @@
+"""The work of a comparison: one detector on one plant, calibrated to the common rate of false alarms and put through all.
+
+Until the first alarm the deployed and the silent detector are the same, so a branch of the deployed one begins with the state
+of the silent trunk.
+"""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.batch_detector import CLOCK
+from fusion_sfdia.benchmarks.comparison_calibration import (
+    Calibrated,
+    calibrated,
+    deployed,
+    healthy,
+    of_each,
+    plant_of,
+    seeds_of,
+    silent,
+    silent_scores,
+)
+from fusion_sfdia.benchmarks.comparison_protocol import (
+    HEALTHY,
+    TROUBLED_SIGMA,
+    Condition,
+    conditions,
+    departures,
+    faults_of,
+    onset_step,
+    sensors_of,
+    trunk_steps,
+)
+from fusion_sfdia.benchmarks.comparison_records import Branch, join, labelled, record
+from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, DISTURBED, PLANT_FAULTS, faulty_inputs
+from fusion_sfdia.benchmarks.scenario import Arrays, Task
+from fusion_sfdia.detector import Detector, State, run
+from fusion_sfdia.faults import apply
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.simulate import Recording, simulate
+
+Array = NDArray[Any]
+
+SWEPT = ("bias", "drift")  # of which receiver operating characteristics are drawn
+TIMED_STEPS = 10
+
+
+class Trunk(NamedTuple):
+    """A healthy recording, the silent detector's scores (K, S) on it, and its states before the samples asked for."""
+
+    recording: Recording
+    scores: Array
+    states: dict[int, State]
+
+
+def work(task: Task) -> Arrays:
+    """All of one detector on one plant, or the `reason` why there is nothing.
+
+    Of the conditions (J, S): the arrays of `comparison_records`, condition, truth ("" for the plant's own). Of the silent
+    detector: trunk (K, S), its scores at nominal thresholds after settling, and swept (J', W, S) in swept_condition (J',).
+    scale, claim, nominal_alarms (R,) of calibration runs of calibration_steps; step_seconds, batch_seconds (of a run in a
+    batch), state_bytes, step_bytes. Seconds differ from one call to the next; all else has the same bits for the same task.
+    """
+    settings = {k: task[k] for k in ("settle", "calibration_steps", "calibration_seeds", "false_alarm")}
+    try:
+        calibration = calibrated(task["plant"], task["detector"], *settings.values())
+    except ValueError as problem:
+        return {"reason": np.array(str(problem))}
+    found = conditions(task, task["plant"])
+    recording = healthy(task["plant"], trunk_steps(task, task["plant"]), seeds_of(task["seeds"]))
+    start = time.process_time()
+    trunk = follow(silent(calibration.detector), recording, {onset_step(task, c.group) for c in found})
+    seconds = (time.process_time() - start) / trunk.scores.size
+    groups = [list(members) for _, members in groupby(found, key=lambda c: c.group)]
+    usual = [branch_out(task, calibration, trunk, members) for members in groups]
+    swept = [members for members in groups if members[0].kind in SWEPT]
+    return {
+        **join([*usual, *(mistaken(task, calibration, name) for name in departures(task, task["plant"]))]),
+        "trunk": trunk.scores[task["settle"] :].astype(np.float32),
+        "swept": np.concatenate([swept_scores(task, calibration, trunk, members) for members in swept] or [_NOTHING]),
+        "swept_condition": np.array([c.name for members in swept for c in members]),
+        "scale": np.array(calibration.scale),
+        "claim": np.array(calibration.claim),
+        "nominal_alarms": (calibration.scores > 1).sum(axis=0),
+        "batch_seconds": np.array(seconds),
+        **cost(calibration.detector, recording),
+    }
+
+
+_NOTHING = np.empty((0, 0, 0), np.float32)
+
+
+def follow(detector: Detector, recording: Recording, stops: set[int]) -> Trunk:
+    """Run along a recording and keep the states before the samples `stops`."""
+    runs = recording.y.shape[1]
+    u = of_each(recording.u, runs)
+    state = detector.init((runs,), float(recording.t[0]) - detector.plant.dt)
+    scores, states = [], {}
+    for k, t in enumerate(recording.t):
+        if k in stops:
+            states[k] = state
+        state, decision = detector.step(state, float(t), recording.y[k], u[k])
+        scores.append(silent_scores(decision))
+    return Trunk(recording, np.stack(scores), states)
+
+
+def branched(state: State, copies: int) -> State:
+    """The state of a batch so many times side by side."""
+    return (*state[:CLOCK], *(np.concatenate([a] * copies) for a in state[CLOCK:]))
+
+
+def readings(task: Task, plant: Plant, recording: Recording, members: Sequence[Condition]) -> Branch:
+    """The readings of the segment that the conditions share, one condition after the other along the batch."""
+    onset, window = onset_step(task, members[0].group), task["window"]
+    before = slice(max(0, onset - window), onset + window)  # what a replay repeats
+    t = recording.t[before]
+    if members[0].kind == "plant":
+        troubled = [plant_fault(task, members[0].group, c.name) for c in members]
+        y, signal = (np.concatenate([getattr(r, what)[before] for r in troubled], axis=1) for what in ("y", "signal"))
+    else:
+        y, signal = (np.concatenate([a[before]] * len(members), axis=1) for a in (recording.y, recording.signal))
+    segment = slice(onset - before.start, None)
+    lists = [
+        faults_of(task, plant, c, seed, float(recording.t[onset]), recording.signal[onset : onset + window, b])
+        for c in members
+        for b, seed in enumerate(task["seeds"])
+    ]
+    changed = apply(plant, t, y, lists, [int(s) for _ in members for s in task["seeds"]])
+    return Branch(changed.y[segment], y[segment], signal[segment], changed.active[segment], changed.size[segment])
+
+
+def branch_out(task: Task, calibration: Calibrated, trunk: Trunk, members: Sequence[Condition], truth: str = "") -> Arrays:
+    """The deployed detector on the conditions of a group, all at once."""
+    detector = deployed(calibration)
+    branch = readings(task, detector.plant, trunk.recording, members)
+    onset = onset_step(task, members[0].group)
+    span = slice(onset, onset + task["window"])
+    u = of_each(trunk.recording.u[span], branch.y.shape[1])
+    _, decision = run(detector, branched(trunk.states[onset], len(members)), trunk.recording.t[span], branch.y, u)
+    sensors = [sensors_of(task, detector.plant, c, seed) for c in members for seed in task["seeds"]]
+    return labelled(record(detector.plant, decision, branch), [c.name for c in members], truth, sensors)
+
+
+def swept_scores(task: Task, calibration: Calibrated, trunk: Trunk, members: Sequence[Condition]) -> Array:
+    """Scores (J, W, S) of the silent detector at nominal thresholds, under the faults of a group."""
+    detector = silent(calibration.detector)
+    branch = readings(task, detector.plant, trunk.recording, members)
+    onset = onset_step(task, members[0].group)
+    span = slice(onset, onset + task["window"])
+    u = of_each(trunk.recording.u[span], branch.y.shape[1])
+    _, decision = run(detector, branched(trunk.states[onset], len(members)), trunk.recording.t[span], branch.y, u)
+    scores = silent_scores(decision).reshape(task["window"], len(members), -1)
+    return np.asarray(scores.transpose(1, 0, 2), np.float32)
+
+
+def mistaken(task: Task, calibration: Calibrated, name: str) -> Arrays:
+    """Healthy and with a bias, where the truth departs from what the detector was made for."""
+    plant = task["plant"]
+    (departure,) = (d for d in DEPARTURES[plant] if d.name == name)
+    members = [Condition(HEALTHY, HEALTHY, np.nan, 0), Condition(f"bias-{TROUBLED_SIGMA:g}-sigma", "bias", TROUBLED_SIGMA, 0)]
+    truth, to_states = finest(plant_of(plant) if departure.plant is None else departure.plant())
+    recording = simulate(
+        plant_of(plant), task["settle"] + task["window"], seeds_of(task["seeds"]), truth=truth, to_states=to_states,
+        inputs=departure.inputs, process_noise=plant in DISTURBED,
+    )  # fmt: skip
+    settling = recording_until(recording, task["settle"] + 1)
+    trunk = follow(silent(calibration.detector), settling, {task["settle"]})
+    return branch_out(task, calibration, trunk._replace(recording=recording), members, name)
+
+
+def plant_fault(task: Task, group: int, name: str) -> Recording:
+    """Readings of a run whose plant fails where the segment of the group begins."""
+    plant = plant_of(task["plant"])
+    (fault,) = (f for f in PLANT_FAULTS[task["plant"]] if f.name == name)
+    steps, onset = trunk_steps(task, task["plant"]), onset_step(task, group) * plant.dt
+    truth, to_states = finest(plant if fault.plant is None else fault.plant(onset))
+    t = np.arange(1, steps + 1) * plant.dt
+    u = np.array([plant.input_at(float(s)) for s in t - plant.dt])
+    return simulate(
+        plant, steps, seeds_of(task["seeds"]), truth=truth, to_states=to_states,
+        inputs=faulty_inputs(u, t, plant.dt, fault, onset), process_noise=task["plant"] in DISTURBED,
+    )  # fmt: skip
+
+
+def finest(plant: Plant) -> tuple[Plant, Any]:
+    """The finer twin of a plant and the map to its states, or the plant itself."""
+    return (plant, None) if plant.finer is None else plant.finer()
+
+
+def recording_until(recording: Recording, steps: int) -> Recording:
+    """The first samples of a recording."""
+    return replace(
+        recording, t=recording.t[:steps], u=recording.u[:steps], y=recording.y[:steps], signal=recording.signal[:steps]
+    )
+
+
+def cost(detector: Detector, recording: Recording) -> Arrays:
+    """Seconds of a step of one run, the least of some; bytes of its state, and largest in use in a step besides."""
+    state: State = detector.init((), float(recording.t[0]) - detector.plant.dt)
+    best = np.inf
+    for k in range(min(TIMED_STEPS, recording.t.size)):
+        start = time.process_time()
+        state, _ = detector.step(state, float(recording.t[k]), recording.y[k, 0], recording.u[k])
+        best = min(best, time.process_time() - start)
+    tracemalloc.start()
+    again = detector.init((), float(recording.t[0]) - detector.plant.dt)
+    tracemalloc.reset_peak()
+    held, _ = tracemalloc.get_traced_memory()
+    detector.step(again, float(recording.t[0]), recording.y[0, 0], recording.u[0])
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return {
+        "step_seconds": np.array(best),
+        "state_bytes": np.array(sum(a.nbytes for a in state)),
+        "step_bytes": np.array(peak - held),
+    }

@@ -1,0 +1,39 @@
+"""The commands that run scenarios: `run`, and `compare`, which runs the scenario `comparison`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Work = Callable[[argparse.Namespace], int]
+
+
+def add_run(commands: Any, work: Work) -> None:
+    """Add `run`."""
+    one = commands.add_parser("run", help="run scenarios and write a report", allow_abbrev=False)
+    one.add_argument("scenario", nargs="+", help="a name, or a glob such as 'pipeline/*'")
+    _add_common(one, seeds="runs of each scenario", full="as many runs as the paper", folder="results/ and the scenario's name")
+    one.set_defaults(work=work)
+
+
+def add_compare(commands: Any, work: Work) -> None:
+    """Add `compare`: its plants, detectors and faults are settings of the scenario."""
+    one = commands.add_parser("compare", help="compare detectors on plants under one protocol", allow_abbrev=False)
+    for what in ("plants", "detectors", "faults"):
+        one.add_argument(f"--{what}", dest="set", action="append", type=f"{what}={{}}".format, metavar="A,B", help="only these")
+    _add_common(one, seeds="runs of each fault", full="every sensor, and runs that decide: hours", folder="results/comparison")
+    one.set_defaults(work=work, scenario=["comparison"])
+
+
+def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: str) -> None:
+    size = one.add_mutually_exclusive_group()
+    size.add_argument("--seeds", type=int, metavar="N", help=seeds)
+    size.add_argument("--full", action="store_true", help=full)
+    one.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    one.add_argument("--scheduler", metavar="ADDRESS", help="work on a running dask cluster instead, such as tcp://host:8786")
+    one.add_argument("--out", type=Path, metavar="DIR", help=f"folder of the results (default: {folder})")
+    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the scenarios")
+    one.add_argument("--force", action="store_true", help="write into a folder that is in use for something else")
+    one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")

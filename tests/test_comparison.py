@@ -1,0 +1,220 @@
+"""The comparison: its protocol, the common rate of false alarms, what is kept of a run, from end to end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from fusion_sfdia.benchmarks import comparison_protocol as protocol
+from fusion_sfdia.benchmarks.comparison import SCENARIO, summarise
+from fusion_sfdia.benchmarks.comparison_calibration import (
+    calibrated,
+    deployed,
+    healthy,
+    plant_of,
+    silent,
+    silent_scores,
+    watch,
+)
+from fusion_sfdia.benchmarks.comparison_numbers import confusion, gather
+from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
+from fusion_sfdia.benchmarks.comparison_work import finest, work
+from fusion_sfdia.benchmarks.registry import PLANTS
+from fusion_sfdia.benchmarks.runner import run_scenarios
+from fusion_sfdia.benchmarks.scenario import adjust
+from fusion_sfdia.cli import main
+from fusion_sfdia.simulate import simulate
+
+TINY = {
+    "plants": "two-tanks",
+    "detectors": "limits,loo-chi2",
+    "magnitudes": "1,30",
+    "settle": "20",
+    "window": "6",
+    "false_alarm": "0.02",
+    "calibration_seeds": "3",
+    "calibration_steps": "50",
+}
+
+
+def tiny(**changes: str) -> dict[str, Any]:
+    return adjust(SCENARIO, TINY | changes)
+
+
+def results(settings: dict[str, Any], seeds: int = 3) -> list[tuple[Any, Any]]:
+    return [(task, work(task)) for task in protocol.tasks(settings, seeds)]
+
+
+def test_conditions_are_each_once_and_groups_follow_each_other() -> None:
+    settings = dict(protocol.SETTINGS)
+    for plant in PLANTS:
+        found = protocol.conditions(settings, plant)
+        assert len({c.name for c in found}) == len(found)
+        assert list(dict.fromkeys(c.group for c in found)) == list(range(found[-1].group + 1))
+        assert protocol.trunk_steps(settings, plant) == settings["settle"] + (found[-1].group + 1) * settings["window"]
+    assert len(protocol.conditions(settings, "two-tanks")) == 1 + 4 * 4 + 2 + 2 + 2 + 1
+
+
+@pytest.mark.parametrize("plant", list(PLANTS))
+def test_sensors_of_every_quantity_fail_and_all_in_full(plant: str) -> None:
+    of = plant_of(plant)
+    few, everyone = protocol.failing_sensors(of), protocol.failing_sensors(of, everyone=True)
+    assert sorted(everyone) == list(range(len(of.sensors)))
+    assert set(few) <= set(everyone)
+    assert len(set(few)) == len(few)
+    for members in of.quantities.values():
+        assert len(set(few) & set(members.tolist())) == min(protocol.PER_QUANTITY, members.size)
+
+
+def test_the_sizes_of_a_kind_share_the_sensor_and_err_by_their_sigmas() -> None:
+    settings, plant = dict(protocol.SETTINGS), plant_of("two-tanks")
+    signal = np.broadcast_to(plant.output(0.0, plant.x0, np.array([6e-4])), (30, 4))
+    for condition in protocol.conditions(settings, "two-tanks"):
+        chosen = protocol.sensors_of(settings, plant, condition, seed=1)
+        faults = protocol.faults_of(settings, plant, condition, 1, 100.0, signal)
+        assert [f.sensor for f in faults] == [plant.sensor_names[i] for i in chosen]
+        assert len(set(chosen)) == len(chosen)
+        sigma = plant.sensor_sigma[chosen]
+        if condition.kind in ("bias", "drift", "noise", "two-faults", "three-faults"):
+            np.testing.assert_allclose([f.magnitude for f in faults], condition.sigmas * sigma)
+        if condition.kind == "scale":  # the signal is steady, so that the factor is an offset
+            np.testing.assert_allclose((faults[0].magnitude - 1) * signal[0, chosen], condition.sigmas * sigma)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("detectors", "loo-chi", "did you mean 'loo-chi2'"),
+        ("faults", "bias,bias", "each once"),
+        ("magnitudes", "0,3", "positive"),
+        ("window", "1", "at least 2"),
+        ("false_alarm", "1e-9", "can set rates from"),
+    ],
+)
+def test_settings_that_do_not_fit(key: str, value: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        protocol.tasks(tiny(**{key: value}), 1)
+
+
+def test_scores_of_a_silent_detector_are_those_over_its_own_thresholds() -> None:
+    found = calibrated("two-tanks", "kf-chi2", 20, 50, 3, 0.02)  # it accuses and latches nothing
+    recording = healthy("two-tanks", 30, (0, 1))
+    arguments = recording.t, recording.y, recording.u
+    np.testing.assert_allclose(
+        silent_scores(watch(silent(found.detector), *arguments)), watch(found.detector, *arguments).score
+    )
+    np.testing.assert_allclose(watch(deployed(found), *arguments).score * found.scale, nominal)
+
+
+def test_thresholds_are_set_to_the_rate_on_healthy_data_and_keep_it_on_others() -> None:
+    rate, steps, seeds = 0.02, 100, 5
+    found = calibrated("two-tanks", "kf-chi2", 20, steps, seeds, rate)
+    assert (found.scores > found.scale).mean() <= rate
+    assert (found.scores >= found.scale).mean() >= rate
+    fresh = healthy("two-tanks", 20 + steps, tuple(range(50, 60)))
+    alarms = (watch(deployed(found), fresh.t, fresh.y, fresh.u).score[20:] > 1).sum()
+    # the rate that an order statistic of n samples sets has mean `rate` and deviation sqrt(rate / n), samples nearly independent
+    n, deviation = fresh.y[20:, :, 0].size, np.sqrt(rate / (steps * seeds))
+    assert alarms <= binom.ppf(0.999, n, rate + 3 * deviation)
+    assert alarms >= binom.ppf(0.001, n, max(rate - 3 * deviation, 0.0))
+
+
+def test_every_detector_sees_the_same_readings() -> None:
+    first, second = (arrays for _, arrays in results(tiny()))
+    for name in ("condition", "truth", "sensor", "raw", "noise", "faulty", "all_raw"):
+        np.testing.assert_array_equal(first[name], second[name])
+
+
+def test_the_same_task_has_the_same_bits_but_for_times() -> None:
+    task = protocol.tasks(tiny(detectors="fusing-enkf", departures="no", faults="bias,noise"), 2)[0]
+    first, second = work(task), work(task)
+    assert {k for k in first if not np.array_equal(first[k], second[k], equal_nan=first[k].dtype.kind == "f")} <= {
+        "step_seconds",
+        "batch_seconds",
+        "step_bytes",
+    }
+
+
+def test_large_faults_are_found_named_and_replaced() -> None:
+    settings = tiny(detectors="loo-chi2")
+    cells, reasons = gather(settings, results(settings))
+    cell = cells["two-tanks", "loo-chi2"]
+    assert not reasons
+    rows = cell.rows_of("bias-30-sigma")
+    assert cell.detected(rows).value == 1.0
+    assert cell.exact(rows).value > 0.9
+    assert cell.gain(rows).value < 0.1  # of 30 sigma not three are left
+    assert cell.detected(cell.rows_of("none")).value <= 1.0
+    np.testing.assert_allclose(cell["raw"][rows], 900, rtol=0.3)  # (30 +- 4)^2 at most: noise is bounded by 4 sigma
+    counts = confusion(cell)
+    assert counts.sum() == 3 * (2 * 4 + 2)  # seeds, two sizes of four kinds, replay and sign
+    assert cell["right"][cell.rows_of("dropout")].sum() == 0  # what is missing is not named
+
+
+def test_a_plant_without_what_a_detector_needs_is_told() -> None:
+    settings = tiny(plants="gas-pipeline", detectors="adaptive-threshold")
+    summary = summarise(settings, results(settings, seeds=1))
+    assert not summary.rows
+    assert "does not say its scalar equations" in summary.remarks[0]
+
+
+@pytest.mark.parametrize("plant", list(DEPARTURES))
+def test_departures_change_what_is_read(plant: str) -> None:
+    assert set(PLANT_FAULTS) == set(DEPARTURES) == set(PLANTS)
+    of = plant_of(plant)
+    usual = simulate(of, 62, [0], truth="model").signal
+    for departure in DEPARTURES[plant]:
+        truth = of if departure.plant is None else departure.plant()
+        changed = simulate(of, 62, [0], truth=truth, inputs=departure.inputs).signal
+        error = np.abs(changed - usual)[-1, 0] / of.sensor_sigma
+        assert error.max() > 0.1, departure.name
+
+
+def test_a_plant_with_a_finer_twin_is_simulated_by_it() -> None:
+    truth, to_states = finest(plant_of("gas-pipeline"))
+    assert len(truth.states) > len(plant_of("gas-pipeline").states)
+    assert to_states is not None
+    assert finest(plant_of("two-tanks")) == (plant_of("two-tanks"), None)
+
+
+@pytest.mark.slow
+def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
+    changes = TINY | {
+        "plants": "two-tanks,marine-engine",
+        "detectors": "limits,kf-chi2,adaptive-threshold",
+        "faults": "bias,dropout",
+    }
+    one, _ = (
+        run_scenarios([SCENARIO], tmp_path / str(workers), seeds=2, changes=changes, workers=workers) for workers in (1, 2)
+    )
+    assert not one.failures
+    assert (tmp_path / "1" / "metrics.csv").read_bytes() == (tmp_path / "2" / "metrics.csv").read_bytes()
+    assert {r.detector for r in one.rows} == {"limits", "kf-chi2", "adaptive-threshold"}
+    assert {p.name for p in (tmp_path / "1" / "figures").glob("*.png")} == {
+        f"comparison-{name}.png"
+        for name in (
+            "overview",
+            "cost",
+            *(f"{p}-{f}" for p in ("two-tanks", "marine-engine") for f in ("roc", "magnitudes", "confusion", "departures")),
+        )
+    }
+    ranks = [r for r in one.rows if r.metric == "rank"]
+    assert {r.plant for r in ranks} == {"two-tanks", "marine-engine", "all plants"}
+    assert {r.value for r in ranks if r.plant == "two-tanks"} == {1.0}  # two seeds show no difference
+
+
+def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    few = [f"--set={k}={v}" for k, v in TINY.items() if k not in ("plants", "detectors")]
+    code = main(["compare", "--plants", "two-tanks", "--detectors", "limits", "--faults", "bias", "--seeds", "1",
+                 "--workers", "1", "--out", str(tmp_path / "out"), *few])  # fmt: skip
+    out, err = capsys.readouterr()
+    assert (code, err) == (0, "")
+    assert "metrics.csv" in out
+    code = main(["compare", "--plants", "two-tank", "--out", str(tmp_path / "none")])
+    _, err = capsys.readouterr()
+    assert code == 2
+    assert "did you mean 'two-tanks'" in err
