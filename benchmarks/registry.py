@@ -14,37 +14,34 @@ if TYPE_CHECKING:
     from fusion_sfdia.plant import Plant
 
 # name: "module:attribute", the attribute being a Scenario
-SCENARIOS: dict[str, str] = (
-    {
-        f"pipeline/{name}": f"fusion_sfdia.benchmarks.pipeline_{name}:SCENARIO"
-        for name in (
-            "estimation",
-            "roc",
-            "isolation",
-            "accuracy",
-            "accommodation",
-            "units",
-            "weak",
-            "mismatch",
-            "consistency",
-        )
-    }
-    | {
-        f"engine/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.engine_{name}:SCENARIO"
-        for name in (
-            "three_faults",
-            "two_faults",
-            "minimum_fault",
-            "signatures",
-            "noise",
-            "sensitivity",
-            "load",
-            "process",
-            "virtual_sensors",
-        )
-    }
-    | {"comparison": "fusion_sfdia.benchmarks.comparison:SCENARIO"}
-)
+SCENARIOS: dict[str, str] = {
+    f"pipeline/{name}": f"fusion_sfdia.benchmarks.pipeline_{name}:SCENARIO"
+    for name in (
+        "estimation",
+        "roc",
+        "isolation",
+        "accuracy",
+        "accommodation",
+        "units",
+        "weak",
+        "mismatch",
+        "consistency",
+    )
+} | {
+    f"engine/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.engine_{name}:SCENARIO"
+    for name in (
+        "three_faults",
+        "two_faults",
+        "minimum_fault",
+        "signatures",
+        "noise",
+        "sensitivity",
+        "load",
+        "process",
+        "virtual_sensors",
+    )
+}
+SCENARIOS["comparison"] = "fusion_sfdia.benchmarks.comparison:SCENARIO"
 
 # name: what it is, and "module:function" that returns the Plant with its usual settings
 PLANTS: dict[str, tuple[str, str]] = {

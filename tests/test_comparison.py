@@ -104,9 +104,8 @@ def test_scores_of_a_silent_detector_are_those_over_its_own_thresholds() -> None
     found = calibrated("two-tanks", "kf-chi2", 20, 50, 3, 0.02)  # it accuses and latches nothing
     recording = healthy("two-tanks", 30, (0, 1))
     arguments = recording.t, recording.y, recording.u
-    np.testing.assert_allclose(
-        silent_scores(watch(silent(found.detector), *arguments)), watch(found.detector, *arguments).score
-    )
+    nominal = watch(found.detector, *arguments).score
+    np.testing.assert_allclose(silent_scores(watch(silent(found.detector), *arguments)), nominal)
     np.testing.assert_allclose(watch(deployed(found), *arguments).score * found.scale, nominal)
 
 
@@ -117,7 +116,7 @@ def test_thresholds_are_set_to_the_rate_on_healthy_data_and_keep_it_on_others() 
     assert (found.scores >= found.scale).mean() >= rate
     fresh = healthy("two-tanks", 20 + steps, tuple(range(50, 60)))
     alarms = (watch(deployed(found), fresh.t, fresh.y, fresh.u).score[20:] > 1).sum()
-    # the rate that an order statistic of n samples sets has mean `rate` and deviation sqrt(rate / n), samples nearly independent
+    # the rate that an order statistic of n samples sets has mean `rate`, deviation sqrt(rate / n): samples nearly independent
     n, deviation = fresh.y[20:, :, 0].size, np.sqrt(rate / (steps * seeds))
     assert alarms <= binom.ppf(0.999, n, rate + 3 * deviation)
     assert alarms >= binom.ppf(0.001, n, max(rate - 3 * deviation, 0.0))
