@@ -101,6 +101,7 @@ class AreaDiagnosers:
     def _ahead(self, core: tuple[Array, ...], reference: Array, load: Array) -> Foretold:
         """`consensus.foretell`, compiled."""
         areas, batch = self.areas, core[0].shape[:-2]
+        at = areas.network
 
         def flat(a: Array) -> Array:
             return np.ascontiguousarray(a.reshape(-1, *a.shape[len(batch) :]))
@@ -108,8 +109,8 @@ class AreaDiagnosers:
         now = Diagnosers(*map(flat, core))
         ahead = Foretold(*map(np.empty_like, (now.held, now.held_shared) * 3))
         foretell_areas(
-            *now, flat(reference), flat(load), self.lam, self.mode == "paper", areas.matrices, areas.slope, areas.network.closed,
-            areas.process_variance, areas.noise, areas.shared_noise, areas.network.topology.start, areas.opposite, *ahead,
+            *now, flat(reference), flat(load), self.lam, self.mode == "paper", areas.matrices, areas.slope, at.closed,
+            areas.process_variance, areas.noise, areas.shared_noise, at.topology.start, areas.opposite, *ahead,
         )  # fmt: skip
         return Foretold(*(a.reshape(*batch, *a.shape[1:]) for a in ahead))
 

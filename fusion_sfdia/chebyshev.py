@@ -57,6 +57,7 @@ class Chebyshev(BatchDetector):
     moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
     cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
     confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is named.
+    max_faults: sensors that may be out at once (None: a quarter of them); where more would be, none more is named.
     accommodate: leave named sensors out; without, nothing is isolated.
 
     residual - threshold pairs are those of (13), y - y_hat with its mean taken out of the estimate, not of the thresholds.
@@ -70,6 +71,7 @@ class Chebyshev(BatchDetector):
     false_alarm: float | None = None
     moments: Estimator = field(default_factory=lambda: Unscented(CUBATURE))
     confirmations: int = 1
+    max_faults: int | None = None
     accommodate: bool = True
 
     def __post_init__(self) -> None:
@@ -81,6 +83,10 @@ class Chebyshev(BatchDetector):
         require_rule(self.rule)
         require_filter(self.moments)
         whole("confirmations", self.confirmations, least=1)
+        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
+            raise ValueError(
+                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
+            )
         if self.alpha is not None and self.false_alarm is not None:
             raise ValueError(
                 f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each follows from the other: give one"
@@ -115,6 +121,10 @@ class Chebyshev(BatchDetector):
         return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)
 
     @property
+    def _most_faults(self) -> int:
+        return self.max_faults or max(1, len(self.plant.sensors) // 4)
+
+    @property
     def limits(self) -> Array:
         """(N,): `alphas` times threshold_scale."""
         return self.threshold_scale * self.alphas
@@ -141,7 +151,8 @@ class Chebyshev(BatchDetector):
             rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
             if np.any(rows):
                 named, size = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
-                exclusion = exclude(exclusion, named, size)
+                room = np.sum(exclusion.out | named, axis=-1, keepdims=True) <= self._most_faults
+                exclusion = exclude(exclusion, named & room, size)
         used = np.where(exclusion.out, np.nan, y)
         taken = self.diagnosis.take(outlook, used)
         decision = Decision(

@@ -292,6 +292,43 @@ def test_faults_apart_from_each_other_are_named_at_once() -> None:
     assert np.mean(d.isolated[25:][..., faulty]) > 0.95 and np.mean(np.delete(d.isolated, faulty, axis=-1)) < 1e-3
 
 
+@pytest.mark.parametrize("name", ["chain", "tanks", "network"])
+@pytest.mark.parametrize("bad", [1e300, -1e300, 1e9, 0.0])
+def test_readings_that_are_nonsense_pass(name: str, bad: float) -> None:
+    t, y, u = (a[:, :3] if a.ndim > 1 else a for a in healthy(name))
+    y = y.copy()
+    y[10:15] = bad
+    y[15:20, :, 0] = bad
+    d = decisions(Chebyshev(plant_of(name), lam=0.0, alpha=6.0), (t, y, u))
+    assert np.all(np.isfinite(d.estimate)) and not d.diverged.any()
+    assert np.all(np.sum(d.isolated, axis=-1) <= max(1, len(plant_of(name).sensors) // 4))
+    assert np.mean(d.alarm[-1]) <= (1.0 if (name, bad) == ("chain", 1e9) else 0.4), (
+        "whose state has followed takes long to return"
+    )
+
+
+def test_an_area_does_not_depend_on_readings_beyond_those_who_share_with_it() -> None:
+    plant = network()
+    t, y, u = (a[:, :3] if a.ndim > 1 else a for a in healthy("network"))
+    near = {"area 4", "area 3", "area 5", "area 13"}
+    # beyond: what the neighbours' neighbours read, but for their copies of the angles that area 4 shares
+    shared = [s.measures in {f"theta_{i}" for i in (3, 4, 5, 13)} for s in plant.sensors]
+    beyond = np.array([s.owner not in near for s in plant.sensors]) & ~np.array(shared)
+    other, load = y.copy(), u.copy()
+    other[..., beyond] += np.random.default_rng(8).standard_normal(other[..., beyond].shape)
+    far = np.array([s.name.split("_")[1] not in {"3", "4", "5", "13"} for s in plant.inputs])
+    load[..., far] += 0.3
+    mine = np.array([s.owner == "area 4" for s in plant.sensors])
+    for mode in ("corrected", "paper"):
+        detector = Chebyshev(plant, mode=mode, **WATCHING)
+        state = run(detector, detector.init((3,)), t[:20], y[:20], u[:20])[0]
+        a = run(detector, state, t[20:22], y[20:22], u[20:22])[1]
+        b = run(detector, state, t[20:22], other[20:22], load[20:22])[1]
+        for name in ("residual", "threshold"):
+            np.testing.assert_array_equal(getattr(a, name)[..., mine], getattr(b, name)[..., mine])
+        assert np.all(a.residual[..., beyond] != b.residual[..., beyond])
+
+
 def test_confirmations_wait() -> None:
     t, y, u = (a[:, :1] if a.ndim > 1 else a for a in healthy("network"))
     y, i = y.copy(), network().sensor_index("p_v_3")
@@ -324,6 +361,7 @@ def test_confirmations_wait() -> None:
         ({"moments": Unscented}, "estimator is"),
         ({"moments": None}, "estimator is None"),
         ({"confirmations": 0}, "confirmations is 0"),
+        ({"max_faults": 4}, "max_faults is 4; plant 'two-tanks' has 4 sensors"),
         ({"plant": None}, "wanted a Plant"),
     ],
 )
