@@ -41,6 +41,12 @@ SCENARIOS: dict[str, str] = {
         "virtual_sensors",
     )
 }
+SCENARIOS |= {
+    f"network/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.network_{name}:SCENARIO"
+    for name in (
+        "false_alarms",
+    )
+}
 SCENARIOS["comparison"] = "fusion_sfdia.benchmarks.comparison:SCENARIO"
 
 # name: what it is, and "module:function" that returns the Plant with its usual settings

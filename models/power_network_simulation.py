@@ -19,6 +19,7 @@ from fusion_sfdia.models.power_network_operation import AreaFault, Condition, Sw
 from fusion_sfdia.random_streams import require_seeds, stream
 
 Array = NDArray[Any]
+Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]
 
 
 class Moment(NamedTuple):
@@ -58,11 +59,12 @@ def run_network(
     faults: Sequence[AreaFault] = (),
     switches: Sequence[Switch] = (),
     process_noise: bool = True,
+    draw: Draw = np.random.Generator.standard_normal,
 ) -> Iterator[Moment]:
     """Yield the moments 0, dt .. steps dt of runs from equilibrium at t = 0, where the first readings are taken.
 
-    model: of the truth, at t = 0. loads: (N,) as a function of the time (s) from which they act. Raises ValueError for seeds,
-    faults or switches that do not fit.
+    model: of the truth, at t = 0. loads: (N,) as a function of the time (s) from which they act. draw: all noise, from a
+    generator and a shape, with mean 0 and variance 1. Raises ValueError for seeds, faults or switches that do not fit.
     """
     whole("steps", steps, 0)
     seeds = require_seeds(seeds)
@@ -76,11 +78,11 @@ def run_network(
     for k in range(steps + 1):
         t = k * model.dt
         now = at(t)
-        own = x + sigma * np.stack([g.standard_normal((n, 4)) for g in read])
-        theirs = x[..., model.network.topology.neighbour, 0] + shared_sigma * np.stack([g.standard_normal(sides) for g in read])
+        own = x + sigma * np.stack([draw(g, (n, 4)) for g in read])
+        theirs = x[..., model.network.topology.neighbour, 0] + shared_sigma * np.stack([draw(g, (sides,)) for g in read])
         yield Moment(t, x, own, np.where(now.known.network.closed, theirs, np.nan), reference, load, now)
         load = loads(t)
         reference = control(now.known, own, load)
         x = now.step(x, reference, load)
         if process_noise:
-            x = x + disturbance * np.stack([g.standard_normal((n, 4)) for g in disturb])
+            x = x + disturbance * np.stack([draw(g, (n, 4)) for g in disturb])
