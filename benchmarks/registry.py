@@ -45,6 +45,7 @@ SCENARIOS |= {
     f"network/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.network_{name}:SCENARIO"
     for name in (
         "false_alarms",
+        "scale",
     )
 }
 SCENARIOS["comparison"] = "fusion_sfdia.benchmarks.comparison:SCENARIO"

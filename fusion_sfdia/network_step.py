@@ -37,14 +37,10 @@ def network_step(
         raise ValueError(f"what is held, own, shared, reference, load have the shapes {given}; wanted {wanted}")
     if out is None:
         out = Diagnosers(*(np.empty(a.shape) for a in state))
-    elif any(
-        new.shape != a.shape or not new.flags.c_contiguous or np.may_share_memory(new, a)
-        for new, a in zip(out, state, strict=True)
-    ):
+    elif any(new is a or new.shape != a.shape for new, a in zip(out, state, strict=True)):
         raise ValueError("out is the state or not like it; give what this function returned before and is needed no more")
-    before = Diagnosers(*map(_plain, state))
     consensus_equations.step_areas(
-        *before, _plain(reference), _plain(load), lam, mode == "paper", areas.matrices, areas.slope, areas.network.closed,
+        *state, _plain(reference), _plain(load), lam, mode == "paper", areas.matrices, areas.slope, areas.network.closed,
         areas.process_variance, areas.noise, areas.shared_noise, at.start, areas.opposite, _plain(own), _plain(shared), *out,
     )  # fmt: skip
     alarm = consensus_equations.find_alarms(

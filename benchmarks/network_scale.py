@@ -1,0 +1,198 @@
+"""network/scale: time and memory of the diagnosed network against its size, of a change of it, and on two processes.
+
+Times are those of one machine in one run, the only numbers here that a second run does not repeat.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib.util import find_spec
+from time import perf_counter, thread_time
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure as Drawing
+from numpy.typing import NDArray
+
+from fusion_sfdia.areas import Areas
+from fusion_sfdia.benchmarks.plots import panels
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.benchmarks.timing import Timing, best_times
+from fusion_sfdia.consensus import Diagnosers, beginners
+from fusion_sfdia.models.power_network_diagnosis import network_areas
+from fusion_sfdia.models.power_network_model import NetworkModel, network_model
+from fusion_sfdia.models.power_network_parameters import generate_network
+from fusion_sfdia.models.power_network_running import RunningNetwork
+from fusion_sfdia.network_step import network_step
+from fusion_sfdia.partitioned_network import PartitionedNetwork, Readings
+
+Array = NDArray[Any]
+
+NAME, PLANT, DETECTOR = "network/scale", "power-network", "chebyshev:corrected"
+PAPER_AREAS = 15
+PUBLISHED, SOURCE = 4.1e-3, "Boem 2018, sec. VIII (one area, worst case, Matlab on an i7 of 2.2 GHz)"
+ALPHA, LAM = 2.0, 0.3  # B18, sec. VIII
+AWAY = "8"  # the area that leaves and joins
+PARTS = 2
+LONG = 10_000  # areas, whose step is too long to be left alone on a busy machine
+
+
+class Constant:
+    """The same readings at every step, drawn where they are read: numbers decide no branch, so any cost the same."""
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.kept: Readings | None = None
+
+    def __call__(self, k: int, areas: tuple[int, int], sides: Array) -> Readings:
+        if self.kept is None:
+            rng, count = np.random.default_rng(areas[0]), areas[1] - areas[0]
+            own, shared = 1e-3 * rng.standard_normal((1, count, self.n)), 1e-3 * rng.standard_normal((1, sides.size))
+            reference, load = 1e-2 * rng.standard_normal((2, 1, count))
+            self.kept = own, shared, reference, load
+        return self.kept
+
+
+def network_of(areas: int) -> NetworkModel:
+    """The network of B18, or a generated one of another size."""
+    return network_model(None if areas == PAPER_AREAS else generate_network(areas, 0))
+
+
+def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
+    """A call that makes one step after the other in the same memory, and the arrays that such a step reads or writes."""
+    count, n, sides = areas.size
+    given = Constant(n)(0, (0, count), np.arange(sides))
+    turns: list[Diagnosers] = [beginners(areas, (1,)), beginners(areas, (1,))]
+
+    def step() -> None:
+        now, _ = network_step(areas, turns[0], *given, ALPHA, LAM, out=turns[1])
+        turns[:] = [now, turns[0]]
+
+    at = areas.network.topology
+    model = [areas.matrices, areas.slope, areas.process_variance, areas.noise, areas.shared_noise, areas.network.closed]
+    return partial(step), [*model, at.start, at.opposite, *turns[0], *turns[1], *given, np.empty(count, np.bool_)]
+
+
+def scale_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """One task for each size, and for each the same on two processes where `distributed` is installed."""
+    sizes, seconds = settings["areas"], settings["seconds"]
+    parts = [PAPER_AREAS, *settings["parts"]] if settings["parts"] and find_spec("distributed") else []
+    tasks = [{"kind": "one", "areas": n, "seconds": seconds} for n in sizes]
+    return [*tasks, *({"kind": "parts", "areas": n, "seconds": seconds} for n in parts)]
+
+
+def scale_work(task: Task) -> Arrays:
+    """Least seconds of what was timed and how often, (2,) each; bytes () of all that a step reads or writes."""
+    return in_parts(task["areas"], task["seconds"]) if task["kind"] == "parts" else in_one(task["areas"], task["seconds"])
+
+
+def in_one(areas: int, seconds: float) -> Arrays:
+    """One core: processor time of a step, and of a change in place and as another model."""
+    model = network_of(areas)
+    running = RunningNetwork(model)
+    step, arrays = stepping(running.areas)
+
+    def in_place() -> None:
+        running.switch(unplug=[AWAY])
+        running.switch(plug_in=[AWAY])
+
+    clock = thread_time if areas > LONG else perf_counter
+    times = best_times({"step": step}, seconds, clock)
+    times |= best_times({"in_place": in_place, "copied": partial(model.switched, unplug=[AWAY])}, seconds, clock)
+    times["in_place"] = times["in_place"]._replace(best=times["in_place"].best / 2)
+    return {"bytes": np.array(sum(a.nbytes for a in arrays)), **_arrays(times)}
+
+
+def in_parts(areas: int, seconds: float) -> Arrays:
+    """Two processes of one thread against this one, taking turns: seconds on the clock."""
+    from distributed import Client, LocalCluster
+
+    whole = network_areas(network_of(areas), named=False)
+    step, _ = stepping(whole)
+    with (
+        LocalCluster(n_workers=PARTS, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster,
+        Client(cluster, set_as_default=False, direct_to_workers=True) as client,
+    ):
+        parts = PartitionedNetwork(client, whole, beginners(whole, (1,)), Constant(whole.size[1]), ALPHA, LAM)
+        return _arrays(best_times({"step": step, "parts": parts.step}, seconds))
+
+
+def _arrays(times: dict[str, Timing]) -> Arrays:
+    return {name: np.array(time, dtype=float) for name, time in times.items()}
+
+
+def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """Rows, the figure, and what the times come to for each area."""
+    rows: list[Row] = []
+
+    def add(quantity: str, metric: str, value: float, n: float, published: float | None = None) -> None:
+        source = "" if published is None else SOURCE
+        rows.append(Row(NAME, PLANT, DETECTOR, "none", quantity, metric, value, n=int(n), published=published, source=source))
+
+    one = {t["areas"]: a for t, a in results if t["kind"] == "one"}
+    parts = {t["areas"]: a for t, a in results if t["kind"] == "parts"}
+    for areas, found in one.items():
+        step, calls = found["step"]
+        add(f"{areas} areas", "step_time", step, calls)
+        add(f"one of {areas} areas", "step_time", step / areas, calls, PUBLISHED if areas == PAPER_AREAS else None)
+        add(f"one of {areas} areas", "peak_memory", found["bytes"] / areas, 1)
+        add(f"{areas} areas, in place", "replug_time", *found["in_place"])
+        add(f"{areas} areas, another model", "replug_time", *found["copied"])
+    for areas, found in parts.items():
+        add(f"{areas} areas, {PARTS} processes", "step_time", *found["parts"])
+        add(f"{areas} areas, {PARTS} processes", "speedup", found["step"][0] / found["parts"][0], found["parts"][1])
+    each = {areas: found["step"][0] / areas for areas, found in one.items()}
+    remarks = [
+        f"Least times, for more than {LONG} areas on one core of its processor time; a step is the estimates, "
+        "thresholds, weights, what is kept of the readings, and the alarms of all areas. Memory is that of all arrays that a "
+        "step reads or writes, two states included, without the names of areas, states and sensors.",
+    ]
+    if PAPER_AREAS in parts and each:
+        barrier, largest = parts[PAPER_AREAS]["parts"][0], max(each)
+        add("areas in a part, two free cores", "break_even", barrier / each[largest], parts[PAPER_AREAS]["parts"][1])
+        remarks.append(
+            f"A step of {PARTS} processes takes {1e3 * barrier:.3g} ms however few the areas, so it pays from about "
+            f"{barrier / each[largest]:.2g} areas in each part on, if each has a core and a memory of its own."
+        )
+    elif not parts:
+        remarks.append("On several processes nothing was measured: that needs the package distributed.")
+    told = "; ".join(f"{n} areas {1e6 * found['step'][0]:.3g} us" for n, found in one.items())
+    figure = Figure(
+        "time",
+        "Time of a step and of a change",
+        f"One core. Least time of a step, for each area: {'; '.join(f'{n} areas {1e9 * s:.0f} ns' for n, s in each.items())}.",
+        partial(draw, one),
+        "Times of a step and of unplugging an area against the number of areas, both axes logarithmic",
+    )
+    return Summary(rows, [figure] if one else [], highlights=[f"A step of all diagnosers on one core: {told}"], remarks=remarks)
+
+
+def draw(one: dict[int, Arrays]) -> Drawing:
+    """Times against the number of areas."""
+    figure, (axes,) = panels([""], columns=1)
+    sizes = sorted(one)
+    for name, label, marker in (
+        ("step", "a step", "o"),
+        ("copied", "another model", "s"),
+        ("in_place", "change in place", "^"),
+    ):
+        axes.loglog(sizes, [one[n][name][0] for n in sizes], marker=marker, label=label)
+    axes.set(xlabel="areas", ylabel="time (s)")
+    axes.legend()
+    return figure
+
+
+SCENARIO = Scenario(
+    name=NAME,
+    title="Speed and scale of the diagnosed power network",
+    about="Time and memory of a step of all diagnosers against the number of areas, of unplugging an area and plugging it in, "
+    "and of a network on two processes. Boem 2018 states 4.1 ms for a step of one area.",
+    settings={"areas": (15, 1500, 150000), "parts": (150000,), "seconds": 2.0},
+    seeds=1,
+    full_seeds=1,
+    tasks=scale_tasks,
+    work=scale_work,
+    summarise=scale_summary,
+    full={"areas": (15, 1500, 150000, 1500000)},
+)

@@ -1,0 +1,65 @@
+"""network/scale: each size has its rows, memory is what the arrays hold, and two processes where there is a cluster."""
+
+from __future__ import annotations
+
+import math
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.benchmarks import network_scale
+from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
+from fusion_sfdia.benchmarks.scenario import Summary
+from fusion_sfdia.benchmarks.timing import best_times
+
+SCALE = scenario("network/scale")
+
+
+def run(**changes: Any) -> Summary:
+    settings = {**SCALE.settings, "seconds": 1e-3, "parts": (), **changes}
+    return SCALE.summarise(settings, [(task, SCALE.work(task)) for task in SCALE.tasks(settings, 1)])
+
+
+def test_each_size_has_its_times_and_its_memory() -> None:
+    summary = run(areas=(15, 40))
+    found = {(r.quantity, r.metric): r for r in summary.rows}
+    assert len(found) == len(summary.rows)
+    assert all(r.value > 0 and r.n > 0 and r.scenario == "network/scale" for r in summary.rows)
+    for areas in (15, 40):
+        step, one = found[f"{areas} areas", "step_time"], found[f"one of {areas} areas", "step_time"]
+        assert math.isclose(one.value * areas, step.value)
+        # an area: model 4 x 6 + 4 + 4 numbers, readings and inputs 6, two states of 4 x 4, its start and alarm; a side: 2 of
+        # the model, reading, two states of 4, its opposite, whether it is closed; one start more
+        sides = network_scale.network_of(areas).network.topology.node.size
+        wanted = 8 * (areas * (32 + 6 + 32 + 1) + sides * (3 + 8 + 1) + 1) + areas + sides
+        assert found[f"one of {areas} areas", "peak_memory"].value == wanted / areas
+        assert (f"{areas} areas, in place", "replug_time") in found
+    assert found["one of 15 areas", "step_time"].published == 4.1e-3
+    assert len(summary.figures) == 1 and summary.figures[0].draw().axes
+    assert any("needs the package distributed" in remark for remark in summary.remarks)
+
+
+def test_what_is_timed_are_steps_that_go_on() -> None:
+    areas = network_scale.network_areas(network_scale.network_of(15), named=False)
+    step, arrays = network_scale.stepping(areas)
+    for _ in range(3):
+        step()
+    settled = [a for a in arrays if a.shape == (1, 15, 4)]
+    assert sum(np.all((a > 0) & (a < 1)) for a in settled) >= 1  # the deviations, of which the diagnosers began unaware
+
+
+@pytest.mark.skipif(find_spec("distributed") is None, reason="needs the optional package distributed")
+def test_two_processes_are_timed_beside_one() -> None:
+    summary = run(areas=(15,), parts=(30,))
+    found = {(r.quantity, r.metric): r.value for r in summary.rows}
+    assert found["30 areas, 2 processes", "step_time"] > 0 and found["30 areas, 2 processes", "speedup"] < 1
+    assert found["areas in a part, two free cores", "break_even"] > 0
+    assert "network/scale" in SCENARIOS
+
+
+def test_a_clock_of_ones_own() -> None:
+    ticks = iter(range(1000))
+    found = best_times({"a": lambda: None}, 5.0, clock=lambda: next(ticks))
+    assert found["a"].best == 1.0
