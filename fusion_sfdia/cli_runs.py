@@ -22,7 +22,9 @@ def add_compare(commands: Any, work: Work) -> None:
     """Add `compare`: its plants, detectors and faults are settings of the scenario."""
     one = commands.add_parser("compare", help="compare detectors on plants under one protocol", allow_abbrev=False)
     for what in ("plants", "detectors", "faults"):
-        one.add_argument(f"--{what}", dest="set", action="append", type=f"{what}={{}}".format, metavar="A,B", help="only these")
+        one.add_argument(
+            f"--{what}", dest="set", action="append", default=[], type=f"{what}={{}}".format, metavar="A,B", help="only these"
+        )
     _add_common(one, seeds="runs of each fault", full="every sensor, and runs that decide: hours", folder="results/comparison")
     one.set_defaults(work=work, scenario=["comparison"])
 

@@ -26,7 +26,7 @@ from fusion_sfdia.benchmarks.comparison_work import finest, work
 from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.benchmarks.scenario import adjust
-from fusion_sfdia.cli import main
+from fusion_sfdia.cli import main, parser
 from fusion_sfdia.simulate import simulate
 
 TINY = {
@@ -204,6 +204,11 @@ def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
     ranks = [r for r in one.rows if r.metric == "rank"]
     assert {r.plant for r in ranks} == {"two-tanks", "marine-engine", "all plants"}
     assert {r.value for r in ranks if r.plant == "two-tanks"} == {1.0}  # two seeds show no difference
+
+
+def test_without_options_all_is_compared() -> None:
+    chosen = parser().parse_args(["compare"])
+    assert (chosen.scenario, chosen.set, chosen.full) == (["comparison"], [], False)
 
 
 def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
