@@ -98,6 +98,29 @@ class AreaDiagnosers:
             found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
 
+    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook:
+        """As of PresentReadings; states that nobody reads stay as they are."""
+        rows = np.any(size != 0, axis=-1)
+        absorbed = np.zeros((*size.shape, size.shape[-1]))
+        absorbed[rows] = self.effects(core, outlook, now, u, rows)[0]
+        less = np.sum(absorbed * size[..., None, :], axis=-1)
+        more = np.sum(np.abs(absorbed) * doubt[..., None, :], axis=-1)
+        ahead: Foretold = outlook.inner
+        shift, shift_shared = self._of_areas(less / self._scale, 0.0)
+        wider, wider_shared = self._of_areas(more / np.abs(self._scale), 0.0)
+        return outlook._replace(
+            expected=outlook.expected - less,
+            deviation=outlook.deviation + more,
+            inner=Foretold(
+                ahead.estimate - shift,
+                ahead.estimate_shared - shift_shared,
+                ahead.deviation + wider,
+                ahead.deviation_shared + wider_shared,
+                np.minimum(ahead.doubt + wider, UNKNOWN),
+                np.minimum(ahead.doubt_shared + wider_shared, UNKNOWN),
+            ),
+        )
+
     def _ahead(self, core: tuple[Array, ...], reference: Array, load: Array) -> Foretold:
         """`consensus.foretell`, compiled."""
         areas, batch = self.areas, core[0].shape[:-2]

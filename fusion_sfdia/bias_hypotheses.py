@@ -33,12 +33,15 @@ class Evidence(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """Whether a sensor is named, and of the best hypothesis of each the interval and the estimate of its fault, (R, N) each."""
+    """Whether a sensor is named, and of the best hypothesis of each the interval and the estimate of its fault, and whether it
+    began before now, so that the expected readings have a part in it; (R, N) each.
+    """
 
     named: Array
     low: Array
     high: Array
     size: Array
+    late: Array
 
 
 def explain(before: Evidence, now: Evidence, from_readings: Array, from_residuals: Array, suspects: Array) -> Explanation:
@@ -54,7 +57,7 @@ def explain(before: Evidence, now: Evidence, from_readings: Array, from_residual
     gain = np.where(explains & suspects, gain, -np.inf)
     best = np.argmax(gain, axis=0)[None]
     low, high, size, gain = (np.take_along_axis(a, best, axis=0)[0] for a in (low, high, size, gain))
-    return Explanation(_apart(gain, reach), low, high, size)
+    return Explanation(_apart(gain, reach), low, high, size, best[0] > 0)
 
 
 def _apart(gain: Array, reach: Array) -> Array:

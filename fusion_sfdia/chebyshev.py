@@ -42,6 +42,7 @@ class Diagnosis(Protocol):
     def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]: ...
     def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook: ...
     def take(self, outlook: Outlook, y: Array) -> Taken: ...
+    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook: ...
     def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]: ...
 
 
@@ -150,14 +151,17 @@ class Chebyshev(BatchDetector):
             trusted = np.isfinite(y) & ~exclusion.out
             rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
             if np.any(rows):
-                named, size = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
-                room = np.sum(exclusion.out | named, axis=-1, keepdims=True) <= self._most_faults
-                exclusion = exclude(exclusion, named & room, size)
+                named, absorbed, doubt = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
+                named &= np.sum(exclusion.out | named, axis=-1, keepdims=True) <= self._most_faults
+                if np.any(named & (absorbed != 0)):
+                    faults = np.where(named, absorbed, 0.0), np.where(named, doubt, 0.0)
+                    outlook = self.diagnosis.freed(inner, outlook, now, u, *faults)
+                exclusion = exclude(exclusion, named, y - outlook.expected)
         used = np.where(exclusion.out, np.nan, y)
         taken = self.diagnosis.take(outlook, used)
         decision = Decision(
             estimate=taken.estimate,
-            measured=np.where(np.isfinite(used), used, expected),
+            measured=np.where(np.isfinite(used), used, outlook.expected),
             residual=residual,
             threshold=threshold,
             isolated=exclusion.out,
@@ -180,9 +184,12 @@ class Chebyshev(BatchDetector):
         trusted: Array,
         residual: Array,
         threshold: Array,
-    ) -> tuple[Array, Array]:
-        """Which sensors explain the runs chosen by `rows`, and the sizes of their faults (B, N)."""
-        named, size = np.zeros(trusted.shape, bool), np.full(trusted.shape, np.nan)
+    ) -> tuple[Array, Array, Array]:
+        """Which sensors explain the runs chosen by `rows`; of those whose fault began before now the least that explains, by
+        which their last readings erred too, and by how much it may be more (B, N).
+        """
+        named = np.zeros(trusted.shape, bool)
+        absorbed, doubt = np.zeros(trusted.shape), np.zeros(trusted.shape)
         flat = np.flatnonzero(rows)
         for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
             few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
@@ -190,8 +197,11 @@ class Chebyshev(BatchDetector):
             said = np.where(trusted[few], residual[few], np.nan)
             present = Evidence(said, threshold[few] / self.limits, threshold[few])
             found = explain(earlier, present, *self.diagnosis.effects(core[8:], outlook, now, u, few), trusted[few])
-            named[few], size[few] = found.named, found.size
-        return named, size
+            named[few] = found.named
+            late = found.named & found.late
+            absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
+            doubt[few] = np.where(late, found.high - found.low, 0.0)
+        return named, absorbed, doubt
 
 
 def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> Chebyshev:

@@ -114,15 +114,32 @@ class PresentReadings:
         deviation = np.where(used, outlook.deviation, 0.0)
         return Taken((estimate, P, W, residual, deviation), estimate, P)
 
+    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook:
+        """The outlook without what the last readings of some sensors put into it, faults of that size and doubt (B, N) or 0."""
+        rows = np.any(size != 0, axis=-1)
+        absorbed = np.zeros((*size.shape[:-1], *core[2].shape[-2:]))
+        absorbed[rows] = self._tangent(core, outlook, now, u, rows) @ core[2][rows]
+        prior, joint, readout = outlook.inner
+        spread = absorbed * doubt[..., None, :]
+        x, P = joint.x - np.sum(absorbed * size[..., None, :], axis=-1), joint.P + spread @ np.swapaxes(spread, -1, -2)
+        joint = self.moments.joint(self.plant, prior._replace(core=(x, P)), now.t, u)
+        expected = joint.y - self.lam * np.where(size != 0, 0.0, core[3])
+        ahead = self.lam * core[4] + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
+        return outlook._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout))
+
+    def _tangent(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> Array:
+        """F (R, n, n) of the runs chosen by `rows`, or (n, n) of all."""
+        tangent = outlook.inner.prior.tangent
+        if tangent is None:
+            return self.plant.step_jacobian_at(now.last, self.plant.guard(core[0][rows])[0], u[rows], now.dt)
+        chosen: Array = tangent[rows] if tangent.ndim > 2 else tangent
+        return chosen
+
     def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]:
         """For the runs chosen by `rows` (B,), (R, N, N): how much more is expected of each reading for one more unit in each
         reading of the last step, and how much less for one more in each residual of it.
         """
-        prior, _, readout = outlook.inner
+        readout = outlook.inner.readout
         H = readout[rows] if readout.ndim > 2 else readout
-        if prior.tangent is None:
-            F = self.plant.step_jacobian_at(now.last, self.plant.guard(core[0][rows])[0], u[rows], now.dt)
-        else:
-            F = prior.tangent[rows] if prior.tangent.ndim > 2 else prior.tangent
-        from_readings = np.asarray(H @ (F @ core[2][rows]))
+        from_readings = np.asarray(H @ (self._tangent(core, outlook, now, u, rows) @ core[2][rows]))
         return from_readings, np.broadcast_to(self.lam * np.eye(H.shape[-2]), from_readings.shape)

@@ -262,14 +262,14 @@ def test_faults_of_every_kind_of_reading_are_named_exactly(name: str) -> None:
     plant = power_network(loads=(), noise="small")
     r = simulate(plant, 45, range(20), truth="model", process_noise=True)
     i, y = plant.sensor_index(name), r.y.copy()
-    y[25:, :, i] += 25 * plant.sensor_sigma[i]
+    y[25:, :, i] += 40 * plant.sensor_sigma[i]
     d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (r.t, y, np.broadcast_to(r.u[:, None], (45, 20, 30))))
     assert np.mean(d.isolated[25:, :, i]) > 0.95 and np.mean(np.delete(d.isolated, i, axis=-1)) < 1e-3
     assert not d.isolated[:25].any()
     size = np.nanmean(d.fault_size[40:, :, i]) / plant.sensor_sigma[i]
-    assert size == pytest.approx(25.0, abs=3.0)
+    assert size == pytest.approx(40.0, abs=3.0)
     error = (d.measured - r.y)[26:, :, i] / plant.sensor_sigma[i]
-    assert np.sqrt(np.mean(error**2)) < 12.5, "what stands for the reading is nearer to the truth than the reading"
+    assert np.sqrt(np.mean(error**2)) < 20.0, "what stands for the reading is nearer to the truth than the reading"
 
 
 def test_a_fault_of_the_process_is_none_of_the_sensors() -> None:
@@ -280,6 +280,23 @@ def test_a_fault_of_the_process_is_none_of_the_sensors() -> None:
     y[20:, :, areas] += 1.0  # three states jump at once
     d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (r.t, y, np.broadcast_to(r.u[:, None], (30, 10, 30))))
     assert np.all(d.alarm[20]) and not d.isolated[20].any()
+
+
+@pytest.mark.parametrize("name", ["chain", "network"])
+def test_a_fault_that_grew_unnoticed_is_taken_out_of_the_estimate(name: str) -> None:
+    """A ramp that the state follows: at its naming what stands for the reading is freed from what had been absorbed."""
+    plant = plant_of(name)
+    t, y, u = (a[:, :20] if a.ndim > 1 else a for a in healthy(name))
+    truth, y = y, y.copy()
+    i = plant.sensor_index("theta_6") if name == "network" else 5
+    ramp = np.maximum(t - t[9], 0.0) / (t[1] - t[0]) * plant.sensor_sigma[i]
+    y[..., i] += ({"chain": 4.5, "network": 3.0}[name] * ramp)[:, None]
+    d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (t, y, u))
+    first = np.argmax(d.isolated[..., i], axis=0)
+    assert np.all(np.any(d.isolated[..., i], axis=0)) and np.median(first) > 11, "named, and late"
+    error = np.array([abs(d.measured[k, b, i] - truth[k, b, i]) for b, k in enumerate(first)])
+    bias = np.array([abs(y[k, b, i] - truth[k, b, i]) for b, k in enumerate(first)])
+    assert np.median(error) < 0.5 * np.median(bias)
 
 
 def test_faults_apart_from_each_other_are_named_at_once() -> None:
