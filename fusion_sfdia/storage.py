@@ -79,7 +79,7 @@ def _umask() -> int:
 
 def fingerprint(detector: Detector) -> str:
     """A digest by which a saved state is matched: a detector's class and settings, and of its plant the names, the noise,
-    and where one nominal step and its readings lead from x0 (to 9 digits), which any change of parameters moves.
+    where one nominal step and its readings lead from x0 (to 9 digits), which any change of parameters moves, and its areas.
     """
     plant: Plant = detector.plant
     u = plant.input_at(0.0)
@@ -92,6 +92,7 @@ def fingerprint(detector: Detector) -> str:
         *plant.sensor_names,
         *(s.name for s in plant.states),
         *(f"{v:.8e}" for v in (*ahead, *plant.output(plant.dt, ahead, u))),
+        *(() if plant.areas is None else (_described(plant.areas),)),
     ]
     digest = hashlib.sha256("\n".join(parts).encode())
     for array in (plant.x0, plant.initial_cov, plant.process_cov, plant.sensor_cov):

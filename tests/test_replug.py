@@ -136,6 +136,8 @@ def test_a_state_is_saved_and_loaded_across_a_change(tmp_path: Path) -> None:
     rebuilt = Chebyshev(power_network(loads=()), alpha=8.0)
     _, resumed = after(rebuilt, load_state(tmp_path / "after.npz", rebuilt), data)
     _, went_on = after(changed, state, data)
+    with pytest.raises(ValueError, match="another detector, other settings or another plant"):
+        load_state(tmp_path / "before.npz", rebuilt)
     np.testing.assert_array_equal(resumed.residual, went_on.residual)
     np.testing.assert_array_equal(resumed.threshold, went_on.threshold)
 
