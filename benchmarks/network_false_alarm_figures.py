@@ -76,7 +76,7 @@ def claims_figure(rows: Sequence[Row], laws: Sequence[str]) -> Figure:
         for panel, law in zip(axes, laws, strict=True):
             for i, rule in enumerate(RULES_SHOWN):
                 found = [_one(rows, "chebyshev", f"all, {rule} {p:g}, lit, {law}") for p in LEVELS]
-                x = np.array(LEVELS) * 1.13 ** (i - 2)
+                x = np.array(LEVELS) * 1.06 ** (i - 2)
                 value, low, high = (np.array(a) for a in _limits(found))
                 seen = value > 0
                 spread = [np.maximum(value - low, 0)[seen], np.maximum(high - value, 0)[seen]]

@@ -14,36 +14,44 @@ if TYPE_CHECKING:
     from fusion_sfdia.plant import Plant
 
 # name: "module:attribute", the attribute being a Scenario
-SCENARIOS: dict[str, str] = {
-    f"pipeline/{name}": f"fusion_sfdia.benchmarks.pipeline_{name}:SCENARIO"
-    for name in (
-        "estimation",
-        "roc",
-        "isolation",
-        "accuracy",
-        "accommodation",
-        "units",
-        "weak",
-        "mismatch",
-        "consistency",
-    )
-} | {
-    f"engine/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.engine_{name}:SCENARIO"
-    for name in (
-        "three_faults",
-        "two_faults",
-        "minimum_fault",
-        "signatures",
-        "noise",
-        "sensitivity",
-        "load",
-        "process",
-        "virtual_sensors",
-    )
-}
+SCENARIOS: dict[str, str] = (
+    {
+        f"pipeline/{name}": f"fusion_sfdia.benchmarks.pipeline_{name}:SCENARIO"
+        for name in (
+            "estimation",
+            "roc",
+            "isolation",
+            "accuracy",
+            "accommodation",
+            "units",
+            "weak",
+            "mismatch",
+            "consistency",
+        )
+    }
+    | {
+        f"engine/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.engine_{name}:SCENARIO"
+        for name in (
+            "three_faults",
+            "two_faults",
+            "minimum_fault",
+            "signatures",
+            "noise",
+            "sensitivity",
+            "load",
+            "process",
+            "virtual_sensors",
+        )
+    }
+    | {
+        f"network/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.network_{name}:SCENARIO"
+        for name in ("governor", "sign_flip", "attacks")
+    }
+)
 SCENARIOS |= {
     f"network/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.network_{name}:SCENARIO"
     for name in (
+        "consensus",
         "false_alarms",
         "scale",
     )
