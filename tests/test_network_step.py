@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from consensus_arrays import foretell, take
 
+from fusion_sfdia import consensus
 from fusion_sfdia.areas import Areas
-from fusion_sfdia.consensus import MODES, Diagnosers, beginners, foretell, take
+from fusion_sfdia.consensus import MODES, Diagnosers, beginners
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_parameters import generate_network
@@ -40,8 +42,8 @@ def anything(areas: Areas, batch: int, seed: int = 0) -> tuple[Diagnosers, dict[
 def test_the_compiled_step_is_that_of_the_arrays(network: str, mode: str) -> None:
     areas = NETWORKS[network]
     state, given = anything(areas, 3)
-    ahead = foretell(areas, state, given["reference"], given["load"], LAM, mode)
-    wanted = take(ahead, given["own"], given["shared"])
+    inputs = given["reference"], given["load"], LAM, mode
+    wanted = take(foretell(areas, state, *inputs), given["own"], given["shared"])
     found, alarm = network_step(areas, state, **given, alpha=ALPHA, lam=LAM, mode=mode)
     # each number is a sum of at most n + 2 + 4 terms for each of the sides, in another order; with all terms positive the sum
     # of their magnitudes is what foretell gives for magnitudes, and each of the two roundings at a term costs eps of it
@@ -54,6 +56,8 @@ def test_the_compiled_step_is_that_of_the_arrays(network: str, mode: str) -> Non
     for k, name in enumerate(Diagnosers._fields):
         size = np.abs(getattr(most, name.replace("held", "estimate").replace("residual", "estimate")))
         assert np.all(np.abs(found[k] - wanted[k]) <= operations * np.finfo(float).eps * size), name
+    by_turns = consensus.take(consensus.foretell(areas, state, *inputs), given["own"], given["shared"])
+    assert [a.tobytes() for a in by_turns] == [a.tobytes() for a in found]
     crossed = np.abs(wanted.residual) > ALPHA * wanted.deviation
     beside = np.abs(wanted.residual_shared) > ALPHA * wanted.deviation_shared
     at = areas.network.topology
@@ -76,6 +80,28 @@ def test_the_bits_depend_on_no_batch_and_on_no_reused_memory(mode: str) -> None:
             alone[b], by_itself = network_step(areas, alone[b], **one, alpha=ALPHA, lam=LAM, mode=mode)
             for together, single in zip((*whole, alarm), (*alone[b], by_itself), strict=True):
                 assert together[b : b + 1].tobytes() == single.tobytes()
+
+
+def test_batches_have_any_leading_axes_and_are_broadcast() -> None:
+    areas = NETWORKS["paper"]
+    state, given = anything(areas, 6)
+    whole = consensus.foretell(areas, state, given["reference"], given["load"][:1], LAM, "corrected")
+    several = Diagnosers(*(a.reshape(2, 3, *a.shape[1:]) for a in state))
+    found = consensus.foretell(areas, several, given["reference"].reshape(2, 3, -1), given["load"][:1], LAM, "corrected")
+    for a, b in zip(found, whole, strict=True):
+        assert a.shape == (2, 3, *b.shape[1:]) and a.tobytes() == b.tobytes()
+    kept = consensus.take(found, given["own"].reshape(2, 3, 15, 4), given["shared"].reshape(2, 3, -1))
+    for a, b in zip(kept, consensus.take(whole, given["own"], given["shared"]), strict=True):
+        assert a.tobytes() == b.tobytes()
+    turned = Diagnosers(*(np.asfortranarray(a) for a in state))  # memory in another order
+    ahead = consensus.foretell(areas, turned, given["reference"], given["load"][:1], LAM, "corrected")
+    ahead = consensus.Foretold(*(np.asfortranarray(a) for a in ahead))
+    for a, b in zip(consensus.take(ahead, given["own"], given["shared"]), kept, strict=True):
+        np.testing.assert_array_equal(a, b.reshape(a.shape))
+    with pytest.raises(ValueError, match="mode is 'papr'"):
+        consensus.foretell(areas, state, given["reference"], given["load"], LAM, "papr")
+    with pytest.raises(ValueError, match="broadcast"):
+        consensus.foretell(NETWORKS["dense"], state, given["reference"], given["load"], LAM, "corrected")
 
 
 def test_diagnosers_that_know_nothing_start_from_their_first_readings() -> None:
