@@ -69,7 +69,7 @@ def figures(settings: Settings, cells: Cells) -> list[Figure]:
             "Every detector on every plant",
             overview_caption(settings, cells),
             partial(draw_overview, cells, numbers, logarithmic),
-            f"Six tables of numbers on colours, detectors down and plants across: {', '.join(numbers)}",
+            f"{len(numbers)} tables of numbers on colours, detectors down and plants across: {', '.join(numbers)}",
         )
     ]
     for plant in dict.fromkeys(p for p, _ in cells):
@@ -126,7 +126,7 @@ def plant_figures(settings: Settings, plant: str, cells: Mapping[str, Cell]) -> 
             f"{plant}-confusion",
             f"Which quantity is named, {plant}",
             "Single faults of the two largest sizes, replays and negated readings; rows: the quantity of the faulty sensor, "
-            "columns: what was named on most samples, in shares of the row. The right sensor is named in a share of runs "
+            "columns: what is named, in shares of the samples, each of several named having its share. The right sensor has "
             f"{extremes(right)}.",
             partial(draw_confusion, cells),
             f"A matrix for each of {len(cells)} detectors on {plant}: faulty quantity against named quantity",

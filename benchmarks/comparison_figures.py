@@ -56,11 +56,11 @@ def heat(
     """Numbers on colours, larger darker; NaN is grey and blank."""
     shown = np.log10(np.maximum(values, 1e-4)) if log else values
     low, high = (-4.0, 0.0) if log else (0.0, 1.0)
-    colours = matplotlib.colormaps["cividis_r"].with_extremes(bad="0.9")
+    colours = matplotlib.colormaps["Blues"].with_extremes(bad="0.85")
     axes.imshow(np.ma.masked_invalid(shown), cmap=colours, vmin=low, vmax=high, aspect="auto")
     for i, j in np.ndindex(*values.shape):
         if np.isfinite(values[i, j]):
-            dark = (shown[i, j] - low) / (high - low) > 0.55
+            dark = (shown[i, j] - low) / (high - low) > 0.6
             axes.text(
                 j, i, form.format(values[i, j]), ha="center", va="center", fontsize=6.5, color="white" if dark else "black"
             )
@@ -73,11 +73,14 @@ def heat(
 def draw_overview(cells: Cells, numbers: Mapping[str, Callable[[Cell], float]], logarithmic: Sequence[str]) -> Drawing:
     """A panel a number, detectors down, plants across."""
     plants, detectors = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
-    figure, axes = panels(list(numbers), columns=3, width=12.5, height=1.2 + 0.22 * len(detectors))
+    figure, axes = panels(list(numbers), columns=4, width=14.0, height=1.2 + 0.22 * len(detectors))
     for axis, (title, number) in zip(axes, numbers.items(), strict=True):
         values = np.array([[number(cells[p, d]) if (p, d) in cells else np.nan for p in plants] for d in detectors])
         log = title in logarithmic
         heat(axis, values, detectors, plants, form="{:.2g}" if log else "{:.2f}", log=log)
+    for i, axis in enumerate(axes):
+        if i % 4:
+            axis.set_yticklabels([])
     return figure
 
 
@@ -151,7 +154,7 @@ def draw_confusion(cells: Mapping[str, Cell]) -> Drawing:
     columns = ["none", *(f"other {q}" for q in quantities), "the right one"]
     figure, axes = panels(list(cells), columns=4, width=12.5, height=1.5 + 0.28 * len(quantities))
     for axis, cell in zip(axes, cells.values(), strict=True):
-        counts = confusion(cell)
+        counts = confusion(cell).sum(axis=1)
         total = counts.sum(axis=1, keepdims=True)
         heat(axis, np.divide(counts, total, out=np.full(counts.shape, np.nan), where=total > 0), quantities, columns)
     return figure

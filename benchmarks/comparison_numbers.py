@@ -37,7 +37,7 @@ class Cell:
         self.model = plant_of(plant)
         self.arrays = {
             name: np.concatenate([p[name] for p in parts], axis=PER_SEED.get(name, 1))
-            if name in PER_SEED or parts[0][name].ndim == 2
+            if name in PER_SEED or parts[0][name].ndim >= 2
             else parts[0][name]
             for name in parts[0]
         }
@@ -77,6 +77,10 @@ class Cell:
     def exact(self, rows: Array) -> Estimate:
         """Share of samples at which exactly the faulty sensors are named."""
         return self.rate("exact", rows, self.window)
+
+    def recall(self, rows: Array) -> Estimate:
+        """Share of faulty sensor-samples that are named, alone or among others."""
+        return self.rate("right", rows, self["faulty"][rows])
 
     def blame(self, rows: Array) -> Estimate:
         """Share of samples at which a healthy sensor is named."""
@@ -153,28 +157,22 @@ def gather(settings: Settings, results: Iterable[tuple[Task, Arrays]]) -> tuple[
 
 
 def confusion(cell: Cell) -> Array:
-    """Runs by the quantity of the faulty sensor (Q,) and of the one named most, first none (Q + 1), last the right one (Q + 2).
+    """What is named where a sensor of each quantity is faulty (Q, runs, Q + 2): none, another of each quantity, the right one.
 
-    Single faults of all kinds but dropouts, at their two largest sizes.
+    Samples of single faults of all kinds but dropouts, at their two largest sizes; where several are named, each has its share
+    of the sample. Runs in which a sensor of another quantity is faulty have none.
     """
-    groups = list(cell.model.quantities.values())
-    of = np.zeros(len(cell.model.sensors) + 1, int)  # the last for none, -1
-    for q, members in enumerate(groups, start=1):
-        of[members] = q
     large = sorted(cell.settings["magnitudes"])[-2:]
     single = [n for n, kind in cell.kinds.items() if (kind in GRADED and cell.sigmas[n] in large) or kind in ("sign", "replay")]
     rows = cell.rows_of(*single)
-    sensor, guess = cell["sensor"][rows].ravel(), cell["guess"][rows].ravel()
-    counts = np.zeros((len(groups), len(groups) + 2))
-    column = np.where(sensor == guess, len(groups) + 1, of[guess])
-    np.add.at(counts, (of[sensor] - 1, column), 1)
-    return counts
+    sensor, told = cell["sensor"][rows].ravel(), cell["told"][rows].reshape(-1, cell["told"].shape[-1])
+    return np.stack([np.where(np.isin(sensor, q)[:, None], told, 0.0) for q in cell.model.quantities.values()])
 
 
 def share_right(cell: Cell) -> float:
-    """Share of the runs of `confusion` in which the faulty sensor is named most."""
-    counts = confusion(cell)
-    return float(counts[:, -1].sum() / counts.sum()) if counts.any() else np.nan
+    """Share of the samples of `confusion` in which the faulty sensor is named."""
+    samples = confusion(cell)
+    return float(samples[..., -1].sum() / samples.sum()) if samples.any() else np.nan
 
 
 def rows_of_cell(cell: Cell) -> list[Row]:
@@ -203,11 +201,10 @@ def rows_of_cell(cell: Cell) -> list[Row]:
     for truth in cell.truths:
         for name in dict.fromkeys(cell["condition"][cell["truth"] == truth].tolist()):
             _rows_of_runs(cell, add, name, truth, cell.rows_of(name, truth=truth), samples)
-    counts, quantities = confusion(cell), list(cell.model.quantities)
-    for q, quantity in enumerate(quantities):
-        for column, named in enumerate(["none", *(f"another {n}" for n in quantities), "the right one"]):
-            if total := int(counts[q].sum()):
-                add("large", f"{quantity}: {named}", "named_share", proportion(int(counts[q, column]), total))
+    quantities = list(cell.model.quantities)
+    for quantity, samples in zip(quantities, confusion(cell), strict=True):
+        for named, hits in zip(("none", *(f"another {n}" for n in quantities), "the right one"), samples.T, strict=True):
+            add("large", f"{quantity}: {named}", "named_share", rate_over_runs(hits, samples.sum(axis=-1)))
     return found
 
 
@@ -219,7 +216,7 @@ def _rows_of_runs(cell: Cell, add: Any, fault: str, quantity: str, rows: Array, 
         add(fault, quantity, "detection_probability", cell.rate("alarms", rows, cell.window))
         add(fault, quantity, "detection_delay", cell.delay(rows))
         add(fault, quantity, "exact_isolation", cell.exact(rows))
-        add(fault, quantity, "isolation_recall", cell.rate("right", rows, faulty))
+        add(fault, quantity, "isolation_recall", cell.recall(rows))
         add(fault, quantity, "isolation_precision", cell.rate("right", rows, cell["named"][rows]))
         size = mean(cell["size_error"][rows].ravel())
         add(fault, quantity, "fault_mape_percent", Estimate(100 * size.value, 100 * size.low, 100 * size.high, size.n))

@@ -31,7 +31,8 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
 
     alarms: samples with an alarm. first: samples until the first, inf for none. right, named, faulty: sensor-samples that are
     named and faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a
-    healthy sensor is. guess: the sensor named on most samples, -1 for none. size_error: mean |size / true size - 1| where
+    healthy sensor is. told (B, Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is
+    faulty; where several are named, each has its share of the sample. size_error: mean |size / true size - 1| where
     named. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty sensors measured,
     raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
     """
@@ -39,9 +40,8 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
     isolated, active = decision.isolated[..., :count], branch.active
     right = isolated & active
     alarm = decision.alarm
-    votes = isolated.sum(axis=0)
-    told = right & np.isfinite(decision.fault_size[..., :count]) & np.isfinite(branch.size) & (branch.size != 0)
-    ratio = np.where(told, decision.fault_size[..., :count], 1.0) / np.where(told, branch.size, 1.0)
+    sized = right & np.isfinite(decision.fault_size[..., :count]) & np.isfinite(branch.size) & (branch.size != 0)
+    ratio = np.where(sized, decision.fault_size[..., :count], 1.0) / np.where(sized, branch.size, 1.0)
     return {
         "alarms": alarm.sum(axis=0),
         "first": np.where(alarm.any(axis=0), np.argmax(alarm, axis=0), np.inf),
@@ -50,8 +50,8 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
         "faulty": active.sum(axis=(0, 2)),
         "exact": ((isolated == active).all(axis=-1) & active.any(axis=-1)).sum(axis=0),
         "blamed": (isolated & ~active).any(axis=-1).sum(axis=0),
-        "guess": np.where(votes.any(axis=-1), np.argmax(votes, axis=-1), -1),
-        "size_error": _mean(np.abs(ratio - 1), told),
+        "told": told(plant, isolated, active),
+        "size_error": _mean(np.abs(ratio - 1), sized),
         "measured": _error(plant, decision.measured, branch, active),
         "raw": _error(plant, branch.y, branch, active),
         "noise": _error(plant, branch.unfaulted, branch, active),
@@ -59,6 +59,15 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
         "all_raw": _error(plant, branch.y, branch, np.ones_like(active)),
         "diverged": decision.diverged.any(axis=0),
     }
+
+
+def told(plant: Plant, isolated: Array, active: Array) -> Array:
+    """Samples (B, Q + 2) by what is named, see `record`; isolated, active (W, B, N)."""
+    count = isolated.sum(axis=-1, keepdims=True)
+    share = np.where(isolated, 1.0 / np.maximum(count, 1), 0.0)
+    wrong = np.where(active, 0.0, share)
+    columns = [count[..., 0] == 0, *(wrong[..., members].sum(axis=-1) for members in plant.quantities.values())]
+    return np.stack([*(c.sum(axis=0) for c in columns), np.where(active, share, 0.0).sum(axis=(0, 2))], axis=-1)
 
 
 def _error(plant: Plant, readings: Array, branch: Branch, where: Array) -> Array:
@@ -76,7 +85,7 @@ def _mean(values: Array, where: Array) -> Array:
 
 def labelled(arrays: Arrays, condition: Sequence[str], truth: str, sensors: Sequence[Sequence[int]]) -> Arrays:
     """The arrays of a batch, conditions one after the other, as (conditions, S), with their names, truth and first sensors."""
-    shaped = {k: a.reshape(len(condition), -1) for k, a in arrays.items()}
+    shaped = {k: a.reshape(len(condition), -1, *a.shape[1:]) for k, a in arrays.items()}
     first = [one[0] if one else -1 for one in sensors]
     return shaped | {
         "condition": np.array(condition),

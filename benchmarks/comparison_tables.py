@@ -25,6 +25,12 @@ def sizes(settings: Settings) -> tuple[float, float]:
     return small, 10.0 if 10.0 in known else known[-1]
 
 
+def troubled(cell: Cell) -> float:
+    """Largest share of healthy samples at which a sensor is blamed, over the departures; NaN for none."""
+    shares = [cell.blame(cell.rows_of(HEALTHY, truth=t)).value for t in cell.truths]
+    return max(shares, default=float("nan"))
+
+
 def glance(settings: Settings) -> dict[str, Callable[[Cell], float]]:
     """The numbers of the matrix at a glance, NaN where there are none."""
     small, large = sizes(settings)
@@ -36,22 +42,18 @@ def glance(settings: Settings) -> dict[str, Callable[[Cell], float]]:
     return {
         f"runs with an alarm, {small:g} sigma": pooled(Cell.detected, small),
         f"runs with an alarm, {large:g} sigma": pooled(Cell.detected, large),
-        f"samples with the exact names, {large:g} sigma": pooled(Cell.exact, large),
+        f"exact names, {large:g} sigma": pooled(Cell.exact, large),
+        f"named at all, {large:g} sigma": pooled(Cell.recall, large),
         f"area under the ROC, {bias.replace('-', ' ')}": lambda c: (
             c.auc(bias).value if bias in c["swept_condition"] else np.nan
         ),
         "false alarms at its own threshold": lambda cell: cell.nominal.value,
         f"error after over before, {large:g} sigma": pooled(Cell.gain, large),
+        "blame, worst departure": troubled,
     }
 
 
 LOGARITHMIC = ("false alarms at its own threshold", "error after over before")
-
-
-def troubled(cell: Cell) -> float:
-    """Largest share of healthy samples at which a sensor is blamed, over the departures; NaN for none."""
-    shares = [cell.blame(cell.rows_of(HEALTHY, truth=t)).value for t in cell.truths]
-    return max(shares, default=float("nan"))
 
 
 def tables(settings: Settings, cells: Cells, reasons: Mapping[Any, str], standings: Standings) -> list[Table]:
@@ -69,16 +71,17 @@ def glance_table(settings: Settings, cells: Cells) -> Table:
     """A line a cell."""
     numbers = glance(settings)
     rows: tuple[tuple[str | float, ...], ...] = tuple(
-        (*key, *(number(cell) for number in numbers.values()), float(cell["claim"]), troubled(cell), cell.step_seconds)
+        (*key, *(number(cell) for number in numbers.values()), float(cell["claim"]), cell.step_seconds)
         for key, cell in cells.items()
     )
     return Table(
         "At a glance",
-        ("plant", "detector", *numbers, "false alarms it claims", "blame under the worst departure", "seconds of a step"),
+        ("plant", "detector", *numbers, "false alarms it claims", "seconds of a step"),
         rows,
         "Faults are bias, drift, noise and scale; thresholds those of the common rate of false alarms, but for one column. "
-        "Claims are per step over all sensors, undefined where there is none. Blame: share of healthy samples at which a "
-        "sensor is named. Intervals: metrics.csv.",
+        "Exact: share of samples at which exactly the faulty sensor is named; named at all: among others, perhaps. Claims are "
+        "per step over all sensors, undefined where there is none. Blame: share of healthy samples at which a sensor is named. "
+        "Intervals: metrics.csv.",
     )
 
 

@@ -149,8 +149,8 @@ def test_large_faults_are_found_named_and_replaced() -> None:
     assert cell.gain(rows).value < 0.1  # of 30 sigma not three are left
     assert cell.detected(cell.rows_of("none")).value <= 1.0
     np.testing.assert_allclose(cell["raw"][rows], 900, rtol=0.3)  # (30 +- 4)^2 at most: noise is bounded by 4 sigma
-    counts = confusion(cell)
-    assert counts.sum() == 3 * (2 * 4 + 2)  # seeds, two sizes of four kinds, replay and sign
+    samples = confusion(cell)
+    assert samples.sum() == pytest.approx(6 * 3 * (2 * 4 + 2))  # window, seeds, two sizes of four kinds, replay and sign
     assert cell["right"][cell.rows_of("dropout")].sum() == 0  # what is missing is not named
 
 
