@@ -149,8 +149,7 @@ class FaultHypotheses:
         """
         estimate, deviation, doubt = self._foretell(state, before, reference, load)
         y, n = self._of_area(own, shared), own.shape[-1]
-        read = np.isfinite(y)
-        known = read & (deviation < ENOUGH)
+        known = (read := np.isfinite(y)) & (deviation < ENOUGH)
         residual = np.where(known, y - estimate, 0.0)
         deviation = np.where(known, deviation, 0.0)
         beyond = np.any(np.abs(residual[..., :n]) > self.alpha * deviation[..., :n], axis=-1)
@@ -167,8 +166,8 @@ class FaultHypotheses:
         left = ~state.excluded
         count, one = left.sum(axis=-1), np.argmax(left, axis=-1)
         calm = np.take_along_axis(state.exceeded, one[:, None], axis=-1)[:, 0] == 0
-        named = (count == 1) & calm & (state.age >= self.confirmations)
         late = state.age >= self.patience
+        named = (count == 1) & (calm | late) & (state.age >= self.confirmations)
         said: Array = np.select([count == 0, named, late], [none, one, none + 1], none + 2)
         return said
 

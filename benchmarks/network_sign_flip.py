@@ -1,0 +1,223 @@
+"""network/sign-flip: the sign of area 5's input is flipped, isolated and made up for (Boem 2018, Figs. 5 to 7)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.findings import pick, span
+from fusion_sfdia.benchmarks.network_figures import area_residuals, reconfigured_operation, times_figure
+from fusion_sfdia.benchmarks.network_published import ATTACKS, SIGN_FLIP
+from fusion_sfdia.benchmarks.network_rows import (
+    share,
+    spread,
+    teller,
+    time_rows,
+)
+from fusion_sfdia.benchmarks.network_trials import (
+    ALPHA,
+    CONFIRMATIONS,
+    CONTROLLERS,
+    LATE,
+    PATIENCE,
+    Arrays,
+    Watch,
+    gather,
+    trial,
+)
+from fusion_sfdia.benchmarks.registry import require_known
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
+from fusion_sfdia.consensus import MODES
+from fusion_sfdia.fault_hypotheses import exclusion_alpha
+from fusion_sfdia.metrics import mean_over_runs
+from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
+
+Array = NDArray[Any]
+
+NAME, FAULT, AREA = "network/sign-flip", "sign-flip", SIGN_FLIP.fault.area
+CHUNK = 25  # runs in one task
+TRUE = [fault.value if fault else None for _, fault in ATTACKS].index(SIGN_FLIP.fault.value)
+PROMISED = 0.05  # largest probability of excluding the true fault within PATIENCE steps, in the cases that promise one
+CASES = {  # what excludes a hypothesis: confirmations and alpha
+    "three in a row": (CONFIRMATIONS, ALPHA),
+    "one": (1, ALPHA),
+    "promised, Gaussian": (CONFIRMATIONS, exclusion_alpha("gaussian", PROMISED, 4, PATIENCE, CONFIRMATIONS)),
+    "promised, any noise": (CONFIRMATIONS, exclusion_alpha("chebyshev", PROMISED, 4, PATIENCE, CONFIRMATIONS)),
+}
+USUAL = next(iter(CASES))
+
+
+def flip_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """Each process noise with each mode and each way of excluding hypotheses, on the same noise."""
+    for what, known in (("noises", PROCESS_VARIANCE), ("modes", MODES), ("cases", CASES)):
+        for value in settings[what]:
+            require_known(f"one of {what}", value, known)
+    require_known("controller", settings["controller"], CONTROLLERS)
+    common = {k: settings[k] for k in ("duration", "controller")}
+    return [
+        common | {"noise": noise, "mode": mode, "case": case, "seeds": block}
+        for noise in settings["noises"]
+        for mode in settings["modes"]
+        for case in settings["cases"]
+        for block in seed_blocks(seeds, CHUNK)
+    ]
+
+
+def flip_work(task: Task) -> Arrays:
+    """Runs that are reconfigured when the fault is named, arrays as of `trial`; left alone with the prefix "alone_"."""
+    model = network_model(noise=task["noise"])
+    exclusions, alpha = CASES[task["case"]]
+    watch = Watch(AREA, SIGN_FLIP.fault.onset, task["mode"], ATTACKS, alpha, exclusions, reconfigure=True)
+    steps = round(task["duration"] / model.dt)
+
+    def run(chosen: Watch) -> Arrays:
+        return trial(
+            model, chosen, steps, task["seeds"], loads=SIGN_FLIP.loads, faults=[SIGN_FLIP.fault], controller=task["controller"]
+        )
+
+    left_alone = run(replace(watch, reconfigure=False)) if task["case"] == USUAL else {}
+    kept = ("reached", "speeds", "angle")
+    return run(watch) | {f"alone_{name}": left_alone[name] for name in kept if name in left_alone}
+
+
+def flip_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """Times of detection, isolation and reconfiguration beside the published ones, and how often the true fault is excluded."""
+    cells: dict[tuple[str, str, str], Arrays] = gather(results, lambda task: (task["noise"], task["mode"], task["case"]))
+    rows: list[Row] = []
+    for (noise, mode, case), found in cells.items():
+        rows += _rows(noise, mode, case, found)
+    usual = {f"{n}, {m}": f for (n, m, c), f in cells.items() if c == settings["cases"][0]}
+    figures = [
+        times_figure(
+            "times", "When the sign flip is detected and isolated",
+            {
+                cell: [("detection", f["detected"][:, 1]), ("isolation and reconfiguration", _right(f))]
+                for cell, f in usual.items()
+            },
+            {"detection": SIGN_FLIP.detected, "isolation and reconfiguration": SIGN_FLIP.isolated or np.nan},
+            settings["duration"],
+        ),
+    ]  # fmt: skip
+    trace = next(iter(cells.values()))
+    figures = [area_residuals(trace), *reconfigured_operation(trace), *figures]
+    table = Table(
+        "Sign flip of area 5, median [5 %-95 %] of the runs, s",
+        ("process noise", "thresholds", "excluded by", "detected", "isolated", "first answer right", "true fault excluded"),
+        tuple(
+            (
+                n, m, c, spread(f["detected"][:, 1]), spread(_right(f)),
+                f"{np.mean(f['first_answer'] == TRUE):.0%}", f"{np.mean(np.isfinite(f['excluded'][:, TRUE])):.0%}",
+            )
+            for (n, m, c), f in cells.items()
+        ),
+        f"Published: detected {SIGN_FLIP.detected:g} s, isolated {SIGN_FLIP.isolated:g} s, reconfigured "
+        f"{SIGN_FLIP.reconfigured:g} s, in one run.",
+    )  # fmt: skip
+    return Summary(rows, figures, [table], _highlights(cells), _remarks(rows, cells))
+
+
+def _percent(shares: list[Array]) -> str:
+    return f"{span(100 * float(np.mean(s)) for s in shares)} %"
+
+
+def _right(found: Arrays) -> Array:
+    """(B,): when the first answer named the true fault, inf where it did not."""
+    right: Array = np.where(found["first_answer"] == TRUE, found["answered"], np.inf)
+    return right
+
+
+def _rows(noise: str, mode: str, case: str, found: Arrays) -> list[Row]:
+    onset, place = SIGN_FLIP.fault.onset, f"area {AREA}, {noise}"
+    tell = teller(NAME, mode, FAULT, place if case == USUAL else f"{place}, {case}")
+    told = SIGN_FLIP if case == USUAL else SIGN_FLIP._replace(isolated=None, reconfigured=None)
+    rows: list[Row] = []
+    if case == USUAL:
+        detected = found["detected"][:, 1]
+        rows += time_rows(tell, "detection", detected, onset, told.delay(told.detected), told.at(told.detected))
+        rows.append(tell("missed_detection_rate", share(np.isinf(detected)), None))
+        for kind, text in enumerate(("single alarms", f"{CONFIRMATIONS} in a row")):
+            every = teller(NAME, mode, "none", f"all areas, {noise}, {text}")
+            rows.append(every("false_alarm_share", share(found["false_alarms"][:, kind] > 0), None))
+        for metric, key in (("angle_rms", "angle"), ("angle_rms_unaccommodated", "alone_angle")):
+            level = found[key][:, int(AREA) - 1]
+            rows.append(tell(metric, mean_over_runs(level, np.ones(level.size)), None))
+        # the reference is inverted from the very step that begins at the isolation
+        rows += time_rows(
+            tell, "reconfiguration", _right(found), onset, told.delay(told.reconfigured), told.at(told.reconfigured)
+        )
+    rows += time_rows(tell, "isolation", _right(found), onset, told.delay(told.isolated), told.at(told.isolated))
+    return [
+        *rows,
+        tell("exact_isolation", share(found["first_answer"] == TRUE), None),
+        tell("exact_isolation_at_end", share(found["answer"] == TRUE), None),
+        tell("true_fault_excluded", share(np.isfinite(found["excluded"][:, TRUE])), None),
+    ]
+
+
+def _highlights(cells: dict[tuple[str, str, str], Arrays]) -> list[str]:
+    return [
+        f"{n} process noise, thresholds {m}: detected at {spread(f['detected'][:, 1])} s (published {SIGN_FLIP.detected:g}), "
+        f"isolated at {spread(_right(f))} s (published {SIGN_FLIP.isolated:g}), the first answer right in "
+        f"{np.mean(f['first_answer'] == TRUE):.0%} of the runs"
+        for (n, m, c), f in cells.items()
+        if c == USUAL
+    ]
+
+
+def _remarks(rows: list[Row], cells: dict[tuple[str, str, str], Arrays]) -> list[str]:
+    remarks = []
+    for mode in dict.fromkeys(m for _, m, _ in cells):
+        for case in dict.fromkeys(c for _, _, c in cells):
+            chosen = [f for (_, m, c), f in cells.items() if (m, c) == (mode, case)]
+            confirmations, alpha = CASES[case]
+            gone = [np.isfinite(f["excluded"][:, TRUE]) for f in chosen]
+            early = [g & (f["excluded"][:, TRUE] <= f["answered"]) for f, g in zip(chosen, gone, strict=True)]
+            promise = f"at most {PROMISED:.0%}" if case.startswith("promised") and mode == "corrected" else "nothing"
+            remarks.append(
+                f"{mode}, {case} (alpha {alpha:.3g}, {confirmations} in a row): the true fault is excluded in "
+                f"{_percent(gone)} of "
+                f"the runs within {PATIENCE} s, in {_percent(early)} by the first answer; promised: {promise}. The first "
+                "answer is "
+                f"right in {_percent([f['first_answer'] == TRUE for f in chosen])}, the last in "
+                f"{_percent([f['answer'] == TRUE for f in chosen])}."
+            )
+    after = [
+        float(np.median((_right(f) - f["detected"][:, 1])[np.isfinite(_right(f))]))
+        for (_, _, c), f in cells.items()
+        if c == USUAL
+    ]
+    near: dict[str, list[float]] = {r.metric: [] for r in rows}
+    for r in pick(rows, metric=("angle_rms", "angle_rms_unaccommodated")):
+        near[r.metric].append(r.value)
+    remarks += [
+        f"Root mean square of the angle of area {AREA} from {LATE:g} s on: {span(near.get('angle_rms', []))} rad reconfigured, "
+        f"{span(near.get('angle_rms_unaccommodated', []))} rad left alone.",
+        "The paper isolates at 61 s, 13 s after its detection; with three exclusions in a row from the detection on it takes "
+        f"{span(after)} s here (median). Which "
+        "confirmations it used there is not said. Its reconfiguration at 67 s is scripted; here the command is inverted "
+        "with the "
+        "first reference after the isolation.",
+        'The paper says "detected at 62 s" once, which its own isolation at 61 s contradicts; 48 s is taken.',
+    ]
+    return remarks
+
+
+SCENARIO = Scenario(
+    name=NAME,
+    title="A flipped sign of an input in a power network: detection, isolation, reconfiguration",
+    about="From 45 s on the reference of area 5 reaches it with the sign flipped. After three alarms in a row its diagnoser "
+    "follows the hypotheses -u, 2u and 10u; once -u alone is left the command is inverted (Boem 2018, sec. VIII-B, Figs. "
+    "5 to 7).",
+    settings={
+        "noises": tuple(PROCESS_VARIANCE), "modes": MODES, "cases": tuple(CASES), "controller": "generation", "duration": 100.0,
+    },
+    seeds=20,
+    full_seeds=100,
+    tasks=flip_tasks,
+    work=flip_work,
+    summarise=flip_summary,
+)  # fmt: skip
