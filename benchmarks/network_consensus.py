@@ -122,22 +122,11 @@ def theory(areas: Areas, weights: str, lam: float) -> dict[str, Array]:
     Var e_i = (Var delta + Var w + (a - lam)^2 Var r_bar) / (1 - lam^2) + sigma_i^2; alone, r_bar is r_i.
     """
     at, F = areas.network.topology, areas.matrices
-    n, count = F.shape[1], len(at.names)
-    whose = np.concatenate([np.arange(count), at.neighbour])
-    noise = np.concatenate([areas.noise[:, 0], areas.shared_noise])
-    inflow = np.add.reduceat(areas.slope**2 * areas.shared_noise, at.start[:-1])
-    drive = np.sum(F[:, 0, 1:n] ** 2 * areas.noise[:, 1:], axis=-1) + F[:, 0, n + 1] ** 2 * inflow
+    whose = np.concatenate([np.arange(len(at.names)), at.neighbour])
+    noise, drive = np.concatenate([areas.noise[:, 0], areas.shared_noise]), drive_variance(areas)
     a, q = F[:, 0, 0], areas.process_variance[:, 0]
-    if weights == ALONE:
-        agreed = noise
-    else:
-        precise = (
-            precision_read(noise, 0.0)
-            if weights == "corrected"
-            else precision_printed(noise, 0.0, a[whose], drive[whose], q[whose])
-        )
-        W = precise / np.bincount(whose, precise)[whose]
-        agreed = np.bincount(whose, W**2 * noise)[whose]
+    W = agreement(areas, weights)
+    agreed = noise if weights == ALONE else np.bincount(whose, W**2 * noise)[whose]
     kept = 1 - lam**2
     return {
         "process": q[whose] / kept,
@@ -145,6 +134,33 @@ def theory(areas: Areas, weights: str, lam: float) -> dict[str, Array]:
         "readings": (a[whose] - lam) ** 2 * agreed / kept,
         "own": noise,
     }
+
+
+def drive_variance(areas: Areas) -> Array:
+    """(N,) of the error of each area's drive: by its readings of its other states and of its neighbours' angles."""
+    F, n = areas.matrices, areas.size[1]
+    inflow = np.add.reduceat(areas.slope**2 * areas.shared_noise, areas.network.topology.start[:-1])
+    variance: Array = np.sum(F[:, 0, 1:n] ** 2 * areas.noise[:, 1:], axis=-1) + F[:, 0, n + 1] ** 2 * inflow
+    return variance
+
+
+def agreement(areas: Areas, weights: str) -> Array:
+    """W (17) of each copy of an angle (N + 2E,) in the consensus of its sharers, 0 at open ties; 1 alone."""
+    at = areas.network.topology
+    whose = np.concatenate([np.arange(len(at.names)), at.neighbour])
+    counted = np.concatenate([np.ones(len(at.names), bool), areas.network.closed])
+    noise = np.concatenate([areas.noise[:, 0], areas.shared_noise])
+    if weights == ALONE:
+        return counted.astype(float)
+    a, q = areas.matrices[whose, 0, 0], areas.process_variance[whose, 0]
+    precise = (
+        precision_read(noise, 0.0)
+        if weights == "corrected"
+        else precision_printed(noise, 0.0, a, drive_variance(areas)[whose], q)
+    )
+    precise = np.where(counted, precise, 0.0)
+    W: Array = precise / np.bincount(whose, precise)[whose]
+    return W
 
 
 def copies(areas: Areas) -> dict[tuple[str, str], Array]:

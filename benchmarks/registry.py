@@ -53,6 +53,7 @@ SCENARIOS |= {
     for name in (
         "consensus",
         "false_alarms",
+        "plug",
         "scale",
     )
 }

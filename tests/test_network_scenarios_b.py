@@ -11,19 +11,25 @@ from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.network_consensus import ALONE, alone, consensus_work, copies, network, theory
 from fusion_sfdia.benchmarks.network_false_alarm_figures import ALPHAS
 from fusion_sfdia.benchmarks.network_false_alarms import counts, one_shock
+from fusion_sfdia.benchmarks.network_plug import MANNERS, changes, switched
+from fusion_sfdia.benchmarks.network_plug import watch as watch_switches
+from fusion_sfdia.benchmarks.network_plug_figures import JOINS, LEAVES
 from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, draw_of, groups, owners, watch
 from fusion_sfdia.benchmarks.plots import style
 from fusion_sfdia.benchmarks.scenario import Summary
+from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
+from fusion_sfdia.models.power_network_operation import Switch
 from fusion_sfdia.models.power_network_simulation import run_network
 from fusion_sfdia.random_streams import stream
 
 TINY: dict[str, dict[str, Any]] = {
     "network/false-alarms": {"steps": 110, "shock_steps": 500, "laws": ("gaussian",), "shocks": ("three-point 90",)},
     "network/consensus": {"steps": 40},
+    "network/plug": {},
 }
 SEEDS = {"network/false-alarms": 10}  # the rule "conformal" needs 999 samples for one in a thousand: 10 runs of 101
-SEEDS["network/consensus"] = 4
+SEEDS |= {"network/consensus": 4, "network/plug": 3}
 
 
 def summary(name: str, **changes: Any) -> Summary:
@@ -130,3 +136,33 @@ def test_theory_and_simulation_agree_on_the_variance_of_residuals(weights: str) 
         per_run = runs[:, mask].mean(axis=1)
         margin = 4.5 * per_run.std(ddof=1) / np.sqrt(20)  # standard errors over 20 runs, 6 groups: by luck 1 in 1000
         assert abs(per_run.mean() - expected[mask].mean()) < margin
+
+
+def numbered(who: Any) -> list[int]:
+    return [int(i) + 1 for i in np.flatnonzero(who)]
+
+
+def test_a_change_reaches_neighbours_and_the_copies_that_others_hold_of_their_angles() -> None:
+    model = network_model(unplugged=("15",))
+    for event, near, beyond in ((LEAVES, [3, 4, 5, 13], [2, 6, 12, 14]), (JOINS, [14, 15], [13])):
+        found = changes(model, event)
+        assert all(numbered(found[what]) == near for what in ("model", "weights", "thresholds"))
+        assert numbered(found["copies"]) == beyond
+
+
+def test_diagnosers_that_are_replugged_follow_a_change_without_a_trace() -> None:
+    model = network_model()
+    quietly = list(run_network(model, 30, [0, 1], loads=quiet, switches=[Switch(20.0, unplug=("4",))]))
+    # residuals are those of the noise alone: without its switch the same noise gives the same in an area far from it
+    still = list(run_network(model, 30, [0, 1], loads=quiet))
+    with_switch, without = (list(watch_switches(model, m, MANNERS[0])) for m in (quietly, still))
+    np.testing.assert_allclose(with_switch[-1].residual[:, 8], without[-1].residual[:, 8], atol=1e-12)
+    opened = np.isnan(quietly[-1].shared[0])
+    assert opened.sum() == 6 and not with_switch[-1].residual_shared[:, opened].any()
+
+
+def test_the_letter_of_the_paper_keeps_the_spring_of_an_open_tie() -> None:
+    before, now = (network_areas(network_model(unplugged=away)) for away in ((), ("4",)))
+    by_letter = switched(before, now, MANNERS[1])
+    assert np.array_equal(by_letter.matrices, before.matrices) and np.array_equal(by_letter.slope, now.slope)
+    assert switched(before, now, MANNERS[0]) is now and switched(before, now, MANNERS[2]) is before

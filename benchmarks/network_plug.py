@@ -1,0 +1,194 @@
+"""network/plug: an area leaves, another joins: what changes for the others, and whether they alarm (B18, sec. VI, VIII-A)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.areas import Areas
+from fusion_sfdia.benchmarks.network_consensus import agreement
+from fusion_sfdia.benchmarks.network_plug_figures import (
+    JOINS,
+    LEAVES,
+    MANNERS,
+    PHASES,
+    alarm_figure,
+    locality_figure,
+    remarks,
+    tables,
+)
+from fusion_sfdia.benchmarks.network_residuals import B18, CORRECTED, SETTLE, normalised, owners, row
+from fusion_sfdia.benchmarks.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.consensus import Diagnosers, beginners
+from fusion_sfdia.metrics import NOTHING, proportion, rate_over_runs
+from fusion_sfdia.models.power_network_diagnosis import network_areas
+from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, NetworkModel, network_model
+from fusion_sfdia.models.power_network_operation import Switch, load_profile
+from fusion_sfdia.models.power_network_parameters import load_steps
+from fusion_sfdia.models.power_network_simulation import Moment, run_network
+from fusion_sfdia.network_step import network_step
+from fusion_sfdia.replug import forgotten, opened_sides
+
+Array = NDArray[Any]
+
+NAME = "network/plug"
+CHUNK = 50  # runs in one task
+ALPHA = 2.0  # B18, sec. VIII
+TIMES = {LEAVES: 43.0, JOINS: 70.0}  # s: B18's scenario 1, where area 4 is unplugged as soon as its fault is detected
+STEPS = 95
+SWITCHES = (Switch(TIMES[LEAVES], unplug=("4",)), Switch(TIMES[JOINS], plug_in=("15",)))
+SAID = {LEAVES: (4.0, "areas 3, 5, 13 beside 4"), JOINS: (2.0, "areas 14 and 15 alone")}
+
+
+def plug_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """What changes, without noise in it; healthy runs by noise of the process, watched in each manner."""
+    return [{"what": "locality", "noise": noise} for noise in PROCESS_VARIANCE] + [
+        {"what": "alarms", "noise": noise, "seeds": block} for noise in PROCESS_VARIANCE for block in seed_blocks(seeds, CHUNK)
+    ]
+
+
+def plug_work(task: Task) -> Arrays:
+    """Alarms of the areas (K, B, N) by manner, or what changes of the areas, see `changes`."""
+    model = network_model(noise=task["noise"], unplugged=("15",))
+    loads = load_profile(model, load_steps("1"))
+    if task["what"] == "locality":
+        return {f"{event} {what}": who for event in TIMES for what, who in changes(model, event).items()}
+    moments = list(run_network(model, STEPS, task["seeds"], loads=loads, switches=SWITCHES))
+    whose = owners(model)
+    found: Arrays = {}
+    for manner in MANNERS:
+        over = np.stack([np.abs(normalised(s)) > ALPHA for s in watch(model, moments, manner)])
+        found[manner] = np.stack([over[..., whose == i].any(axis=-1) for i in range(len(model.names))], axis=-1)
+    return found
+
+
+def watch(model: NetworkModel, moments: Iterable[Moment], manner: str) -> Iterator[Diagnosers]:
+    """The diagnosers after each moment, replugged after the step at which the network switches, in a manner of MANNERS."""
+    areas, state = network_areas(model, named=False), None
+    for now in moments:
+        if state is None:
+            state = beginners(areas, now.reference.shape[:1])
+        load = np.broadcast_to(now.load, now.reference.shape)
+        state, _ = network_step(areas, state, now.own, now.shared, now.reference, load, 1.0, CORRECTED.lam)
+        yield state
+        after = switched(areas, network_areas(now.condition.known, named=False), manner)
+        state, areas = Diagnosers(*map(np.ascontiguousarray, forgotten(state, opened_sides(areas, after)))), after
+
+
+def switched(before: Areas, now: Areas, manner: str) -> Areas:
+    """What the diagnosers take the areas for: as they are, by sec. VI-A as printed, or as they were.
+
+    Sec. VI-A has the unplugged area's angle and weights set to 0 (and VI-B set again); sum_j P_ij in A_ii stays in it.
+    """
+    if manner == MANNERS[0]:
+        return now
+    return replace(now, matrices=before.matrices, shared_gain=before.shared_gain) if manner == MANNERS[1] else before
+
+
+def changes(model: NetworkModel, event: str) -> Arrays:
+    """Areas (N,) of which a bit changes when an area leaves or joins, and how many numbers were compared.
+
+    model: its row of matrices. weights, thresholds: of its own states. copies: weights or thresholds of its readings of its
+    neighbours' angles; of ties that are closed before and after.
+    """
+    names = list(TIMES)
+    past = [s for s in SWITCHES if s.time < TIMES[event]]
+    for s in past:
+        model = model.switched(plug_in=s.plug_in, unplug=s.unplug)
+    switch = SWITCHES[names.index(event)]
+    models = model, model.switched(plug_in=switch.plug_in, unplug=switch.unplug)
+    loads = load_profile(model, [])
+    areas = [network_areas(m, named=False) for m in models]
+    n, count = areas[0].size[1], len(model.names)
+    # thresholds are no function of the readings: any healthy run has those of all
+    settled = []
+    for m in models:
+        *_, last = watch(m, run_network(m, 6 * SETTLE, [0], loads=loads), MANNERS[0])
+        settled.append(last)
+    closed = models[0].network.closed & models[1].network.closed
+    node = model.network.topology.node
+    weights = [agreement(a, "corrected") for a in areas]
+    other = weights[0] != weights[1]
+    threshold = settled[0].deviation[0] != settled[1].deviation[0]
+    copy = closed & ((settled[0].deviation_shared[0] != settled[1].deviation_shared[0]) | other[count:])
+    return {
+        "model": np.any(areas[0].matrices != areas[1].matrices, axis=(1, 2)),
+        "weights": other[:count],
+        "thresholds": threshold.any(axis=-1),
+        "copies": np.bincount(node, copy, minlength=count) > 0,
+        "compared": np.array([areas[0].matrices.size, count, n * count, 2 * closed.sum()]),
+    }
+
+
+def plug_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """Which areas change, and alarms by manner, phase and place."""
+    names = network_model().names
+    rows: list[Row] = []
+    local: dict[str, Arrays] = {}
+    curves: dict[tuple[str, str], Array] = {}
+    for noise in PROCESS_VARIANCE:
+        for task, arrays in results:
+            if task["what"] == "locality" and task["noise"] == noise:
+                local[noise] = arrays
+                rows += _locality_rows(noise, arrays, names)
+        parts = [arrays for task, arrays in results if task["what"] == "alarms" and task["noise"] == noise]
+        if not parts:
+            continue
+        for manner in MANNERS:
+            alarm = np.concatenate([p[manner] for p in parts], axis=1)
+            curves[noise, manner] = alarm
+            at = partial(row, NAME, CORRECTED.name, "none")
+            for phase, (start, end) in PHASES.items():
+                for place, who in places(names).items():
+                    some = alarm[start:end][..., who]
+                    rate = rate_over_runs(some.sum(axis=(0, 2)), np.full(some.shape[1], some.shape[0] * some.shape[2]))
+                    rows.append(at(f"{place}, {phase}, {manner}, {noise}", "false_alarm_probability", rate))
+                    run = (some[2:] & some[1:-1] & some[:-2]).any(axis=(0, 2))
+                    share = proportion(int(run.sum()), run.size)
+                    rows.append(at(f"{place}, {phase}, {manner}, {noise}", "false_confirmation_share", share))
+    told = remarks(rows)
+    figures = [locality_figure(local, names), alarm_figure(curves, names, told[0])]
+    return Summary(rows, figures, tables(rows), told[:1], told[1:])
+
+
+def places(names: tuple[str, ...]) -> dict[str, Array]:
+    """Areas by what a switch does to them, (N,) truth values."""
+    near = {"area 4": ("4",), "areas 3, 5, 13": ("3", "5", "13"), "areas 14, 15": ("14", "15")}
+    found = {place: np.isin(names, who) for place, who in near.items()}
+    return found | {"other areas": ~np.any(list(found.values()), axis=0)}
+
+
+def _locality_rows(noise: str, arrays: Arrays, names: tuple[str, ...]) -> list[Row]:
+    rows = []
+    for event in TIMES:
+        value, who = SAID[event]
+        stated = Published(value, f"{B18}, sec. VI and VIII-A: {who}")
+        touched = np.any([arrays[f"{event} {what}"] for what in ("model", "weights", "thresholds")], axis=0)
+        everything = touched | arrays[f"{event} copies"]
+        of = {what: arrays[f"{event} {what}"] for what in ("model", "weights", "thresholds", "copies")}
+        for what, changed in (of | {"own numbers": touched, "any number": everything}).items():
+            quantity = f"{event}, {what} of areas {', '.join(n for n, c in zip(names, changed, strict=True) if c)}, {noise}"
+            counted = NOTHING._replace(value=float(changed.sum()), n=len(names))
+            claim = stated if what in ("own numbers", "any number") else None
+            rows.append(row(NAME, CORRECTED.name, "none", quantity, "changed_areas", counted, claim))
+    return rows
+
+
+SCENARIO = Scenario(
+    name=NAME,
+    title="Areas leave and join",
+    about="Healthy runs of the power network: area 4 leaves at 43 s, area 15 joins at 70 s. Which areas' models, weights and "
+    "thresholds change, bit for bit, and how often the areas alarm when the diagnosers are replugged, when they follow sec. "
+    "VI-A of the paper to the letter, and when nobody tells them.",
+    settings={},
+    seeds=50,
+    full_seeds=500,
+    tasks=plug_tasks,
+    work=plug_work,
+    summarise=plug_summary,
+)
