@@ -5,6 +5,7 @@ Times are those of one machine in one run, the only numbers here that a second r
 
 from __future__ import annotations
 
+import logging
 from functools import partial
 from importlib.util import find_spec
 from time import perf_counter, thread_time
@@ -111,7 +112,13 @@ def in_parts(areas: int, seconds: float) -> Arrays:
     whole = network_areas(network_of(areas), named=False)
     step, _ = stepping(whole)
     with (
-        LocalCluster(n_workers=PARTS, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as cluster,
+        LocalCluster(
+            n_workers=PARTS,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
         Client(cluster, set_as_default=False, direct_to_workers=True) as client,
     ):
         parts = PartitionedNetwork(client, whole, beginners(whole, (1,)), Constant(whole.size[1]), ALPHA, LAM)
