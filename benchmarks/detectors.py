@@ -58,6 +58,13 @@ def healthy_data(plant: Plant) -> Array:
     return simulate(plant, CALIBRATION_STEPS, seeds, truth="model").y
 
 
+def bounded(plant: Plant) -> Detector:
+    """Thresholds that bounded noise cannot cross: of a plant's monitoring modules, or else of predicted readings."""
+    if plant.modules is None:
+        return Chebyshev(plant, lam=0.0, rule="bound", moments=Extended())
+    return adaptive_threshold(plant, "valid")
+
+
 def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
     """Monitoring modules with thresholds as the mode says; ValueError for a plant without modules."""
     detector = AdaptiveThreshold(plant)  # refuses a plant without modules
@@ -100,8 +107,8 @@ DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     ),
     "adaptive-threshold": (
         "observers and algebraic residuals with thresholds that bounded noise cannot cross, and diagnosis sets "
-        "(Kougiatsos 2024); for plants that say their scalar equations",
-        lambda plant: adaptive_threshold(plant, "valid"),
+        "(Kougiatsos 2024); on a plant without scalar equations what bounded noise does to predicted readings, to first order",
+        bounded,
     ),
     "adaptive-threshold:paper": (
         "the same with the constants of (10) as published",

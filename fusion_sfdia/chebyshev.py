@@ -20,12 +20,13 @@ from fusion_sfdia.area_diagnosers import AreaDiagnosers
 from fusion_sfdia.arguments import floats, number, probability, shown, whole
 from fusion_sfdia.batch_detector import BatchDetector, Moment
 from fusion_sfdia.bias_hypotheses import Evidence, explain
+from fusion_sfdia.bounded_readings import BoundedReadings
 from fusion_sfdia.consensus import MODES
 from fusion_sfdia.detector import Decision, State, run
 from fusion_sfdia.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.exclusion import Exclusion, exclude, nobody, watch
 from fusion_sfdia.present_readings import Outlook, PresentReadings, Taken
-from fusion_sfdia.threshold_rules import CONFORMAL, alpha_for, conformal_alpha, require_alpha, require_rule
+from fusion_sfdia.threshold_rules import BOUND, CONFORMAL, alpha_for, conformal_alpha, require_alpha, require_rule
 from fusion_sfdia.ukf import SigmaPoints
 
 Array = NDArray[Any]
@@ -53,8 +54,9 @@ class Chebyshev(BatchDetector):
     lam: filter parameter, 0 <= lam < 1: how much of a residual stays in the next; with 0 thresholds are as tight as can be.
     mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
     alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability with which
-    a diagnoser alarms falsely in a step, shared by its sensors. None of both: alpha = 2 of B18. The rule "conformal" needs
-    alpha, from `calibrated`.
+    a diagnoser alarms falsely in a step, shared by its sensors. None of both: alpha = 2 of B18, 1 with the rule "bound", by
+    which thresholds are what noise within its bounds can do (bounded_readings, one diagnoser for the whole plant). The rule
+    "conformal" needs alpha, from `calibrated`.
     moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
     cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
     confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is named.
@@ -100,6 +102,8 @@ class Chebyshev(BatchDetector):
     @cached_property
     def diagnosis(self) -> Diagnosis:
         """The plant's diagnosers."""
+        if self.rule == BOUND:
+            return BoundedReadings(self.plant, self.lam, self.moments)
         if self.plant.areas is not None:
             return AreaDiagnosers(self.plant, self.plant.areas, self.lam, self.mode)
         return PresentReadings(self.plant, self.lam, self.moments)
@@ -116,7 +120,8 @@ class Chebyshev(BatchDetector):
         count = len(self.plant.sensors)
         if self.false_alarm is not None:
             return np.array([alpha_for(self.rule, self.false_alarm, int(c)) for c in self.components])
-        given = np.atleast_1d(floats("alpha", PAPER_ALPHA if self.alpha is None else self.alpha))
+        usual = 1.0 if self.rule == BOUND else PAPER_ALPHA
+        given = np.atleast_1d(floats("alpha", usual if self.alpha is None else self.alpha))
         if given.shape not in {(1,), (count,)}:
             raise ValueError(f"alpha has shape {given.shape}; wanted one number or one for each of {count} sensors")
         return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)

@@ -53,6 +53,7 @@ class _Inner(NamedTuple):
     prior: Prior
     joint: Joint
     readout: Array
+    error: Array | None = None  # bounds of the states' errors, for those who keep them
 
 
 @dataclass(frozen=True)
@@ -119,13 +120,13 @@ class PresentReadings:
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape[:-1], *core[2].shape[-2:]))
         absorbed[rows] = self._tangent(core, outlook, now, u, rows) @ core[2][rows]
-        prior, joint, readout = outlook.inner
+        prior, joint, readout, error = outlook.inner
         spread = absorbed * doubt[..., None, :]
         x, P = joint.x - np.sum(absorbed * size[..., None, :], axis=-1), joint.P + spread @ np.swapaxes(spread, -1, -2)
         joint = self.moments.joint(self.plant, prior._replace(core=(x, P)), now.t, u)
         expected = joint.y - self.lam * np.where(size != 0, 0.0, core[3])
         ahead = self.lam * core[4] + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
-        return outlook._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout))
+        return outlook._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout, error))
 
     def _tangent(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> Array:
         """F (R, n, n) of the runs chosen by `rows`, or (n, n) of all."""

@@ -8,6 +8,7 @@ For a residual of mean 0 and standard deviation at most s, alarming where |resid
     cantelli-one-sided   1 / (1 + alpha^2)       any distribution, of alarms on one side alone
     gaussian             2 Phi(-alpha)           Gaussian residuals
     conformal            calibrated              a residual that is exchangeable with those it was calibrated on
+    bound                0                       errors within bounds, which give s; alpha is 1
 
 Two sides of Cantelli's inequality are no sharper than Chebyshev's (2 / (1 + a^2) > 1 / a^2 for a > 1), but they bound
 the alarms of each side too. alpha of `conformal` is an order statistic: see `conformal_alpha`.
@@ -41,18 +42,18 @@ RULES = {
     "cantelli-one-sided": Rule(lambda a: 1 / (1 + a**2), lambda p: (1 / p - 1) ** 0.5, 0.0),
     "gaussian": Rule(lambda a: 2 * ndtr(-a), lambda p: -ndtri(p / 2), 0.0),
 }
-CONFORMAL = "conformal"
+CONFORMAL, BOUND = "conformal", "bound"
 
 
 def require_rule(rule: object) -> None:
     """Raise ValueError for an unknown rule."""
-    if rule not in (*RULES, CONFORMAL):
-        raise ValueError(f"rule is {shown(rule)}; known: {', '.join((*RULES, CONFORMAL))}")
+    if rule not in (*RULES, CONFORMAL, BOUND):
+        raise ValueError(f"rule is {shown(rule)}; known: {', '.join((*RULES, CONFORMAL, BOUND))}")
 
 
 def require_alpha(rule: str, alpha: object) -> float:
     """Return alpha; ValueError where it is no number by which the rule claims anything (alpha <= 1 of Chebyshev)."""
-    value, least = number("alpha", alpha), 0.0 if rule == CONFORMAL else RULES[rule].least
+    value, least = number("alpha", alpha), RULES[rule].least if rule in RULES else 0.0
     if not least < value < np.inf:
         raise ValueError(
             f"alpha is {value:g}; with the rule {rule!r} it must exceed {least:g} and be finite: below, it claims nothing"
@@ -63,6 +64,8 @@ def require_alpha(rule: str, alpha: object) -> float:
 def false_alarm_of(rule: str, alpha: float) -> float:
     """The largest false-alarm probability of a component under alpha; ValueError for `conformal`, which alpha does not tell."""
     require_rule(rule)
+    if rule == BOUND:
+        return 0.0
     if rule == CONFORMAL:
         raise ValueError("a conformal alpha does not tell its false-alarm probability; it is what it was calibrated for")
     return float(RULES[rule].false_alarm(require_alpha(rule, alpha)))
@@ -77,6 +80,8 @@ def alpha_for(rule: str, false_alarm: float, components: int = 1) -> float:
     require_rule(rule)
     if rule == CONFORMAL:
         raise ValueError("the rule 'conformal' needs healthy data; calibrate it, or give another rule")
+    if rule == BOUND:
+        raise ValueError("the rule 'bound' has no false alarms to allow for; leave false_alarm out, or give another rule")
     if components < 1:
         raise ValueError(f"a diagnoser has {components} components; wanted at least 1")
     return float(RULES[rule].alpha(probability("false_alarm", false_alarm) / components))

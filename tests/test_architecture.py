@@ -24,7 +24,7 @@ LAYERS = [
     | {"algebraic_bounds", "corner_bounds", "diagnosis_sets", "monitoring", "signatures"},
     {"data_driven", "fixed_limits", "pca"}
     | {"adaptive_threshold", "batch_detector", "central_filter", "fusing_bank", "leave_one_out_bank", "particle_filter"}
-    | {"area_diagnosers", "chebyshev", "present_readings", "replug"}
+    | {"area_diagnosers", "bounded_readings", "chebyshev", "present_readings", "replug"}
     | {"adaptive_observer", "fault_memory", "virtual_sensors"},
     {"calibration", "diagnose", "detection_metrics", "estimation_metrics", "fault_draws", "faults", "filterpy_adapter"}
     | {"codac_adapter", "diagnosis_metrics", "isolation_metrics", "logs", "metrics", "simulate"},

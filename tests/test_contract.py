@@ -24,7 +24,7 @@ from fusion_sfdia.storage import load_state, save_state
 
 TOYS = ("chain", "two-tanks")
 WITH_MODULES = {"marine-engine", "two-tanks"}
-OF_MODULES = ("adaptive-threshold", "virtual-sensors")
+OF_MODULES = ("adaptive-threshold:", "virtual-sensors")
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 

@@ -1,0 +1,70 @@
+"""Thresholds of predicted readings by bounds: exact on linear plants, never crossed, and reached by the worst noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toy_plants import chain
+
+from fusion_sfdia.bounded_readings import WITHIN, BoundedReadings
+from fusion_sfdia.chebyshev import Chebyshev
+from fusion_sfdia.detector import run
+from fusion_sfdia.estimators import Extended
+from fusion_sfdia.plant import Plant
+from fusion_sfdia.signals import Sensor
+from fusion_sfdia.threshold_rules import alpha_for, false_alarm_of
+
+BOUND = 0.3
+
+
+def bounded_chain() -> Plant:
+    """A linear plant, all states read, with noise of stated bounds and a disturbance of stated bound."""
+    plant = chain(6)
+    sensors = tuple(Sensor(s.name, s.measures, s.unit, bound=BOUND, owner=s.owner) for s in plant.sensors)
+    return replace(plant, sensors=sensors, process_bound=np.full(6, 0.05))
+
+
+def detector(plant: Plant) -> Chebyshev:
+    return Chebyshev(plant, lam=0.0, rule="bound", moments=Extended(), accommodate=False)
+
+
+def test_the_threshold_is_what_the_worst_noise_does() -> None:
+    plant = bounded_chain()
+    F = plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), plant.dt)
+    y = np.zeros((3, 6))
+    _, d = run(detector(plant), detector(plant).init(), plant.dt * np.arange(1, 4), y, np.zeros((3, len(plant.inputs))))
+    wanted = np.abs(F) @ np.full(6, BOUND) + 0.05 + BOUND  # of readings that are each a state: |F| d + w + d
+    np.testing.assert_allclose(d.threshold[1:], np.broadcast_to(wanted, (2, 6)), rtol=1e-11)  # widened by 1e-12 for rounding
+
+
+def test_noise_within_its_bounds_never_alarms() -> None:
+    plant = bounded_chain()
+    rng = np.random.default_rng(3)
+    steps, runs = 400, 20
+    x = plant.x0 + np.zeros((runs, 6))
+    u = np.zeros((steps, runs, len(plant.inputs)))
+    y = np.empty((steps, runs, 6))
+    for k in range(steps):
+        x = plant.step(k * plant.dt, x, u[k], plant.dt) + rng.choice([-0.05, 0.05], size=x.shape)
+        y[k] = plant.output((k + 1) * plant.dt, x, u[k]) + rng.choice([-BOUND, BOUND], size=x.shape)
+    y[rng.random(y.shape) < 0.2] = np.nan  # what is missing has the bound of its own past
+    one = detector(plant)
+    _, d = run(one, one.init((runs,)), plant.dt * np.arange(1, steps + 1), y, u)
+    assert 0.99 < d.scores.max() <= 1.0  # noise of two values meets its bounds now and then
+
+
+def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:
+    plant = chain(6)
+    one = detector(plant).diagnosis
+    assert isinstance(one, BoundedReadings)
+    np.testing.assert_allclose(one._noise, WITHIN * plant.sensor_sigma)
+
+
+def test_a_bound_has_no_probability_to_be_asked_for() -> None:
+    assert false_alarm_of("bound", 1.0) == 0.0
+    with pytest.raises(ValueError, match="has no false alarms to allow for"):
+        alpha_for("bound", 0.01)
+    with pytest.raises(ValueError, match="has no false alarms to allow for"):
+        Chebyshev(chain(6), rule="bound", false_alarm=0.01)
