@@ -13,7 +13,7 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test check lint format bench wheel clean
+.PHONY: env demo test check lint format notebooks bench wheel clean
 
 env: $(STAMP)
 
@@ -39,6 +39,9 @@ check: lint test
 format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+notebooks: $(STAMP)
+	$(BIN)/jupyter execute --inplace --NotebookClient.record_timing=False --NotebookClient.coalesce_streams=True notebooks/*.ipynb
 
 bench: $(STAMP)
 	$(BIN)/fusion-sfdia bench $(BENCH_ARGS)

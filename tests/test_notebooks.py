@@ -1,0 +1,81 @@
+"""The notebooks run from top to bottom and say what is committed in them."""
+
+import re
+from decimal import Decimal
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+from nbformat import NotebookNode
+
+NOTEBOOKS = sorted((Path(__file__).resolve().parent.parent / "notebooks").glob("*.ipynb"))
+MOST_BYTES = 400_000  # a code host shows it at once, and a new version does not weigh on the repository
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+MACHINE_PATH = re.compile(r"(?<![\w.:/])/(?:home|root|tmp|usr|opt|var|mnt|srv|work|Users|private)/|\b[A-Z]:\\\\")
+
+each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def code(notebook: NotebookNode) -> list[NotebookNode]:
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def told(cell: NotebookNode) -> str:
+    """What a cell says in text; a cell tagged `varies` (times, of this machine) may say anything."""
+    if "varies" in cell.metadata.get("tags", []):
+        return ""
+    parts = [o.text if o.output_type == "stream" else o.get("data", {}).get("text/plain", "") for o in cell.outputs]
+    return "".join(parts)
+
+
+def same(a: str, b: str) -> bool:
+    """Whether two texts say the same, figures after the point up to one in the last place: another processor adds up
+    in another order, and a sum that lies on the edge of two roundings goes to either.
+    """
+    if " ".join(NUMBER.sub("#", a).split()) != " ".join(NUMBER.sub("#", b).split()):
+        return False
+    for one, other in zip(map(Decimal, NUMBER.findall(a)), map(Decimal, NUMBER.findall(b)), strict=True):
+        last = Decimal(1).scaleb(max(int(x.as_tuple().exponent) for x in (one, other)))
+        if abs(one - other) > (last if last < 1 else 0):
+            return False
+    return True
+
+
+def test_what_counts_as_the_same() -> None:
+    assert same("area 0.97 [0.96, 9.9e-03]\n", "area  0.98 [0.96, 1.0e-02]")
+    assert not same("area 0.97", "area 0.99")
+    assert not same("3 runs", "4 runs")
+    assert not same("3 runs", "3 runs, 1 diverged")
+
+
+def test_there_are_notebooks() -> None:
+    assert NOTEBOOKS
+
+
+@each
+def test_a_committed_notebook_is_small_and_portable(path: Path) -> None:
+    assert path.stat().st_size < MOST_BYTES
+    assert not MACHINE_PATH.findall(path.read_text(encoding="utf-8"))
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert notebook.metadata.kernelspec.name == "python3"
+    cells = code(notebook)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))  # as run, from top to bottom
+    outputs = [o for cell in cells for o in cell.outputs]
+    assert not [o for o in outputs if o.output_type == "error" or o.get("name") == "stderr"]
+    assert any("image/png" in o.get("data", {}) for o in outputs)
+
+
+@pytest.mark.slow
+@each
+def test_a_fresh_kernel_says_what_is_committed(path: Path) -> None:
+    committed = nbformat.read(path, as_version=4)
+    fresh = nbformat.from_dict(committed)
+    place = {"metadata": {"path": str(path.parent)}}
+    NotebookClient(fresh, timeout=600, kernel_name="python3", resources=place).execute()
+    for before, now in zip(code(committed), code(fresh), strict=True):
+        assert not [o for o in now.outputs if o.get("name") == "stderr"], now.outputs
+        kinds = [["image/png" in o.get("data", {}) for o in cell.outputs].count(True) for cell in (before, now)]
+        assert kinds[0] == kinds[1], before.source
+        assert same(told(before), told(now)), f"committed:\n{told(before)}\nnow:\n{told(now)}\nrun `make notebooks`"
