@@ -52,6 +52,7 @@ SCENARIOS |= {
     f"network/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.network_{name}:SCENARIO"
     for name in (
         "consensus",
+        "detectors",
         "false_alarms",
         "plug",
         "scale",

@@ -9,8 +9,10 @@ import pytest
 
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.network_consensus import ALONE, alone, consensus_work, copies, network, theory
+from fusion_sfdia.benchmarks.network_detectors import SETTLE, delays
 from fusion_sfdia.benchmarks.network_false_alarm_figures import ALPHAS
 from fusion_sfdia.benchmarks.network_false_alarms import counts, one_shock
+from fusion_sfdia.benchmarks.network_innovations import chi_square, innovations, standardised
 from fusion_sfdia.benchmarks.network_plug import MANNERS, changes, switched
 from fusion_sfdia.benchmarks.network_plug import watch as watch_switches
 from fusion_sfdia.benchmarks.network_plug_figures import JOINS, LEAVES
@@ -27,9 +29,10 @@ TINY: dict[str, dict[str, Any]] = {
     "network/false-alarms": {"steps": 110, "shock_steps": 500, "laws": ("gaussian",), "shocks": ("three-point 90",)},
     "network/consensus": {"steps": 40},
     "network/plug": {},
+    "network/detectors": {},
 }
 SEEDS = {"network/false-alarms": 10}  # the rule "conformal" needs 999 samples for one in a thousand: 10 runs of 101
-SEEDS |= {"network/consensus": 4, "network/plug": 3}
+SEEDS |= {"network/consensus": 4, "network/plug": 3, "network/detectors": 6}
 
 
 def summary(name: str, **changes: Any) -> Summary:
@@ -166,3 +169,27 @@ def test_the_letter_of_the_paper_keeps_the_spring_of_an_open_tie() -> None:
     by_letter = switched(before, now, MANNERS[1])
     assert np.array_equal(by_letter.matrices, before.matrices) and np.array_equal(by_letter.slope, now.slope)
     assert switched(before, now, MANNERS[0]) is now and switched(before, now, MANNERS[2]) is before
+
+
+def test_innovations_are_white_and_of_the_covariance_they_claim() -> None:
+    runs, steps = 20, 60
+    model = network_model(unplugged=("15",))
+    found = innovations(model, run_network(model, steps, range(runs), loads=quiet))
+    mine = owners(model) == 3
+    assert found.sensors.size == 92  # area 15 and its one neighbour read each other's angles no more
+    per_run = chi_square(found, mine)[SETTLE:].mean(axis=0)
+    margin = 4.5 * per_run.std(ddof=1) / np.sqrt(runs)  # standard errors
+    assert abs(per_run.mean() - mine.sum()) < margin
+    z = standardised(found, mine)[SETTLE:]
+    lag = np.mean(z[1:] * z[:-1])
+    # z_k z_(k-1) of white z has variance 1, sensors correlated at worst wholly
+    assert abs(lag) < 4.5 / np.sqrt(runs * (steps - SETTLE))
+
+
+def test_a_delay_counts_from_the_onset_to_the_first_alarm_after_it() -> None:
+    statistic = np.zeros((20, 3))
+    onset = SETTLE + 5.0
+    statistic[5, 0] = statistic[2, 1] = 9.0  # the reading at the onset is not yet changed
+    statistic[6, 0] = statistic[9, 1] = 9.0
+    delay, seen = delays(statistic, 1.0, onset)
+    assert delay.tolist() == [1.0, 4.0, 14.0] and seen.tolist() == [True, True, False]

@@ -1,0 +1,145 @@
+"""network/detectors: how late faults are detected, by the paper's residual and by others, at one rate of false alarms."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.network_detector_figures import (
+    CASES,
+    LEVEL,
+    LEVELS,
+    TESTS,
+    curve_figure,
+    delay_figure,
+    remarks,
+    table,
+)
+from fusion_sfdia.benchmarks.network_innovations import chi_square, innovations, standardised
+from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, SETTLE, owners, row, streams
+from fusion_sfdia.benchmarks.scenario import Arrays, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.confirmation import Consecutive, Cusum, SequentialTest, WindowGlr, run
+from fusion_sfdia.metrics import bootstrap_over_runs, proportion, rate_over_runs
+from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
+from fusion_sfdia.models.power_network_operation import AreaFault, load_profile
+from fusion_sfdia.models.power_network_parameters import load_steps
+from fusion_sfdia.models.power_network_simulation import run_network
+from fusion_sfdia.threshold_rules import conformal_alpha
+
+Array = NDArray[Any]
+
+NAME = "network/detectors"
+CHUNK = 100  # runs in one task
+APART = 10**6  # what is added to a seed for the healthy runs that set the levels
+STEPS = 110
+DRIFT, WINDOW = 1.0, 8  # of the cumulative sum, half the shift looked for; of the likelihood ratio, in steps
+# loads of B18's scenario, who is away, faulty area, onset (s)
+SETTINGS: dict[str, tuple[str, tuple[str, ...], str, float]] = {
+    "1": ("1", ("15",), "4", 35.0),
+    "2": ("2", (), "5", 45.0),
+}
+
+
+def detector_tasks(settings: Settings, seeds: int) -> list[Task]:
+    """Healthy runs of both scenarios, which set the levels, and runs of each fault."""
+    weak = settings["weak"]
+    if not 0 < weak < 1:
+        raise ValueError(f"weak is {weak:g}; wanted a share of the load in per unit between 0 and 1")
+    cells: list[tuple[str, str | None]] = [("1", None), ("2", None), *((CASES[name], name) for name in CASES)]
+    return [
+        {"noise": noise, "scenario": scenario, "fault": fault, "weak": weak, "seeds": block}
+        for noise in PROCESS_VARIANCE
+        for scenario, fault in cells
+        for block in seed_blocks(seeds if fault else 2 * seeds, CHUNK, 0 if fault else APART)
+    ]
+
+
+def detector_work(task: Task) -> Arrays:
+    """The statistic of each of TESTS (K, B) from SETTLE s on, of the diagnoser of the faulty area."""
+    scenario, away, area, onset = SETTINGS[task["scenario"]]
+    model = network_model(noise=task["noise"], unplugged=away)
+    faults = [] if task["fault"] is None else [fault_of(task["fault"], area, onset, task["weak"])]
+    loads = load_profile(model, load_steps(scenario))
+    moments = list(run_network(model, STEPS, task["seeds"], loads=loads, faults=faults))
+    mine = owners(model) == model.names.index(area)
+    z = streams(model, moments, (CORRECTED, MEMORYLESS))
+    found = innovations(model, moments)
+    fresh = standardised(found, mine)[SETTLE:]
+
+    def largest(test: SequentialTest, values: Array) -> Array:
+        known = values[..., np.isfinite(values).all(axis=(0, 1))]
+        return np.asarray(run(test, known).max(axis=-1))
+
+    level = 1.0  # is set afterwards
+    memory, plain = z[CORRECTED.name][..., mine], z[MEMORYLESS.name][..., mine]
+    statistics = (
+        largest(Consecutive(level, 1), memory),
+        largest(Consecutive(level, 3), memory),
+        largest(Cusum(level, DRIFT), plain),
+        largest(WindowGlr(level, WINDOW), plain),
+        chi_square(found, mine)[SETTLE:],
+        largest(Cusum(level, DRIFT), fresh),
+        largest(WindowGlr(level, WINDOW), fresh),
+    )
+    return dict(zip(TESTS, statistics, strict=True))
+
+
+def fault_of(name: str, area: str, onset: float, weak: float) -> AreaFault:
+    """The fault of a case: those of B18's scenarios, and a loss of load of our choice."""
+    kind, value = {"governor": ("governor", 1000.0), "sign flip": ("input-gain", -1.0), "load loss": ("load-loss", weak)}[name]
+    return AreaFault(kind, area, value, onset)
+
+
+def delays(statistic: Array, level: float, onset: float) -> tuple[Array, Array]:
+    """Seconds from the onset to the first alarm after it (B,), or to the end of the run, and whether there was one."""
+    after = statistic[int(onset) - SETTLE + 1 :] > level  # what begins at the onset is read a step later
+    seen: Array = np.any(after, axis=0)
+    return np.where(seen, np.argmax(after, axis=0) + 1.0, after.shape[0]), seen
+
+
+def detector_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
+    """Levels from the healthy runs; delays, misses and false alarms of the others."""
+    cells: dict[tuple[str, str, str | None], list[Arrays]] = {}
+    for task, arrays in results:
+        cells.setdefault((task["noise"], task["scenario"], task["fault"]), []).append(arrays)
+    joined = {key: {t: np.concatenate([p[t] for p in parts], axis=1) for t in TESTS} for key, parts in cells.items()}
+    rows: list[Row] = []
+    for (noise, scenario, fault), found in joined.items():
+        if fault is None or (noise, scenario, None) not in joined:
+            continue
+        onset = SETTINGS[scenario][3]
+        for test, (detector, how) in TESTS.items():
+            at = partial(row, NAME, detector, fault)
+            scores = joined[noise, scenario, None][test].ravel()
+            for p in LEVELS:
+                level = float(conformal_alpha(scores, p))
+                delay, seen = delays(found[test], level, onset)
+                mean = bootstrap_over_runs(lambda r, d=delay: d[r].mean(axis=-1), delay.size)  # type: ignore[misc]
+                where = f"{how}, false alarms {p:g}, {noise}"
+                rows.append(at(where, "detection_delay", mean))
+                rows.append(at(where, "missed_detection_rate", proportion(int((~seen).sum()), seen.size)))
+                if p == LEVEL:
+                    before = found[test][: int(onset) - SETTLE + 1] > level
+                    rate = rate_over_runs(before.sum(axis=0), np.full(before.shape[1], before.shape[0]))
+                    rows.append(at(where, "false_alarm_probability", rate))
+    figures = [delay_figure(rows), curve_figure(rows)]
+    told = remarks(rows)
+    return Summary(rows, figures, [table(rows)], told[:1], told[1:])
+
+
+SCENARIO = Scenario(
+    name=NAME,
+    title="Detectors at one rate of false alarms",
+    about="Faults of the power network, strong and weak: mean delay of the faulty area's diagnoser by the paper's residual "
+    "with one alarm and with three in a row, cumulative sums and windowed likelihood ratios of residuals, and a Kalman "
+    "filter on the whole network; each with the level at which one healthy step in a thousand alarms.",
+    settings={"weak": 0.07},
+    seeds=100,
+    full_seeds=1000,
+    tasks=detector_tasks,
+    work=detector_work,
+    summarise=detector_summary,
+)
