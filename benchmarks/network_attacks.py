@@ -184,11 +184,9 @@ def _remarks(settings: Settings, cells: dict[tuple[str, str, str], Arrays]) -> l
         early, end = ([float(np.mean(f[k] == right)) for f in chosen] for k in ("0_first_answer", "0_answer"))
         alone, made_up = ([float(np.median(f[k][:, int(AREA) - 1])) for f in chosen] for k in ("0_angle", "reconfigured"))
         remarks.append(
-            f"{fault}: by noise and mode the first answer is right in {span(100 * v for v in early)} % of the runs, the "
-            "last in "
-            f"{span(100 * v for v in end)} %; angle of the area from {LATE:g} s on {span(alone)} rad left alone, "
-            f"{span(made_up)} "
-            "rad where an attack that is named is made up for, also one that is not there."
+            f"{fault}: by noise and mode the first answer is right in {span(100 * v for v in early)} % of the runs, the last "
+            f"in {span(100 * v for v in end)} %; angle of the area from {LATE:g} s on {span(alone)} rad left alone, "
+            f"{span(made_up)} rad where an attack that is named is made up for, also one that is not there."
         )
     known = list(SETS).index("three and no fault")
     weak = [f for (_, _, name), f in cells.items() if name == "2u"]
@@ -200,9 +198,8 @@ def _remarks(settings: Settings, cells: dict[tuple[str, str, str], Arrays]) -> l
             f"{span(100 * v for v in told[1])} %: the rest of the names came from the others being excluded."
         )
     remarks += [
-        "A fault outside the set is named wrongly where its effect is within the thresholds of a hypothesis; the first "
-        "to be left "
-        "alone is given up for none of these only if it is excluded too.",
+        "A fault outside the set is named wrongly where its effect is within the thresholds of a hypothesis; the first to be "
+        "left alone is given up for none of these only if it is excluded too.",
         "The paper tells its times for -u alone, and does not say that a sensor could be blamed: its diagnosers name areas.",
     ]
     return remarks

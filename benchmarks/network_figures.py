@@ -113,9 +113,8 @@ def unplugged_operation(trace: Arrays) -> Figure:
         "operation",
         "References, loads and speeds with the area unplugged (as Fig. 3)",
         "One run. Solid: references (left) and speeds (right); dashed: loads. Grey: from the fault at "
-        f"{GOVERNOR.fault.onset:g} s "
-        f"to its detection at {detected:g} s, after which area {GOVERNOR.fault.area} is away and not shown. Area 15 joins "
-        f"at {PLUGGED_IN:g} s.",
+        f"{GOVERNOR.fault.onset:g} s to its detection at {detected:g} s, after which area {GOVERNOR.fault.area} is away and "
+        f"not shown. Area 15 joins at {PLUGGED_IN:g} s.",
         draw,
         "References and speeds of five areas in each of three rows; after unplugging the others follow their loads",
     )
@@ -171,11 +170,9 @@ def area_residuals(trace: Arrays) -> Figure:
     return Figure(
         "residuals",
         f"Residuals and thresholds of area {SIGN_FLIP.fault.area} (as Fig. 5)",
-        f"One run. Dashed: residuals; solid: thresholds. Grey: from the fault at {SIGN_FLIP.fault.onset:g} s to its "
-        "detection at "
-        f"{detected:g} s. Once the fault is isolated, at {trace['answered'][0]:g} s, the diagnosers reckon with the input "
-        "as it "
-        "is then known to act.",
+        f"One run. Dashed: residuals; solid: thresholds. Grey: from the fault at {SIGN_FLIP.fault.onset:g} s to its detection "
+        f"at {detected:g} s. Once the fault is isolated, at {trace['answered'][0]:g} s, the diagnosers reckon with the input "
+        "as it is then known to act.",
         draw,
         "Three panels: after the flip the residuals of mechanical power and valve leave their thresholds until the isolation",
     )

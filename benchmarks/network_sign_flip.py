@@ -179,11 +179,9 @@ def _remarks(rows: list[Row], cells: dict[tuple[str, str, str], Arrays]) -> list
             promise = f"at most {PROMISED:.0%}" if case.startswith("promised") and mode == "corrected" else "nothing"
             remarks.append(
                 f"{mode}, {case} (alpha {alpha:.3g}, {confirmations} in a row): the true fault is excluded in "
-                f"{_percent(gone)} of "
-                f"the runs within {PATIENCE} s, in {_percent(early)} by the first answer; promised: {promise}. The first "
-                "answer is "
-                f"right in {_percent([f['first_answer'] == TRUE for f in chosen])}, the last in "
-                f"{_percent([f['answer'] == TRUE for f in chosen])}."
+                f"{_percent(gone)} of the runs within {PATIENCE} s, in {_percent(early)} by the first answer; promised: "
+                f"{promise}. The first answer is right in {_percent([f['first_answer'] == TRUE for f in chosen])}, the last "
+                f"in {_percent([f['answer'] == TRUE for f in chosen])}."
             )
     after = [
         float(np.median((_right(f) - f["detected"][:, 1])[np.isfinite(_right(f))]))
@@ -197,10 +195,8 @@ def _remarks(rows: list[Row], cells: dict[tuple[str, str, str], Arrays]) -> list
         f"Root mean square of the angle of area {AREA} from {LATE:g} s on: {span(near.get('angle_rms', []))} rad reconfigured, "
         f"{span(near.get('angle_rms_unaccommodated', []))} rad left alone.",
         "The paper isolates at 61 s, 13 s after its detection; with three exclusions in a row from the detection on it takes "
-        f"{span(after)} s here (median). Which "
-        "confirmations it used there is not said. Its reconfiguration at 67 s is scripted; here the command is inverted "
-        "with the "
-        "first reference after the isolation.",
+        f"{span(after)} s here (median). Which confirmations it used there is not said. Its reconfiguration at 67 s is "
+        "scripted; here the command is inverted with the first reference after the isolation.",
         'The paper says "detected at 62 s" once, which its own isolation at 61 s contradicts; 48 s is taken.',
     ]
     return remarks

@@ -223,12 +223,13 @@ def deterministic_thresholds(areas: Areas, bound: float = BOUND) -> Array:
 
 
 def gather(results: Sequence[tuple[Any, Arrays]], key: Callable[[Any], Any]) -> dict[Any, Arrays]:
-    """The runs of all tasks with the same key side by side; what is of one run, of the first task."""
+    """The runs of all tasks with the same key side by side; what is of one run (after a prefix too), of the first task."""
     parts: dict[Any, list[Arrays]] = {}
     for task, arrays in results:
         parts.setdefault(key(task), []).append(arrays)
     single = (*SHOWN, "bounds")
+    one = {name for found in parts.values() for name in found[0] if name in single or name.partition("_")[2] in single}
     return {
-        k: {name: found[0][name] if name in single else np.concatenate([p[name] for p in found]) for name in found[0]}
+        k: {name: found[0][name] if name in one else np.concatenate([p[name] for p in found]) for name in found[0]}
         for k, found in parts.items()
     }

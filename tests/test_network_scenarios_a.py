@@ -153,6 +153,10 @@ def test_settings_that_do_not_fit(name: str, change: dict[str, Any], message: st
 def test_the_right_answer_to_a_fault_in_no_set_is_none_of_these() -> None:
     assert [attacks._right(f) for f in ("-u", "slow governor")] == ["-u", "none of these"]
     assert attacks._named(np.array([0, 0, 3, 0]), ATTACKS) == "-u 75%, none of these 25%"
-    parts = [({"k": 1}, {"answer": np.array([1]), "t": np.arange(2)}), ({"k": 1}, {"answer": np.array([2]), "t": np.ones(2)})]
+
+
+def test_runs_of_several_tasks_stand_side_by_side_and_one_is_shown() -> None:
+    names = ("answer", "alone_angle", "t", "alone_reached", "unplugged_bounds")
+    parts = [({"k": 1}, dict.fromkeys(names, np.full(2, v))) for v in (1, 2)]
     both = gather(parts, lambda task: task["k"])[1]
-    assert both["answer"].tolist() == [1, 2] and both["t"].tolist() == [0, 1]
+    assert [both[name].tolist() for name in names] == [[1, 1, 2, 2]] * 2 + [[1, 1]] * 3
