@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.estimators import Unscented as Unscented
     from fusion_sfdia.fault_draws import FaultRange as FaultRange
     from fusion_sfdia.fault_draws import draw as draw_faults  # noqa: F401
+    from fusion_sfdia.fault_hypotheses import FaultHypotheses as FaultHypotheses
     from fusion_sfdia.faults import Fault as Fault
     from fusion_sfdia.faults import apply as apply_faults  # noqa: F401
     from fusion_sfdia.faults import load_faults as load_faults
@@ -82,6 +83,7 @@ _MODULES = {
     "equation": ("equation",),
     "estimators": ("Ensemble", "Extended", "Unscented"),
     "fault_draws": ("FaultRange", "draw_faults:draw"),
+    "fault_hypotheses": ("FaultHypotheses",),
     "faults": ("Fault", "apply_faults:apply", "load_faults"),
     "filterpy_adapter": ("plant_from_filterpy",),
     "fixed_limits": ("FixedLimits",),

@@ -67,7 +67,7 @@ def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: 
     found = [np.empty(a[0].shape) for _ in range(3) for a in (own, shared)]
     equations.foretell_areas(
         own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3],
-        *(_flat(a, batch, (count,)) for a in inputs), lam, mode == "paper", areas.matrices, areas.slope,
+        _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", areas.matrices, areas.slope,
         areas.network.closed, areas.process_variance, areas.noise, areas.shared_noise, areas.network.topology.start,
         areas.opposite, *found,
     )  # fmt: skip
