@@ -127,8 +127,8 @@ def remarks(rows: Sequence[Row]) -> list[str]:
         "Mean delay at one false alarm in a thousand steps by the paper's residual with one and with three alarms, and the "
         f"earliest of all: {'; '.join(beside)}.",
         f"From the earliest to the latest: {_best(rows)}",
-        f"Three alarms in a row against one, at the same rate of false alarms: {'; '.join(three)}. For strong faults the two "
-        "more steps are lost; for weak ones the lower level that three allow is worth more.",
+        f"Three alarms in a row against one, at the same rate of false alarms: {'; '.join(three)}. What is lost are two "
+        "more steps; what is gained is the lower level that three allow.",
         f"Levels are set on other healthy runs; before the onset {span(r.value for r in checked)} of the steps alarm, and the "
         f"interval holds {LEVEL:g} in {inside} of {len(checked)} cases.",
         "B18's own alpha = 2 stands at another rate of false alarms (network/false-alarms); its published times of detection "

@@ -122,7 +122,7 @@ def remarks(rows: Sequence[Row]) -> list[str]:
         f"{span(r.value for r in before if r)} before; by sec. VI-A to the letter {told[MANNERS[1]]}, not told "
         f"{told[MANNERS[2]]}.",
         "Sec. VI-A sets the angle of an unplugged area to 0 and its weights too. sum_j P_ij in A_ii still holds its tie, so "
-        "that its neighbours reckon with a spring that is not there: worse than to be told nothing.",
+        "that its neighbours reckon with a spring that is not there.",
         "Models, weights and thresholds of the own states change of "
         + "; ".join(r.quantity.split(", own numbers of ")[0] + ": " + _who(r) for r in own[:2])
         + ", as B18 has it. 'The FDI units of all other subsystems are unaffected' does not hold of shared angles: counting "

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks import registry
+from fusion_sfdia.benchmarks.network_claims import ALPHAS, bound, verdict
 from fusion_sfdia.benchmarks.network_consensus import ALONE, alone, consensus_work, copies, network, theory
 from fusion_sfdia.benchmarks.network_detectors import SETTLE, delays
-from fusion_sfdia.benchmarks.network_false_alarm_figures import ALPHAS
 from fusion_sfdia.benchmarks.network_false_alarms import counts, one_shock
 from fusion_sfdia.benchmarks.network_innovations import chi_square, innovations, standardised
 from fusion_sfdia.benchmarks.network_plug import MANNERS, changes, switched
@@ -18,6 +18,7 @@ from fusion_sfdia.benchmarks.network_plug import watch as watch_switches
 from fusion_sfdia.benchmarks.network_plug_figures import JOINS, LEAVES
 from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, draw_of, groups, owners, watch
 from fusion_sfdia.benchmarks.plots import style
+from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Summary
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
@@ -96,6 +97,17 @@ def test_alarms_in_a_row_are_counted_by_component_and_by_area() -> None:
     z[2, 0, 0] = 0.0
     z[2, 0, 1] = 3.0
     assert counts(z, np.ones((1, 3), bool), np.array([0, 0, 1]))["confirmed"][0].tolist() == [False, True]
+
+
+def test_a_claim_is_kept_broken_or_undecided() -> None:
+    def counted(quantity: str, low: float, high: float) -> Row:
+        return Row("network/false-alarms", "power-network", "chebyshev", "none", quantity, "rate", low, low, high)
+
+    three = counted("3 in a row, alpha 5, lit, gaussian", 1e-4, 2e-4)
+    assert bound(three) == pytest.approx(5.0**-6) and verdict(three, bound(three)) == "no"
+    single = counted("theta, 4 sharers, alpha 2, lit, gaussian", 0.1, 0.3)
+    assert bound(single) == 0.25 and verdict(single, bound(single)) == "undecided"
+    assert verdict(single, 0.3) == "yes"
 
 
 def test_one_shock_ends_one_row_of_alarms() -> None:
