@@ -15,7 +15,7 @@ from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE
 
 LEVELS = (0.03, 0.01, 0.003, 0.001)  # false alarms per step
 LEVEL = 0.001
-CASES = {"governor": "1", "sign flip": "2", "load loss": "1"}  # fault: scenario of B18 whose loads and network it has
+CASES = {"governor": "1", "sign-flip": "2", "load-loss": "1"}  # fault: scenario of B18 whose loads and network it has
 TESTS = {  # name: (detector, how it is used)
     "residual, 1 alarm": ("chebyshev:corrected", "1 alarm"),
     "residual, 3 alarms": ("chebyshev:corrected", "3 alarms"),
@@ -60,11 +60,11 @@ def curve_figure(rows: Sequence[Row]) -> Figure:
     """Mean delay of the weak fault over the rate of false alarms."""
 
     def draw() -> Drawing:
-        titles = [f"load loss, process noise '{n}'" for n in PROCESS_VARIANCE]
+        titles = [f"load-loss, process noise '{n}'" for n in PROCESS_VARIANCE]
         figure, axes = panels(titles, width=9.0, height=3.2)
         for panel, noise in zip(axes, PROCESS_VARIANCE, strict=True):
             for i, test in enumerate(TESTS):
-                found = [(p, r) for p in LEVELS if (r := _delay(rows, "load loss", test, p, noise)) is not None]
+                found = [(p, r) for p in LEVELS if (r := _delay(rows, "load-loss", test, p, noise)) is not None]
                 panel.plot(
                     [p for p, _ in found], [r.value for _, r in found], marker=MARKERS[i], ms=4, lw=1,
                     color=COLOURS[i], linestyle="-" if i < 4 else "--", label=test,

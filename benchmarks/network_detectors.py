@@ -89,7 +89,7 @@ def detector_work(task: Task) -> Arrays:
 
 def fault_of(name: str, area: str, onset: float, weak: float) -> AreaFault:
     """The fault of a case: those of B18's scenarios, and a loss of load of our choice."""
-    kind, value = {"governor": ("governor", 1000.0), "sign flip": ("input-gain", -1.0), "load loss": ("load-loss", weak)}[name]
+    kind, value = {"governor": ("governor", 1000.0), "sign-flip": ("input-gain", -1.0), "load-loss": ("load-loss", weak)}[name]
     return AreaFault(kind, area, value, onset)
 
 
