@@ -19,10 +19,11 @@ from fusion_sfdia.benchmarks.comparison_figures import (
     of_plant,
 )
 from fusion_sfdia.benchmarks.comparison_findings import areas, extremes, healthy_alarms, highlights, overview_caption, remarks
-from fusion_sfdia.benchmarks.comparison_numbers import SCENARIO as NAME
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, gather, rows_of_cell, share_right
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, gather, share_right
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, SETTINGS, TROUBLED_SIGMA, tasks
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, clusters, ranking
+from fusion_sfdia.benchmarks.comparison_rows import SCENARIO as NAME
+from fusion_sfdia.benchmarks.comparison_rows import rows_of_cell
 from fusion_sfdia.benchmarks.comparison_tables import EVERY, LOGARITHMIC, Standings, glance, sizes, standing_rows, tables
 from fusion_sfdia.benchmarks.comparison_work import work
 from fusion_sfdia.benchmarks.results import Row
@@ -126,8 +127,8 @@ def plant_figures(settings: Settings, plant: str, cells: Mapping[str, Cell]) -> 
             f"{plant}-confusion",
             f"Which quantity is named, {plant}",
             "Single faults of the two largest sizes, replays and negated readings; rows: the quantity of the faulty sensor, "
-            "columns: what is named, in shares of the samples, each of several named having its share. The right sensor has "
-            f"{extremes(right)}.",
+            "columns: what is named, in shares of the samples, each of several named having its share. The share of the "
+            f"right sensor is {extremes(right)}.",
             partial(draw_confusion, cells),
             f"A matrix for each of {len(cells)} detectors on {plant}: faulty quantity against named quantity",
         )

@@ -68,8 +68,17 @@ def calibrated(plant: str, name: str, settle: int, steps: int, seeds: int, false
         raise ValueError(
             f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"
         )
-    claim = getattr(detector, "false_alarm", None)
-    return Calibrated(detector, scale, scores, CLAIMS.get(name, np.nan) if claim is None else float(claim))
+    return Calibrated(detector, scale, scores, claim(name, detector))
+
+
+def claim(name: str, detector: Any) -> float:
+    """Alarms a step over all sensors that a detector claims at most, NaN where it claims nothing below 1."""
+    if (rate := getattr(detector, "false_alarm", None)) is not None:
+        return float(rate)
+    if (alpha := getattr(detector, "alpha", None)) is not None:  # Chebyshev's inequality for each sensor
+        bound = float(np.sum(np.broadcast_to(np.asarray(alpha, float), len(detector.plant.sensors)) ** -2.0))
+        return bound if bound < 1 else np.nan
+    return CLAIMS.get(name, np.nan)
 
 
 def silent(detector: Any) -> Any:

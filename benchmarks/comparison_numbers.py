@@ -1,4 +1,4 @@
-"""Numbers of a comparison: cells of one detector on one plant, and the rows that they give.
+"""Numbers of a comparison: cells of one detector on one plant.
 
 A run is an alarm's or a name's chance once: shares of runs have Wilson's interval, means that of Student over runs. A run in
 which the estimator broke down counts as one without alarm and without name; its errors are left out, see `diverged`.
@@ -16,16 +16,13 @@ from scipy import stats
 
 from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks.comparison_calibration import plant_of
-from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY, conditions
-from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.comparison_protocol import GRADED, conditions
 from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Task
 from fusion_sfdia.metrics import LEVEL, NOTHING, Estimate, proportion, rate_over_runs
 
 Array = NDArray[Any]
 
-SCENARIO = "comparison"
 PER_SEED = {"trunk": 1, "swept": 2}  # the axis of seeds; of the rest it is 1 where there are two axes
-POOLED = "graded"  # bias, drift, noise and scale of one size
 
 
 class Cell:
@@ -91,6 +88,16 @@ class Cell:
         first = self["first"][rows].ravel()
         return mean(first[np.isfinite(first)] * self.model.dt)
 
+    def false_flags(self, rows: Array) -> Estimate:
+        """Share of healthy sensor-samples that are named."""
+        wrong, sensors = (self["named"] - self["right"])[rows], self.window * len(self.model.sensors)
+        return rate_over_runs(wrong.ravel(), (sensors - self["faulty"][rows]).ravel())
+
+    def size_error(self, rows: Array) -> Estimate:
+        """Mean error of the sizes of faults in percent, where named."""
+        e = mean(self["size_error"][rows].ravel())
+        return Estimate(100 * e.value, 100 * e.low, 100 * e.high, e.n)
+
     def rms(self, what: str, rows: Array) -> Estimate:
         """Root mean square over runs, in standard deviations of the noise."""
         return root(mean(self[what][rows].ravel()))
@@ -102,10 +109,14 @@ class Cell:
         e = mean(ratio[np.isfinite(ratio)])
         return Estimate(float(np.exp(e.value)), float(np.exp(e.low)), float(np.exp(e.high)), e.n)
 
-    def auc(self, name: str) -> Estimate:
-        """Area under the curve of the silent detector: samples under a fault against those of the healthy trunk."""
-        scores, active = self.swept(name)
-        return metrics.auc(scores, active[..., None])
+    @cached_property
+    def areas(self) -> dict[str, Estimate]:
+        """Areas under the curves of the silent detector: samples under a fault against those of the healthy trunk."""
+        found = {}
+        for name in self["swept_condition"].tolist():
+            scores, active = self.swept(name)
+            found[name] = metrics.auc(scores, active[..., None])
+        return found
 
     def swept(self, name: str) -> tuple[Array, Array]:
         """Scores (K, S) of trunk and fault one after the other, and where the fault is."""
@@ -173,60 +184,3 @@ def share_right(cell: Cell) -> float:
     """Share of the samples of `confusion` in which the faulty sensor is named."""
     samples = confusion(cell)
     return float(samples[..., -1].sum() / samples.sum()) if samples.any() else np.nan
-
-
-def rows_of_cell(cell: Cell) -> list[Row]:
-    """All rows of a cell."""
-    found: list[Row] = []
-
-    def add(fault: str, quantity: str, metric: str, e: Estimate) -> None:
-        found.append(Row(SCENARIO, cell.plant, cell.detector, fault, quantity, metric, *e))
-
-    exactly = cell.settings["false_alarm"]
-    add(HEALTHY, "all", "threshold_scale", Estimate(cell.scale, np.nan, np.nan, cell["nominal_alarms"].size))
-    add(HEALTHY, "all", "nominal_false_alarm_probability", cell.nominal)
-    if np.isfinite(cell["claim"]):
-        add(HEALTHY, "all", "claimed_false_alarm_probability", Estimate(float(cell["claim"]), np.nan, np.nan, 0))
-    add(HEALTHY, "all", "wanted_false_alarm_probability", Estimate(exactly, np.nan, np.nan, 0))
-    add(HEALTHY, "all", "matched_false_alarm_probability", cell.matched)
-    add(HEALTHY, "all", "state_size", Estimate(float(cell["state_bytes"]), np.nan, np.nan, 0))
-    samples = cell.window * len(cell.model.sensors)
-    for name in cell.kinds:
-        _rows_of_runs(cell, add, name, "all", cell.rows_of(name), samples)
-    for size in cell.settings["magnitudes"]:
-        if members := cell.graded(size):
-            _rows_of_runs(cell, add, f"{POOLED}-{size:g}-sigma", "all", cell.rows_of(*members), samples)
-    for name in cell["swept_condition"].tolist():
-        add(name, "all", "auc", cell.auc(name))
-    for truth in cell.truths:
-        for name in dict.fromkeys(cell["condition"][cell["truth"] == truth].tolist()):
-            _rows_of_runs(cell, add, name, truth, cell.rows_of(name, truth=truth), samples)
-    quantities = list(cell.model.quantities)
-    for quantity, samples in zip(quantities, confusion(cell), strict=True):
-        for named, hits in zip(("none", *(f"another {n}" for n in quantities), "the right one"), samples.T, strict=True):
-            add("large", f"{quantity}: {named}", "named_share", rate_over_runs(hits, samples.sum(axis=-1)))
-    return found
-
-
-def _rows_of_runs(cell: Cell, add: Any, fault: str, quantity: str, rows: Array, samples: int) -> None:
-    faulty = cell["faulty"][rows]
-    if faulty.any():
-        seen = cell.detected(rows)
-        add(fault, quantity, "missed_detection_rate", Estimate(1 - seen.value, 1 - seen.high, 1 - seen.low, seen.n))
-        add(fault, quantity, "detection_probability", cell.rate("alarms", rows, cell.window))
-        add(fault, quantity, "detection_delay", cell.delay(rows))
-        add(fault, quantity, "exact_isolation", cell.exact(rows))
-        add(fault, quantity, "isolation_recall", cell.recall(rows))
-        add(fault, quantity, "isolation_precision", cell.rate("right", rows, cell["named"][rows]))
-        size = mean(cell["size_error"][rows].ravel())
-        add(fault, quantity, "fault_mape_percent", Estimate(100 * size.value, 100 * size.low, 100 * size.high, size.n))
-        for what, metric in (("measured", "rmse_sigma"), ("raw", "rmse_unaccommodated_sigma"), ("noise", "rmse_healthy_sigma")):
-            add(fault, quantity, metric, cell.rms(what, rows))
-        add(fault, quantity, "rmse_ratio", cell.gain(rows))
-    else:
-        add(fault, quantity, "alarm_probability", cell.rate("alarms", rows, cell.window))
-    wrong = (cell["named"] - cell["right"])[rows].ravel()
-    add(fault, quantity, "false_flag_rate", rate_over_runs(wrong, (samples - faulty).ravel()))
-    add(fault, quantity, "blame_probability", cell.blame(rows))
-    add(fault, quantity, "rmse_all_sigma", cell.rms("all_measured", rows))
-    add(fault, quantity, "diverged", proportion(int(cell["diverged"][rows].sum()), faulty.size))

@@ -44,9 +44,7 @@ def glance(settings: Settings) -> dict[str, Callable[[Cell], float]]:
         f"runs with an alarm, {large:g} sigma": pooled(Cell.detected, large),
         f"exact names, {large:g} sigma": pooled(Cell.exact, large),
         f"named at all, {large:g} sigma": pooled(Cell.recall, large),
-        f"area under the ROC, {bias.replace('-', ' ')}": lambda c: (
-            c.auc(bias).value if bias in c["swept_condition"] else np.nan
-        ),
+        f"area under the ROC, {bias.replace('-', ' ')}": lambda c: c.areas[bias].value if bias in c.areas else np.nan,
         "false alarms at its own threshold": lambda cell: cell.nominal.value,
         f"error after over before, {large:g} sigma": pooled(Cell.gain, large),
         "blame, worst departure": troubled,

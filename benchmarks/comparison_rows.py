@@ -1,0 +1,91 @@
+"""The rows that a comparison writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
+from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
+from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.metrics import Estimate, proportion, rate_over_runs
+
+Array = NDArray[Any]
+
+SCENARIO = "comparison"
+POOLED = "graded"  # bias, drift, noise and scale of one size
+
+Measure = Callable[[Cell, Array], Estimate]
+
+# metrics of the runs of some conditions: where sensors are faulty, of several kinds of one size also more, and where none is
+SINGLE: dict[str, Measure] = {
+    "missed_detection_rate": lambda cell, rows: less(cell.detected(rows)),
+    "detection_delay": Cell.delay,
+    "exact_isolation": Cell.exact,
+    "isolation_recall": Cell.recall,
+    "rmse_ratio": Cell.gain,
+}
+SEVERAL: dict[str, Measure] = SINGLE | {
+    "detection_probability": lambda cell, rows: cell.rate("alarms", rows, cell.window),
+    "isolation_precision": lambda cell, rows: cell.rate("right", rows, cell["named"][rows]),
+    "false_flag_rate": Cell.false_flags,
+    "fault_mape_percent": Cell.size_error,
+    "rmse_sigma": lambda cell, rows: cell.rms("measured", rows),
+    "rmse_unaccommodated_sigma": lambda cell, rows: cell.rms("raw", rows),
+    "rmse_healthy_sigma": lambda cell, rows: cell.rms("noise", rows),
+    "rmse_all_sigma": lambda cell, rows: cell.rms("all_measured", rows),
+    "diverged": lambda cell, rows: proportion(int(cell["diverged"][rows].sum()), cell["diverged"][rows].size),
+}
+INNOCENT: dict[str, Measure] = {
+    "alarm_probability": lambda cell, rows: cell.rate("alarms", rows, cell.window),
+    "blame_probability": Cell.blame,
+}
+DROPOUT: dict[str, Measure] = INNOCENT | {"rmse_sigma": lambda cell, rows: cell.rms("measured", rows)}
+
+
+def less(e: Estimate) -> Estimate:
+    """One less a share."""
+    return Estimate(1 - e.value, 1 - e.high, 1 - e.low, e.n)
+
+
+def rows_of_cell(cell: Cell) -> list[Row]:
+    """All rows of a cell."""
+    found: list[Row] = []
+
+    def add(fault: str, quantity: str, metric: str, e: Estimate) -> None:
+        found.append(Row(SCENARIO, cell.plant, cell.detector, fault, quantity, metric, *e))
+
+    def add_all(fault: str, quantity: str, measures: Mapping[str, Measure], rows: Array) -> None:
+        for metric, measure in measures.items():
+            add(fault, quantity, metric, measure(cell, rows))
+
+    def exactly(value: float) -> Estimate:
+        return Estimate(value, np.nan, np.nan, 0)
+
+    add(HEALTHY, "all", "threshold_scale", exactly(cell.scale))
+    add(HEALTHY, "all", "nominal_false_alarm_probability", cell.nominal)
+    if np.isfinite(cell["claim"]):
+        add(HEALTHY, "all", "claimed_false_alarm_probability", exactly(float(cell["claim"])))
+    add(HEALTHY, "all", "wanted_false_alarm_probability", exactly(cell.settings["false_alarm"]))
+    add(HEALTHY, "all", "matched_false_alarm_probability", cell.matched)
+    add(HEALTHY, "all", "state_size", exactly(float(cell["state_bytes"])))
+    for name, kind in cell.kinds.items():
+        innocent = kind in (HEALTHY, "plant")
+        add_all(name, "all", INNOCENT if innocent else DROPOUT if kind == "dropout" else SINGLE, cell.rows_of(name))
+    for size in cell.settings["magnitudes"]:
+        if members := cell.graded(size):
+            add_all(f"{POOLED}-{size:g}-sigma", "all", SEVERAL, cell.rows_of(*members))
+    for name, area in cell.areas.items():
+        add(name, "all", "auc", area)
+    for truth in cell.truths:
+        for name in dict.fromkeys(cell["condition"][cell["truth"] == truth].tolist()):
+            add_all(name, truth, INNOCENT if name == HEALTHY else SINGLE, cell.rows_of(name, truth=truth))
+    quantities = list(cell.model.quantities)
+    for quantity, samples in zip(quantities, confusion(cell), strict=True):
+        for named, hits in zip(("none", *(f"another {n}" for n in quantities), "the right one"), samples.T, strict=True):
+            if hits.any():
+                add("large", f"{quantity}: {named}", "named_share", rate_over_runs(hits, samples.sum(axis=-1)))
+    return found
