@@ -1,4 +1,4 @@
-"""One rate of false alarms for all detectors: plants, healthy readings and calibrated detectors, made once a process.
+"""One rate of false alarms for all detectors: each is calibrated on healthy readings, once a process.
 
 Two forms of a detector are run. The silent one has thresholds so high that nothing is ever accused, replaced or latched: its
 scores, times that scale, are those over which a threshold can be swept. The deployed one has its thresholds scaled to the
@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks import registry
-from fusion_sfdia.benchmarks.comparison_truths import DISTURBED
+from fusion_sfdia.benchmarks.comparison_recordings import healthy, of_each, plant_of
 from fusion_sfdia.detector import Decision, Detector, run
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import Recording, simulate
 
 Array = NDArray[Any]
 
@@ -38,18 +36,6 @@ class Calibrated(NamedTuple):
     scale: float
     scores: Array
     claim: float  # NaN for none
-
-
-@cache
-def plant_of(name: str) -> Plant:
-    """A registered plant."""
-    return registry.plant(name)
-
-
-@lru_cache(maxsize=4)
-def healthy(plant: str, steps: int, seeds: tuple[int, ...]) -> Recording:
-    """Healthy readings from the finer twin of a plant, the same for all detectors."""
-    return simulate(plant_of(plant), steps, seeds, process_noise=plant in DISTURBED)
 
 
 @lru_cache(maxsize=2)
@@ -97,14 +83,9 @@ def silent_scores(decision: Decision) -> Array:
 
 
 def watch(detector: Detector, t: Array, y: Array, u: Array) -> Decision:
-    """The decisions on readings y (K, B, N) at t (K,), from the start; u (K, m) is of all runs."""
+    """The decisions on readings y (K, B, N) at t (K,), from the start; u (K, m) or (K, B, m)."""
     start = detector.init((y.shape[1],), float(t[0]) - detector.plant.dt)
     return run(detector, start, t, y, of_each(u, y.shape[1]))[1]
-
-
-def of_each(u: Array, runs: int) -> Array:
-    """The inputs (K, m) as those of each run (K, B, m)."""
-    return np.broadcast_to(u[:, None], (u.shape[0], runs, u.shape[-1]))
 
 
 def seeds_of(task_seeds: Sequence[int]) -> tuple[int, ...]:

@@ -100,7 +100,8 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
         f"{1 - (1 - rate) ** settings['window']:.1%} of runs would have an alarm by chance.",
         "Receiver operating characteristics are those of silent detectors, which accuse and replace nothing; all else is of "
         "deployed ones. Several faults at once, replayed and negated readings are among the runs that rank detectors.",
-        "Readings come from the finer twin of a plant where it has one, with process noise on the power network alone.",
+        "Readings come from the finer twin of a plant where it has one; the power network is run in closed loop, and alone has "
+        "process noise.",
         *missed(cells, settings),
         *broken_down(cells),
     ]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fusion_sfdia import detection_metrics as metrics
-from fusion_sfdia.benchmarks.comparison_calibration import plant_of
 from fusion_sfdia.benchmarks.comparison_protocol import GRADED, conditions
+from fusion_sfdia.benchmarks.comparison_recordings import plant_of
 from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Task
 from fusion_sfdia.metrics import LEVEL, NOTHING, Estimate, proportion, rate_over_runs
 

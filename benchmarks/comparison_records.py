@@ -17,8 +17,12 @@ Array = NDArray[Any]
 
 
 class Branch(NamedTuple):
-    """Readings of a branch (W, B, N): as the detector gets them, without the sensors' faults, without noise; active, size."""
+    """Readings of a branch (W, B, N): as the detector gets them, without the sensors' faults, without noise; active, size.
 
+    u (W, B, m): the inputs as they are known.
+    """
+
+    u: Array
     y: Array
     unfaulted: Array
     signal: Array

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -21,9 +20,6 @@ from fusion_sfdia.benchmarks.comparison_calibration import (
     Calibrated,
     calibrated,
     deployed,
-    healthy,
-    of_each,
-    plant_of,
     seeds_of,
     silent,
     silent_scores,
@@ -39,13 +35,14 @@ from fusion_sfdia.benchmarks.comparison_protocol import (
     sensors_of,
     trunk_steps,
 )
+from fusion_sfdia.benchmarks.comparison_recordings import healthy, of_each, plant_of, until
 from fusion_sfdia.benchmarks.comparison_records import Branch, join, labelled, record
-from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, DISTURBED, PLANT_FAULTS, faulty_inputs
+from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
-from fusion_sfdia.detector import Detector, State, run
+from fusion_sfdia.detector import Decision, Detector, State, run
 from fusion_sfdia.faults import apply
 from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import Recording, simulate
+from fusion_sfdia.simulate import Recording
 
 Array = NDArray[Any]
 
@@ -119,102 +116,72 @@ def branched(state: State, copies: int) -> State:
 
 def readings(task: Task, plant: Plant, recording: Recording, members: Sequence[Condition]) -> Branch:
     """The readings of the segment that the conditions share, one condition after the other along the batch."""
-    onset, window = onset_step(task, members[0].group), task["window"]
+    onset, window, seeds = onset_step(task, members[0].group), task["window"], seeds_of(task["seeds"])
     before = slice(max(0, onset - window), onset + window)  # what a replay repeats
-    t = recording.t[before]
-    if members[0].kind == "plant":
-        troubled = [plant_fault(task, members[0].group, c.name) for c in members]
-        y, signal = (np.concatenate([getattr(r, what)[before] for r in troubled], axis=1) for what in ("y", "signal"))
-    else:
-        y, signal = (np.concatenate([a[before]] * len(members), axis=1) for a in (recording.y, recording.signal))
-    segment = slice(onset - before.start, None)
+    shown = [plant_fault(task, c.group, c.name) if c.kind == "plant" else recording for c in members]
+    y, signal = (np.concatenate([getattr(r, what)[before] for r in shown], axis=1) for what in ("y", "signal"))
     lists = [
         faults_of(task, plant, c, seed, float(recording.t[onset]), recording.signal[onset : onset + window, b])
         for c in members
-        for b, seed in enumerate(task["seeds"])
+        for b, seed in enumerate(seeds)
     ]
-    changed = apply(plant, t, y, lists, [int(s) for _ in members for s in task["seeds"]])
-    return Branch(changed.y[segment], y[segment], signal[segment], changed.active[segment], changed.size[segment])
+    changed = apply(plant, recording.t[before], y, lists, seeds * len(members))
+    now = slice(onset - before.start, None)
+    u = np.concatenate([of_each(r.u[onset : onset + window], len(seeds)) for r in shown], axis=1)
+    return Branch(u, changed.y[now], y[now], signal[now], changed.active[now], changed.size[now])
+
+
+def run_on(task: Task, detector: Any, trunk: Trunk, members: Sequence[Condition]) -> tuple[Branch, Decision]:
+    """A detector on the conditions of a group, all at once, from where its trunk has brought it."""
+    branch, onset = readings(task, detector.plant, trunk.recording, members), onset_step(task, members[0].group)
+    t = trunk.recording.t[onset : onset + task["window"]]
+    return branch, run(detector, branched(trunk.states[onset], len(members)), t, branch.y, branch.u)[1]
 
 
 def branch_out(task: Task, calibration: Calibrated, trunk: Trunk, members: Sequence[Condition], truth: str = "") -> Arrays:
-    """The deployed detector on the conditions of a group, all at once."""
-    detector = deployed(calibration)
-    branch = readings(task, detector.plant, trunk.recording, members)
-    onset = onset_step(task, members[0].group)
-    span = slice(onset, onset + task["window"])
-    u = of_each(trunk.recording.u[span], branch.y.shape[1])
-    _, decision = run(detector, branched(trunk.states[onset], len(members)), trunk.recording.t[span], branch.y, u)
-    sensors = [sensors_of(task, detector.plant, c, seed) for c in members for seed in task["seeds"]]
-    return labelled(record(detector.plant, decision, branch), [c.name for c in members], truth, sensors)
+    """What the deployed detector makes of the conditions of a group."""
+    plant = calibration.detector.plant
+    branch, decision = run_on(task, deployed(calibration), trunk, members)
+    sensors = [sensors_of(task, plant, c, seed) for c in members for seed in task["seeds"]]
+    return labelled(record(plant, decision, branch), [c.name for c in members], truth, sensors)
 
 
 def swept_scores(task: Task, calibration: Calibrated, trunk: Trunk, members: Sequence[Condition]) -> Array:
     """Scores (J, W, S) of the silent detector at nominal thresholds, under the faults of a group."""
-    detector = silent(calibration.detector)
-    branch = readings(task, detector.plant, trunk.recording, members)
-    onset = onset_step(task, members[0].group)
-    span = slice(onset, onset + task["window"])
-    u = of_each(trunk.recording.u[span], branch.y.shape[1])
-    _, decision = run(detector, branched(trunk.states[onset], len(members)), trunk.recording.t[span], branch.y, u)
+    _, decision = run_on(task, silent(calibration.detector), trunk, members)
     scores = silent_scores(decision).reshape(task["window"], len(members), -1)
     return np.asarray(scores.transpose(1, 0, 2), np.float32)
 
 
 def mistaken(task: Task, calibration: Calibrated, name: str) -> Arrays:
     """Healthy and with a bias, where the truth departs from what the detector was made for."""
-    plant = task["plant"]
-    (departure,) = (d for d in DEPARTURES[plant] if d.name == name)
+    (departure,) = (d for d in DEPARTURES[task["plant"]] if d.name == name)
     members = [Condition(HEALTHY, HEALTHY, np.nan, 0), Condition(f"bias-{TROUBLED_SIGMA:g}-sigma", "bias", TROUBLED_SIGMA, 0)]
-    truth, to_states = finest(plant_of(plant) if departure.plant is None else departure.plant())
-    recording = simulate(
-        plant_of(plant), task["settle"] + task["window"], seeds_of(task["seeds"]), truth=truth, to_states=to_states,
-        inputs=departure.inputs, process_noise=plant in DISTURBED,
-    )  # fmt: skip
-    settling = recording_until(recording, task["settle"] + 1)
-    trunk = follow(silent(calibration.detector), settling, {task["settle"]})
+    recording = departure.record(task["settle"] + task["window"], seeds_of(task["seeds"]))
+    trunk = follow(silent(calibration.detector), until(recording, task["settle"] + 1), {task["settle"]})
     return branch_out(task, calibration, trunk._replace(recording=recording), members, name)
 
 
 def plant_fault(task: Task, group: int, name: str) -> Recording:
     """Readings of a run whose plant fails where the segment of the group begins."""
-    plant = plant_of(task["plant"])
     (fault,) = (f for f in PLANT_FAULTS[task["plant"]] if f.name == name)
-    steps, onset = trunk_steps(task, task["plant"]), onset_step(task, group) * plant.dt
-    truth, to_states = finest(plant if fault.plant is None else fault.plant(onset))
-    t = np.arange(1, steps + 1) * plant.dt
-    u = np.array([plant.input_at(float(s)) for s in t - plant.dt])
-    return simulate(
-        plant, steps, seeds_of(task["seeds"]), truth=truth, to_states=to_states,
-        inputs=faulty_inputs(u, t, plant.dt, fault, onset), process_noise=task["plant"] in DISTURBED,
-    )  # fmt: skip
-
-
-def finest(plant: Plant) -> tuple[Plant, Any]:
-    """The finer twin of a plant and the map to its states, or the plant itself."""
-    return (plant, None) if plant.finer is None else plant.finer()
-
-
-def recording_until(recording: Recording, steps: int) -> Recording:
-    """The first samples of a recording."""
-    return replace(
-        recording, t=recording.t[:steps], u=recording.u[:steps], y=recording.y[:steps], signal=recording.signal[:steps]
-    )
+    onset = (onset_step(task, group) + 0.5) * plant_of(task["plant"]).dt  # after the last healthy reading
+    return fault.record(trunk_steps(task, task["plant"]), seeds_of(task["seeds"]), onset)
 
 
 def cost(detector: Detector, recording: Recording) -> Arrays:
     """Seconds of a step of one run, the least of some; bytes of its state, and largest in use in a step besides."""
     state: State = detector.init((), float(recording.t[0]) - detector.plant.dt)
-    best = np.inf
+    best, u = np.inf, of_each(recording.u, 1)[:, 0]
     for k in range(min(TIMED_STEPS, recording.t.size)):
         start = time.process_time()
-        state, _ = detector.step(state, float(recording.t[k]), recording.y[k, 0], recording.u[k])
+        state, _ = detector.step(state, float(recording.t[k]), recording.y[k, 0], u[k])
         best = min(best, time.process_time() - start)
     tracemalloc.start()
     again = detector.init((), float(recording.t[0]) - detector.plant.dt)
     tracemalloc.reset_peak()
     held, _ = tracemalloc.get_traced_memory()
-    detector.step(again, float(recording.t[0]), recording.y[0, 0], recording.u[0])
+    detector.step(again, float(recording.t[0]), recording.y[0, 0], u[0])
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return {

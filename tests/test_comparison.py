@@ -10,24 +10,25 @@ import pytest
 from scipy.stats import binom
 
 from fusion_sfdia.benchmarks import comparison_protocol as protocol
+from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.comparison import SCENARIO, summarise
 from fusion_sfdia.benchmarks.comparison_calibration import (
     calibrated,
     deployed,
-    healthy,
-    plant_of,
     silent,
     silent_scores,
     watch,
 )
 from fusion_sfdia.benchmarks.comparison_numbers import confusion, gather
+from fusion_sfdia.benchmarks.comparison_recordings import healthy, network_recording, of_each, plant_of
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
-from fusion_sfdia.benchmarks.comparison_work import finest, work
+from fusion_sfdia.benchmarks.comparison_work import work
 from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.benchmarks.scenario import adjust
 from fusion_sfdia.cli import main, parser
-from fusion_sfdia.simulate import simulate
+from fusion_sfdia.detector import Detector
+from fusion_sfdia.plant import Plant
 
 TINY = {
     "plants": "two-tanks",
@@ -154,30 +155,48 @@ def test_large_faults_are_found_named_and_replaced() -> None:
     assert cell["right"][cell.rows_of("dropout")].sum() == 0  # what is missing is not named
 
 
-def test_a_plant_without_what_a_detector_needs_is_told() -> None:
-    settings = tiny(plants="gas-pipeline", detectors="adaptive-threshold")
+def test_a_cell_that_cannot_run_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str, of: Plant) -> Detector:
+        raise ValueError(f"plant {of.name!r} has no wings; give it some")
+
+    monkeypatch.setattr(registry, "detector", refuse)
+    settings = tiny(detectors="pca")
     summary = summarise(settings, results(settings, seeds=1))
     assert not summary.rows
-    assert "does not say its scalar equations" in summary.remarks[0]
+    assert "plant 'two-tanks' has no wings" in summary.remarks[0]
 
 
 @pytest.mark.parametrize("plant", list(DEPARTURES))
-def test_departures_change_what_is_read(plant: str) -> None:
+def test_departures_change_what_is_read_from_the_start(plant: str) -> None:
     assert set(PLANT_FAULTS) == set(DEPARTURES) == set(PLANTS)
-    of = plant_of(plant)
-    usual = simulate(of, 62, [0], truth="model").signal
+    of, usual = plant_of(plant), healthy(plant, 62, (3,))
     for departure in DEPARTURES[plant]:
-        truth = of if departure.plant is None else departure.plant()
-        changed = simulate(of, 62, [0], truth=truth, inputs=departure.inputs).signal
-        error = np.abs(changed - usual)[-1, 0] / of.sensor_sigma
+        changed = departure.record(62, (3,))
+        np.testing.assert_array_equal(changed.t, usual.t)
+        error = np.abs(changed.signal - usual.signal)[-1, 0] / of.sensor_sigma
         assert error.max() > 0.1, departure.name
 
 
-def test_a_plant_with_a_finer_twin_is_simulated_by_it() -> None:
-    truth, to_states = finest(plant_of("gas-pipeline"))
-    assert len(truth.states) > len(plant_of("gas-pipeline").states)
-    assert to_states is not None
-    assert finest(plant_of("two-tanks")) == (plant_of("two-tanks"), None)
+@pytest.mark.parametrize("plant", list(PLANT_FAULTS))
+def test_faults_of_a_plant_begin_at_their_onset(plant: str) -> None:
+    of, usual = plant_of(plant), healthy(plant, 30, (3,))
+    for fault in PLANT_FAULTS[plant]:
+        changed = fault.record(30, (3,), 20.5 * of.dt)  # the 20th reading is at 20 dt
+        np.testing.assert_array_equal(changed.y[:20], usual.y[:20])
+        assert np.any(changed.signal[21:] != usual.signal[21:]), fault.name
+
+
+def test_the_network_is_run_in_closed_loop_on_inputs_of_its_own() -> None:
+    plant = plant_of("power-network")
+    recording = network_recording(40, (0, 1))
+    assert recording.u.shape == (40, 2, len(plant.inputs))
+    assert of_each(recording.u, 2) is recording.u
+    # the exact model follows from what is recorded but for the process noise, of known variance: of 4680 draws none
+    # beyond 5.5 deviations (odds 2e-4)
+    exact, _ = plant.finer() if plant.finer else (plant, None)
+    assert recording.x is not None
+    foretold = exact.step(0.0, recording.x[:-1], recording.u[1:], plant.dt)
+    assert np.abs((recording.x[1:] - foretold) / np.sqrt(plant.process_cov)).max() < 5.5
 
 
 @pytest.mark.slow
