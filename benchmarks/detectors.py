@@ -42,7 +42,7 @@ def calibrated(bank: FusingBank) -> FusingBank:
     """The bank with thresholds from healthy simulated runs of its own plant, more of them for more quantities."""
     wanted = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
     steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * wanted)))
-    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model")
+    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=bank.plant.disturbed)
     u = np.broadcast_to(healthy.u[:, None], (*healthy.y.shape[:2], healthy.u.shape[-1]))
     return calibrate(bank, healthy.t, healthy.y, u, FALSE_ALARM, WARM_UP)
 
@@ -55,7 +55,7 @@ def healthy_data(plant: Plant) -> Array:
     wanted = 1.5 * 4 * len(plant.quantities) / FALSE_ALARM  # two checks of each, set on every other sample
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(wanted / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
-    return simulate(plant, CALIBRATION_STEPS, seeds, truth="model").y
+    return simulate(plant, CALIBRATION_STEPS, seeds, truth="model", process_noise=plant.disturbed).y
 
 
 def bounded(plant: Plant) -> Detector:

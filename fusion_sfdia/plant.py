@@ -37,7 +37,8 @@ class Plant:
     operation(t) is the input that a simulation applies when it is given none.
     finer(): a truer twin with the same sensors and inputs (a finer grid, say) and the map from its states to these, from
     which simulations take their readings unless told otherwise; None where there is none.
-    fixed_dt: whether the model holds for its nominal dt only.
+    fixed_dt: whether the model holds for its nominal dt only. disturbed: whether what happens is disturbed by the process
+    noise, too, and healthy recordings to learn from should be; otherwise it stands for what the model neglects.
     modules: its scalar equations as monitoring modules, in SI; None where it does not say them.
     areas: its linear areas, each with a diagnoser of its own, in SI; None where one diagnoser reads everything.
     sensor_scale: what a sensor shows over what it measures in SI (N,); `in_units` sets it.
@@ -60,6 +61,7 @@ class Plant:
     blocks: tuple[Block, ...] = ()
     finer: Callable[[], tuple[Plant, Callable[[Array], Array]]] | None = None
     fixed_dt: bool = False
+    disturbed: bool = False
     max_dt: float = np.inf
     modules: Modules | None = None
     areas: Areas | None = None

@@ -114,6 +114,7 @@ def power_network(
         operation=lambda t: np.tile(profile(t), 2),
         blocks=network_blocks(model),
         fixed_dt=True,
+        disturbed=True,
         areas=network_areas(model),
     )
 
