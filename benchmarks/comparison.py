@@ -10,17 +10,27 @@ import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_figures import (
     Cells,
+    departure_panels,
     draw_confusion,
     draw_cost,
-    draw_departures,
     draw_magnitudes,
     draw_overview,
+    draw_panels,
     draw_roc,
     of_plant,
+    other_panels,
 )
-from fusion_sfdia.benchmarks.comparison_findings import areas, extremes, healthy_alarms, highlights, overview_caption, remarks
+from fusion_sfdia.benchmarks.comparison_findings import (
+    areas,
+    extremes,
+    healthy_alarms,
+    highlights,
+    others_told,
+    overview_caption,
+    remarks,
+)
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, gather, share_right
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, SETTINGS, TROUBLED_SIGMA, tasks
+from fusion_sfdia.benchmarks.comparison_protocol import SETTINGS, TROUBLED_SIGMA, tasks
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, clusters, ranking
 from fusion_sfdia.benchmarks.comparison_rows import SCENARIO as NAME
 from fusion_sfdia.benchmarks.comparison_rows import rows_of_cell
@@ -133,6 +143,17 @@ def plant_figures(settings: Settings, plant: str, cells: Mapping[str, Cell]) -> 
             f"A matrix for each of {len(cells)} detectors on {plant}: faulty quantity against named quantity",
         )
     )
+    if shown := other_panels(some):
+        found.append(
+            Figure(
+                f"{plant}-others",
+                f"Several faults, missing readings, attacks, faults of the plant, {plant}",
+                "At the common rate of false alarms; a fault of the plant is no sensor's fault. Samples with a healthy sensor "
+                "named: " + others_told(cells, [name for name, _, _ in shown[0].columns]) + ".",
+                partial(draw_panels, cells, shown),
+                f"Three tables of numbers on colours, detectors of {plant} down and conditions across",
+            )
+        )
     if some.truths:
         worst = {t: extremes(healthy_alarms(cells.values(), t)) for t in some.truths}
         found.append(
@@ -140,7 +161,7 @@ def plant_figures(settings: Settings, plant: str, cells: Mapping[str, Cell]) -> 
                 f"{plant}-departures",
                 f"Where the plant is not as believed, {plant}",
                 "Healthy samples with an alarm: " + "; ".join(f"{t} {told}" for t, told in worst.items()) + ".",
-                partial(draw_departures, cells, HEALTHY, f"bias-{TROUBLED_SIGMA:g}-sigma"),
+                partial(draw_panels, cells, departure_panels(some, f"bias-{TROUBLED_SIGMA:g}-sigma")),
                 f"Three tables of numbers on colours, detectors of {plant} down and departures across",
             )
         )

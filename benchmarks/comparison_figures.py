@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
-from fusion_sfdia.benchmarks.comparison_protocol import GRADED
+from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY
 from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, MARKERS, panels
 from fusion_sfdia.metrics import Estimate
 
@@ -160,26 +160,46 @@ def draw_confusion(cells: Mapping[str, Cell]) -> Drawing:
     return figure
 
 
-def draw_departures(cells: Mapping[str, Cell], healthy: str, biased: str) -> Drawing:
-    """False alarms, healthy sensors named and exact isolation by departure; the first column has none."""
-    truths = next(iter(cells.values())).truths
-    measures: list[tuple[str, Callable[[Cell, str], float]]] = [
-        ("healthy: samples with an alarm", lambda c, t: c.rate("alarms", c.rows_of(healthy, truth=t), c.window).value),
-        ("healthy: samples with a sensor named", lambda c, t: c.blame(c.rows_of(healthy, truth=t)).value),
-        (f"{biased.replace('-', ' ')}: exact names", lambda c, t: c.exact(c.rows_of(biased, truth=t)).value),
-    ]
-    figure, axes = panels([title for title, _ in measures], columns=3, width=12.5, height=1.9 + 0.24 * len(cells))
-    for axis, (_, measure) in zip(axes, measures, strict=True):
-        values = np.array(
-            [
-                [measure(cell, t) if cell.rows_of(healthy, truth=t).size else np.nan for t in ("", *truths)]
-                for cell in cells.values()
-            ]
-        )
-        heat(axis, values, list(cells), ["as believed", *truths])
+class Panel(NamedTuple):
+    """Numbers of detectors under conditions: title, what is measured, and a label, condition and departure for each column."""
+
+    title: str
+    measure: Callable[[Cell, Array], Estimate]
+    columns: Sequence[tuple[str, str, str]]
+
+
+def draw_panels(cells: Mapping[str, Cell], shown: Sequence[Panel]) -> Drawing:
+    """Detectors down and conditions across; grey where a measure says nothing."""
+    figure, axes = panels([p.title for p in shown], columns=3, width=13.0, height=1.9 + 0.24 * len(cells))
+    for axis, (_, measure, columns) in zip(axes, shown, strict=True):
+        values = [[measure(c, c.rows_of(name, truth=truth)).value for _, name, truth in columns] for c in cells.values()]
+        heat(axis, np.array(values), list(cells), [label for label, _, _ in columns])
     for axis in axes[1:]:
         axis.set_yticklabels([])
     return figure
+
+
+def departure_panels(cell: Cell, biased: str) -> list[Panel]:
+    """False alarms, healthy sensors named and exact names by departure; the first column has none."""
+    truths = [("as believed", ""), *((t, t) for t in cell.truths)]
+    without = [(label, HEALTHY, truth) for label, truth in truths]
+    return [
+        Panel("healthy: samples with an alarm", Cell.alarms, without),
+        Panel("healthy: samples with a sensor named", Cell.blame, without),
+        Panel(f"{biased.replace('-', ' ')}: exact names", Cell.exact, [(label, biased, truth) for label, truth in truths]),
+    ]
+
+
+def other_panels(cell: Cell) -> list[Panel]:
+    """What is not a single fault of a size: alarms, exact names where sensors are faulty, healthy sensors named."""
+    names = [(name, name, "") for name, kind in cell.kinds.items() if kind not in (*GRADED, HEALTHY)]
+    faulty = [column for column in names if cell.kinds[column[1]] not in ("plant", "dropout")]
+    found = [
+        Panel("runs with an alarm", Cell.detected, names),
+        Panel("samples with the exact names", Cell.exact, faulty),
+        Panel("samples with a healthy sensor named", Cell.blame, names),
+    ]
+    return [panel for panel in found if panel.columns]
 
 
 def draw_cost(cells: Cells, score: Callable[[Cell], Estimate]) -> Drawing:

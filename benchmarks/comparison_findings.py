@@ -139,6 +139,11 @@ def extremes(values: Mapping[str, float]) -> str:
     return f"from {span([known[low]])} ({low}) to {span([known[high]])} ({high})"
 
 
+def others_told(cells: Mapping[str, Cell], names: Sequence[str]) -> str:
+    """Least and largest blame of healthy sensors by condition."""
+    return "; ".join(f"{n} {extremes({d: c.blame(c.rows_of(n)).value for d, c in cells.items()})}" for n in names)
+
+
 def healthy_alarms(cells: Iterable[Cell], truth: str) -> dict[str, float]:
     """Share of healthy samples with an alarm under a departure, by detector."""
-    return {c.detector: c.rate("alarms", c.rows_of(HEALTHY, truth=truth), c.window).value for c in cells}
+    return {c.detector: c.alarms(c.rows_of(HEALTHY, truth=truth)).value for c in cells}

@@ -71,6 +71,10 @@ class Cell:
         hits = self[what][rows].ravel()
         return rate_over_runs(hits, np.broadcast_to(of, self[what][rows].shape).ravel())
 
+    def alarms(self, rows: Array) -> Estimate:
+        """Share of samples with an alarm."""
+        return self.rate("alarms", rows, self.window)
+
     def exact(self, rows: Array) -> Estimate:
         """Share of samples at which exactly the faulty sensors are named."""
         return self.rate("exact", rows, self.window)

@@ -29,7 +29,7 @@ SINGLE: dict[str, Measure] = {
     "rmse_ratio": Cell.gain,
 }
 SEVERAL: dict[str, Measure] = SINGLE | {
-    "detection_probability": lambda cell, rows: cell.rate("alarms", rows, cell.window),
+    "detection_probability": Cell.alarms,
     "isolation_precision": lambda cell, rows: cell.rate("right", rows, cell["named"][rows]),
     "false_flag_rate": Cell.false_flags,
     "fault_mape_percent": Cell.size_error,
@@ -40,7 +40,7 @@ SEVERAL: dict[str, Measure] = SINGLE | {
     "diverged": lambda cell, rows: proportion(int(cell["diverged"][rows].sum()), cell["diverged"][rows].size),
 }
 INNOCENT: dict[str, Measure] = {
-    "alarm_probability": lambda cell, rows: cell.rate("alarms", rows, cell.window),
+    "alarm_probability": Cell.alarms,
     "blame_probability": Cell.blame,
 }
 DROPOUT: dict[str, Measure] = INNOCENT | {"rmse_sigma": lambda cell, rows: cell.rms("measured", rows)}

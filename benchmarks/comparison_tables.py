@@ -67,14 +67,23 @@ def tables(settings: Settings, cells: Cells, reasons: Mapping[Any, str], standin
 
 def glance_table(settings: Settings, cells: Cells) -> Table:
     """A line a cell."""
-    numbers = glance(settings)
+    numbers, (_, large) = glance(settings), sizes(settings)
     rows: tuple[tuple[str | float, ...], ...] = tuple(
-        (*key, *(number(cell) for number in numbers.values()), float(cell["claim"]), cell.step_seconds)
+        (
+            *key,
+            *(number(cell) for number in numbers.values()),
+            *(measure(cell, cell.rows_of(*cell.graded(large))).value for measure in (Cell.delay, Cell.size_error)),
+            float(cell["claim"]),
+            cell.step_seconds,
+        )
         for key, cell in cells.items()
     )
     return Table(
         "At a glance",
-        ("plant", "detector", *numbers, "false alarms it claims", "seconds of a step"),
+        (
+            *("plant", "detector", *numbers, f"delay, {large:g} sigma (s)", f"size of the fault off, {large:g} sigma (%)"),
+            *("false alarms it claims", "seconds of a step"),
+        ),
         rows,
         "Faults are bias, drift, noise and scale; thresholds those of the common rate of false alarms, but for one column. "
         "Exact: share of samples at which exactly the faulty sensor is named; named at all: among others, perhaps. Claims are "

@@ -217,7 +217,11 @@ def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
         for name in (
             "overview",
             "cost",
-            *(f"{p}-{f}" for p in ("two-tanks", "marine-engine") for f in ("roc", "magnitudes", "confusion", "departures")),
+            *(
+                f"{p}-{f}"
+                for p in ("two-tanks", "marine-engine")
+                for f in ("roc", "magnitudes", "confusion", "others", "departures")
+            ),
         )
     }
     ranks = [r for r in one.rows if r.metric == "rank"]
