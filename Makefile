@@ -41,7 +41,7 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 
 notebooks: $(STAMP)
-	$(BIN)/jupyter execute --inplace --NotebookClient.record_timing=False --NotebookClient.coalesce_streams=True notebooks/*.ipynb
+	$(BIN)/python notebooks/run.py
 
 bench: $(STAMP)
 	$(BIN)/fusion-sfdia bench $(BENCH_ARGS)
