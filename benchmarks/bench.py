@@ -26,21 +26,21 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia import enkf
 from fusion_sfdia.benchmarks import bench_engine, bench_filterpy, bench_lorenz
 from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
 from fusion_sfdia.benchmarks.output import require_free
 from fusion_sfdia.benchmarks.results import Row, write_rows
 from fusion_sfdia.benchmarks.timing import Timing, best_times
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import Detector
-from fusion_sfdia.estimators import Extended
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.gaussian import sample
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.filters import enkf
+from fusion_sfdia.filters.estimators import Extended
+from fusion_sfdia.filters.gaussian import sample
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import simulate
 
 Array = NDArray[Any]
 Call = Callable[[], object]

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine_campaign import engine_detector, noise, truth
 from fusion_sfdia.benchmarks.engine_trials import NAMES
-from fusion_sfdia.codac_adapter import codac_sivia
-from fusion_sfdia.equation import argument_names
-from fusion_sfdia.expression import Expression, record
-from fusion_sfdia.interval import Interval
-from fusion_sfdia.modules import Modules
-from fusion_sfdia.sivia import Paving
+from fusion_sfdia.core.equation import argument_names
+from fusion_sfdia.core.modules import Modules
+from fusion_sfdia.intervals.codac_adapter import codac_sivia
+from fusion_sfdia.intervals.expression import Expression, record
+from fusion_sfdia.intervals.interval import Interval
+from fusion_sfdia.intervals.sivia import Paving
 
 Call = Callable[[], object]
 

@@ -14,11 +14,11 @@ import numpy as np
 from filterpy.kalman import EnsembleKalmanFilter, ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from fusion_sfdia.discretise import runge_kutta_4
-from fusion_sfdia.equation import complex_step_jacobian
-from fusion_sfdia.gaussian import dense
+from fusion_sfdia.core.discretise import runge_kutta_4
+from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters, pipeline_physics
-from fusion_sfdia.plant import Plant
 
 Array = NDArray[Any]
 Call = Callable[[], Array]

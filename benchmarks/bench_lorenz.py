@@ -16,14 +16,14 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
-from fusion_sfdia import ekf, enkf, ukf
 from fusion_sfdia.benchmarks.bench_filterpy import MEMBERS, Model, step_call
-from fusion_sfdia.discretise import discretise
-from fusion_sfdia.equation import complex_step_jacobian
-from fusion_sfdia.gaussian import condition
-from fusion_sfdia.physics import Physics
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
+from fusion_sfdia.core.discretise import discretise
+from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.filters import ekf, enkf, ukf
+from fusion_sfdia.filters.gaussian import condition
 
 Array = NDArray[Any]
 Call = Callable[[], Array]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, of_each, plant_of
-from fusion_sfdia.detector import Decision, Detector, run
+from fusion_sfdia.core.detector import Decision, Detector, run
 
 Array = NDArray[Any]
 

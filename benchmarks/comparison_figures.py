@@ -12,11 +12,11 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
 from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY
 from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, MARKERS, panels
-from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.evaluation import detection_metrics as metrics
+from fusion_sfdia.evaluation.metrics import Estimate
 
 Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], Cell]

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks.comparison_protocol import GRADED, conditions
 from fusion_sfdia.benchmarks.comparison_recordings import plant_of
 from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Task
-from fusion_sfdia.metrics import LEVEL, NOTHING, Estimate, proportion, rate_over_runs
+from fusion_sfdia.evaluation import detection_metrics as metrics
+from fusion_sfdia.evaluation.metrics import LEVEL, NOTHING, Estimate, proportion, rate_over_runs
 
 Array = NDArray[Any]
 

@@ -17,7 +17,7 @@ from scipy import stats
 
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, mean
 from fusion_sfdia.benchmarks.comparison_protocol import UNGRADED
-from fusion_sfdia.metrics import LEVEL, Estimate
+from fusion_sfdia.evaluation.metrics import LEVEL, Estimate
 
 Array = NDArray[Any]
 

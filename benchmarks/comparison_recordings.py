@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks import registry
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_operation import AreaFault, load_profile
 from fusion_sfdia.models.power_network_parameters import NetworkParameters, load_network, load_steps
 from fusion_sfdia.models.power_network_simulation import run_network
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import Recording, simulate
 
 Array = NDArray[Any]
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.scenario import Arrays
-from fusion_sfdia.detector import Decision
-from fusion_sfdia.plant import Plant
+from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
 from fusion_sfdia.benchmarks.results import Row
-from fusion_sfdia.metrics import Estimate, proportion, rate_over_runs
+from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
 
 Array = NDArray[Any]
 

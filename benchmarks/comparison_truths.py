@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.comparison_recordings import NETWORK, network_recording, plant_of, simulated
-from fusion_sfdia.discretise import discretise
+from fusion_sfdia.core.discretise import discretise
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.models.gas_pipeline import demand, gas_pipeline
 from fusion_sfdia.models.gas_pipeline_physics import INLET_PRESSURE, INLET_TEMPERATURE, pipeline_parameters
 from fusion_sfdia.models.marine_engine import marine_engine
@@ -25,8 +27,6 @@ from fusion_sfdia.models.marine_engine_parameters import engine_parameters
 from fusion_sfdia.models.power_network_operation import AreaFault
 from fusion_sfdia.models.power_network_parameters import NetworkParameters, load_network
 from fusion_sfdia.models.two_tanks import Tanks, tank_physics, two_tanks
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import Recording
 
 Array = NDArray[Any]
 

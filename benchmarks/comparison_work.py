@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.batch_detector import CLOCK
 from fusion_sfdia.benchmarks.comparison_calibration import (
     Calibrated,
     calibrated,
@@ -39,10 +38,11 @@ from fusion_sfdia.benchmarks.comparison_recordings import healthy, of_each, plan
 from fusion_sfdia.benchmarks.comparison_records import Branch, join, labelled, record
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
-from fusion_sfdia.detector import Decision, Detector, State, run
-from fusion_sfdia.faults import apply
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import Recording
+from fusion_sfdia.core.batch_detector import CLOCK
+from fusion_sfdia.core.detector import Decision, Detector, State, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.faults import apply
+from fusion_sfdia.evaluation.simulate import Recording
 
 Array = NDArray[Any]
 

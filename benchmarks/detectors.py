@@ -7,20 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.arguments import Array
-from fusion_sfdia.calibration import calibrate
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.chebyshev import Chebyshev
-from fusion_sfdia.detector import Detector
-from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Unscented
-from fusion_sfdia.fixed_limits import FixedLimits
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.pca import PrincipalComponents
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import simulate
-from fusion_sfdia.virtual_sensors import VirtualSensors
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
+from fusion_sfdia.core.arguments import Array
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+from fusion_sfdia.data_driven.pca import PrincipalComponents
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
+from fusion_sfdia.kalman_banks.calibration import calibrate
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 
 FALSE_ALARM = 1e-3  # per step over all sensors, of every detector here
 CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign

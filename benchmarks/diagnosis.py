@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.output import require_free
 from fusion_sfdia.benchmarks.plots import panels, time_series, write_figure
 from fusion_sfdia.benchmarks.registry import detector
-from fusion_sfdia.diagnose import Diagnosis, Event, diagnose
-from fusion_sfdia.logs import read_log, write_log
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.storage import atomic_write
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.storage import atomic_write
+from fusion_sfdia.evaluation.diagnose import Diagnosis, Event, diagnose
+from fusion_sfdia.evaluation.logs import read_log, write_log
 
 FILES = ("events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
 MOST_PANELS = 6

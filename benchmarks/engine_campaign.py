@@ -14,23 +14,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_threshold import ENVELOPE, AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import ENVELOPE, AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
 from fusion_sfdia.benchmarks.detectors import adaptive_threshold
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, MOST_NOISE, engine, extremes
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Settings
-from fusion_sfdia.detector import State
-from fusion_sfdia.diagnosis_metrics import Response
-from fusion_sfdia.diagnosis_sets import DiagnosisLogic
-from fusion_sfdia.metrics import Estimate, mean_over_runs, proportion
+from fusion_sfdia.core.detector import State
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.evaluation.diagnosis_metrics import Response
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.marine_engine import marine_engine
 from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine_faults import ProcessFault
 from fusion_sfdia.models.marine_engine_governor import governed_settings
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.random_streams import stream
-from fusion_sfdia.simulate import simulate
 
 Array = NDArray[Any]
 

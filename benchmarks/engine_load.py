@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine_campaign import (
     DRIVES,
     USUAL_NOISE,
@@ -33,7 +33,7 @@ from fusion_sfdia.benchmarks.engine_trials import NAMES, row
 from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.plots import panels
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
-from fusion_sfdia.metrics import Estimate, mean_over_runs
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.models.marine_engine import SENSORS
 
 Array = NDArray[Any]

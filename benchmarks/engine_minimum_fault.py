@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine_decisions import value_of
 from fusion_sfdia.benchmarks.engine_published import minimum_fault
 from fusion_sfdia.benchmarks.engine_trials import (
@@ -33,8 +33,8 @@ from fusion_sfdia.benchmarks.findings import pick
 from fusion_sfdia.benchmarks.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
-from fusion_sfdia.detector import run
-from fusion_sfdia.metrics import Estimate, mean_over_runs
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 
 NAME = "engine/minimum-fault"
 ONSET = 0.5  # s: the observers have forgotten how they began

@@ -37,9 +37,9 @@ from fusion_sfdia.benchmarks.scenario import (
     Task,
     seed_blocks,
 )
-from fusion_sfdia.diagnosis_metrics import Response
-from fusion_sfdia.faults import Fault, apply
-from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.evaluation.diagnosis_metrics import Response
+from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.metrics import Estimate
 
 Array = NDArray[Any]
 

@@ -11,16 +11,16 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.signatures import SignatureMatrix, global_signatures, local_signatures, sensors_read
 from fusion_sfdia.benchmarks.engine_published import K22, K24, SIGNATURES, signatures
 from fusion_sfdia.benchmarks.engine_trials import Results, engine, row
 from fusion_sfdia.benchmarks.plots import panels
 from fusion_sfdia.benchmarks.results import Published, Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
-from fusion_sfdia.equation import argument_names
-from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.core.equation import argument_names
+from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.models.marine_engine import MODULES, SENSORS
-from fusion_sfdia.signatures import SignatureMatrix, global_signatures, local_signatures, sensors_read
 
 NAME, DETECTOR = "engine/signatures", "adaptive-threshold"
 SYMBOLS = ("0", "1", "*")

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion_sfdia.adaptive_observer import adaptive_rate
+from fusion_sfdia.adaptive_thresholds.adaptive_observer import adaptive_rate
 from fusion_sfdia.benchmarks.engine_published import K22_GAINS
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, Array, Results, engine, row
 from fusion_sfdia.benchmarks.engine_virtual_figures import figures
@@ -34,7 +34,7 @@ from fusion_sfdia.benchmarks.engine_virtual_trials import (
 from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Published, Scenario, Settings, Summary, Table
-from fusion_sfdia.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
+from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
 
 NAME, FAULT = "engine/virtual-sensors", "three-faults"
 

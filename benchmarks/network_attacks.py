@@ -16,15 +16,15 @@ from fusion_sfdia.benchmarks.network_trials import LATE, Arrays, Watch, gather, 
 from fusion_sfdia.benchmarks.registry import detector, require_known
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
-from fusion_sfdia.consensus import MODES
-from fusion_sfdia.detector import run
-from fusion_sfdia.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED
-from fusion_sfdia.metrics import mean_over_runs
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.models.power_network import power_network
 from fusion_sfdia.models.power_network_equations import STATES
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import AreaFault
 from fusion_sfdia.models.power_network_simulation import Moment
+from fusion_sfdia.stochastic_thresholds.consensus import MODES
+from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED
 
 Array = NDArray[Any]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fusion_sfdia.benchmarks.results import Row
-from fusion_sfdia.threshold_rules import CONFORMAL
+from fusion_sfdia.stochastic_thresholds.threshold_rules import CONFORMAL
 
 ALPHAS = (2.0, 5.0, 10.0)
 B18_ALPHA = 2.0  # B18, sec. VIII

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.areas import Areas
 from fusion_sfdia.benchmarks.network_consensus import agreement
 from fusion_sfdia.benchmarks.network_plug_figures import (
     JOINS,
@@ -24,15 +23,16 @@ from fusion_sfdia.benchmarks.network_plug_figures import (
 )
 from fusion_sfdia.benchmarks.network_residuals import B18, CORRECTED, SETTLE, normalised, owners, row
 from fusion_sfdia.benchmarks.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
-from fusion_sfdia.consensus import Diagnosers, beginners
-from fusion_sfdia.metrics import NOTHING, proportion, rate_over_runs
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.evaluation.metrics import NOTHING, proportion, rate_over_runs
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, NetworkModel, network_model
 from fusion_sfdia.models.power_network_operation import Switch, load_profile
 from fusion_sfdia.models.power_network_parameters import load_steps
 from fusion_sfdia.models.power_network_simulation import Moment, run_network
-from fusion_sfdia.network_step import network_step
-from fusion_sfdia.replug import forgotten, opened_sides
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
+from fusion_sfdia.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.stochastic_thresholds.replug import forgotten, opened_sides
 
 Array = NDArray[Any]
 

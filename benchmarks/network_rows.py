@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.results import Published, Row
-from fusion_sfdia.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
+from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
 
 Array = NDArray[Any]
 

@@ -15,18 +15,18 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.areas import Areas
 from fusion_sfdia.benchmarks.plots import panels
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
 from fusion_sfdia.benchmarks.timing import Timing, best_times
-from fusion_sfdia.consensus import Diagnosers, beginners
+from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import NetworkModel, network_model
 from fusion_sfdia.models.power_network_parameters import generate_network
 from fusion_sfdia.models.power_network_running import RunningNetwork
-from fusion_sfdia.network_step import network_step
-from fusion_sfdia.partitioned_network import PartitionedNetwork, Readings
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
+from fusion_sfdia.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork, Readings
 
 Array = NDArray[Any]
 

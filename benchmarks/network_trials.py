@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.areas import Areas
-from fusion_sfdia.consensus import Diagnosers, beginners, foretell, take
-from fusion_sfdia.fault_hypotheses import FaultHypotheses
+from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.models.power_network_accommodation import Compensated
 from fusion_sfdia.models.power_network_control import Control, PredictiveControl, generation_control
 from fusion_sfdia.models.power_network_diagnosis import network_areas
@@ -20,6 +18,8 @@ from fusion_sfdia.models.power_network_model import NetworkModel
 from fusion_sfdia.models.power_network_operation import AreaFault, Switch, load_profile
 from fusion_sfdia.models.power_network_parameters import load_steps
 from fusion_sfdia.models.power_network_simulation import Moment, run_network
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners, foretell, take
+from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses
 
 Array = NDArray[Any]
 Arrays = dict[str, Array]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.benchmarks.parts import PART_NAME
-from fusion_sfdia.storage import atomic_write
+from fusion_sfdia.core.storage import atomic_write
 
 MANIFEST = "manifest.json"
 OWN_FILE = re.compile(r"metrics\.csv|report\.html|figures/[a-z0-9-]+\.(svg|png)")

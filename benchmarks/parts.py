@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import fusion_sfdia
 from fusion_sfdia.benchmarks.provenance import sources_digest, versions
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
-from fusion_sfdia.storage import atomic_write
+from fusion_sfdia.core.storage import atomic_write
 
 Array = NDArray[Any]
 

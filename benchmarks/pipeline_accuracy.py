@@ -6,7 +6,6 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
@@ -22,7 +21,8 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.benchmarks.scenario import Figure, Row, Scenario, Settings, Summary, Task
-from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.evaluation import detection_metrics as metrics
+from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.models.gas_pipeline import SIGMA
 
 DETECTORS = (*PAPER, "loo-glr")

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks.findings import left_out
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
@@ -25,14 +24,15 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
 )
 from fusion_sfdia.benchmarks.plots import isolation_matrix, panels
 from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary, Task
-from fusion_sfdia.isolation_metrics import (
+from fusion_sfdia.evaluation import detection_metrics as metrics
+from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
     false_flag_rate,
     isolation_confusion,
     isolation_precision,
     isolation_recall,
 )
-from fusion_sfdia.metrics import mean_over_runs
+from fusion_sfdia.evaluation.metrics import mean_over_runs
 
 PLANT_DT = 10.0  # s between readings (Shaheen 2024, sec. IV-A)
 

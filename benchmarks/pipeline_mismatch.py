@@ -7,7 +7,6 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia import detection_metrics as metrics
 from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
@@ -22,15 +21,16 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
-from fusion_sfdia.estimation_metrics import root_mean_square
-from fusion_sfdia.isolation_metrics import (
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation import detection_metrics as metrics
+from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
+from fusion_sfdia.evaluation.isolation_metrics import (
     false_flag_rate,
     isolation_recall,
 )
-from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters
-from fusion_sfdia.plant import Plant
 
 TRUTHS = ("the filter's model", "finer grid", "roughness +25 %", "ambient +1 K", "heat transfer +10 %", "all of these")
 NAMES = ("fusing-enkf", *OURS)

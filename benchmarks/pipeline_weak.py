@@ -22,12 +22,12 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary, Task
-from fusion_sfdia.isolation_metrics import (
+from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
     false_flag_rate,
     isolation_recall,
 )
-from fusion_sfdia.metrics import Estimate
+from fusion_sfdia.evaluation.metrics import Estimate
 
 WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 

@@ -28,8 +28,10 @@ def sources_digest() -> str:
     digest = hashlib.sha256()
     for package in (fusion_sfdia, models, benchmarks):
         folder = Path(package.__path__[0])
-        for path in sorted(p for p in folder.iterdir() if p.suffix in (".py", ".json", ".toml") and p.is_file()):
-            digest.update(f"{package.__name__}/{path.name}\0".encode())
+        folders = [folder, *(f for f in folder.iterdir() if f.is_dir() and not f.is_symlink())]
+        files = [p for below in folders for p in below.iterdir()]
+        for path in sorted(p for p in files if p.suffix in (".py", ".json", ".toml") and p.is_file()):
+            digest.update(f"{package.__name__}/{path.relative_to(folder)}\0".encode())
             digest.update(path.read_bytes() + b"\0")
     return digest.hexdigest()
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fusion_sfdia.benchmarks.scenario import Scenario
-    from fusion_sfdia.detector import Detector
-    from fusion_sfdia.plant import Plant
+    from fusion_sfdia.core.detector import Detector
+    from fusion_sfdia.core.plant import Plant
 
 # name: "module:attribute", the attribute being a Scenario
 SCENARIOS: dict[str, str] = (
@@ -131,8 +131,8 @@ def detector(name: str, of: Plant) -> Detector:
 
 def fault(text: str) -> tuple[str, str | None]:
     """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset."""
-    from fusion_sfdia.fault_draws import PRESETS
-    from fusion_sfdia.faults import FAULT_KINDS
+    from fusion_sfdia.evaluation.fault_draws import PRESETS
+    from fusion_sfdia.evaluation.faults import FAULT_KINDS
 
     name, colon, quantity = text.partition(":")
     if name in FAULT_KINDS:
@@ -145,8 +145,8 @@ def fault(text: str) -> tuple[str, str | None]:
 def listing() -> dict[str, list[dict[str, str]]]:
     """Return names and descriptions of everything, by kind: plants, detectors, faults (and how each is used), scenarios."""
     from fusion_sfdia.benchmarks.detectors import DETECTORS
-    from fusion_sfdia.fault_draws import PRESETS
-    from fusion_sfdia.faults import FAULT_KINDS
+    from fusion_sfdia.evaluation.fault_draws import PRESETS
+    from fusion_sfdia.evaluation.faults import FAULT_KINDS
 
     return {
         "plants": [_entry(name, about) for name, (about, _) in PLANTS.items()],

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from fusion_sfdia.benchmarks.output import Command
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary
-from fusion_sfdia.storage import atomic_write
+from fusion_sfdia.core.storage import atomic_write
 
 OPEN_ROWS = 40  # a longer table is folded
 SORTED_ROWS = 8  # a table of at least so many can be sorted and filtered

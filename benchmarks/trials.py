@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.detector import Decision, Detector, run
-from fusion_sfdia.estimation_metrics import measured_states
-from fusion_sfdia.fault_draws import FaultRange, draw
-from fusion_sfdia.faults import apply
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.random_streams import stream
-from fusion_sfdia.simulate import Recording, simulate
+from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.evaluation.estimation_metrics import measured_states
+from fusion_sfdia.evaluation.fault_draws import FaultRange, draw
+from fusion_sfdia.evaluation.faults import apply
+from fusion_sfdia.evaluation.simulate import Recording, simulate
 
 Array = NDArray[Any]
 Arrays = dict[str, Array]

@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return 130
     except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:
-        from fusion_sfdia.storage import explained
+        from fusion_sfdia.core.storage import explained
 
         print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
         full = getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT)
@@ -173,10 +173,10 @@ def _setting(text: str) -> tuple[str, str]:
 
 def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.benchmarks.registry import fault, plant
-    from fusion_sfdia.fault_draws import draw_apart
-    from fusion_sfdia.faults import apply, load_faults
-    from fusion_sfdia.logs import write_log
-    from fusion_sfdia.simulate import simulate
+    from fusion_sfdia.evaluation.fault_draws import draw_apart
+    from fusion_sfdia.evaluation.faults import apply, load_faults
+    from fusion_sfdia.evaluation.logs import write_log
+    from fusion_sfdia.evaluation.simulate import simulate
 
     if chosen.out.is_dir():
         raise ValueError(f"{chosen.out} is a folder; name a file with --out")

@@ -27,6 +27,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.physics import Block
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models import gas_pipeline_equations as equations
 from fusion_sfdia.models.gas_pipeline_equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline_physics import (
@@ -41,9 +44,6 @@ from fusion_sfdia.models.gas_pipeline_physics import (
     steady_state,
 )
 from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES
-from fusion_sfdia.physics import Block
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.equation import compiled, equation
+from fusion_sfdia.core.equation import compiled, equation
 from fusion_sfdia.models.natural_gas import Gas
 
 Array = NDArray[Any]

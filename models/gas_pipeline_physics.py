@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.models import gas_pipeline_equations as equations
 from fusion_sfdia.models.gas_pipeline_equations import PipelineParameters
 from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES, natural_gas
-from fusion_sfdia.physics import Physics
-from fusion_sfdia.signals import Signal
 
 Array = NDArray[Any]
 

@@ -23,16 +23,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.discretise import discretise
+from fusion_sfdia.core.discretise import discretise
+from fusion_sfdia.core.modules import Modules, ObserverBound
+from fusion_sfdia.core.physics import Block, Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models import marine_engine_equations as equations
 from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine_equilibrium import LOADS, engine_variables, equilibrium, follows_law
 from fusion_sfdia.models.marine_engine_faults import ProcessFault, parameter_schedule
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
-from fusion_sfdia.modules import Modules, ObserverBound
-from fusion_sfdia.physics import Block, Physics
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

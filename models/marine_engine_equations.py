@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.equation import argument_names, compiled, equation
+from fusion_sfdia.core.equation import argument_names, compiled, equation
 
 Array = NDArray[Any]
 

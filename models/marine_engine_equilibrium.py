@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.equation import complex_step_jacobian
+from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.models import marine_engine_equations as equations
 from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, STATES, EngineParameters
 

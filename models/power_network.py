@@ -28,6 +28,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.physics import Block, Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_equations import STATES, area_rates
 from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel, network_model
@@ -39,9 +42,6 @@ from fusion_sfdia.models.power_network_parameters import (
     load_network,
     load_steps,
 )
-from fusion_sfdia.physics import Block, Physics
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion_sfdia.areas import Areas
+from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.models.power_network_equations import STATES
 from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.equation import compiled, equation
+from fusion_sfdia.core.equation import compiled, equation
 
 Array = NDArray[Any]
 

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.discretise import zero_order_hold
+from fusion_sfdia.core.discretise import zero_order_hold
+from fusion_sfdia.core.network import Network
 from fusion_sfdia.models import power_network_equations as equations
 from fusion_sfdia.models.power_network_parameters import DYNAMIC, NetworkParameters, load_network
-from fusion_sfdia.network import Network
 
 Array = NDArray[Any]
 

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.arguments import number, require_unique, whole
-from fusion_sfdia.network import Topology
+from fusion_sfdia.core.arguments import number, require_unique, whole
+from fusion_sfdia.core.network import Topology
 
 Array = NDArray[Any]
 

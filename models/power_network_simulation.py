@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.arguments import whole
+from fusion_sfdia.core.arguments import whole
+from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.models.power_network_control import Control, generation_control
 from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel
 from fusion_sfdia.models.power_network_operation import AreaFault, Condition, Switch, conditions
-from fusion_sfdia.random_streams import require_seeds, stream
 
 Array = NDArray[Any]
 Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]

@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.discretise import discretise
-from fusion_sfdia.equation import equation
-from fusion_sfdia.modules import Modules
-from fusion_sfdia.physics import Block, Physics
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
+from fusion_sfdia.core.discretise import discretise
+from fusion_sfdia.core.equation import equation
+from fusion_sfdia.core.modules import Modules
+from fusion_sfdia.core.physics import Block, Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
 
 Array = NDArray[Any]
 

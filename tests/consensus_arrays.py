@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from fusion_sfdia import consensus_equations as equations
-from fusion_sfdia.areas import Areas
-from fusion_sfdia.consensus import Diagnosers, Foretold
-from fusion_sfdia.consensus_equations import UNKNOWN
-from fusion_sfdia.plant import Array
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.plant import Array
+from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Foretold
+from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 
 
 def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Foretold:

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.detector import Decision, run
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.modules import Modules
+from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.models.marine_engine import OBSERVER_BOUNDS, marine_engine
-from fusion_sfdia.modules import Modules
-from fusion_sfdia.simulate import Recording, simulate
 
 ENGINE = marine_engine()
 DETECTOR = AdaptiveThreshold(ENGINE)

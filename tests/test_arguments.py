@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 from toy_plants import Array, chain, readings, tanks
 
-from fusion_sfdia.arguments import batch_shape, floats, number, probability, shown, whole
-from fusion_sfdia.calibration import calibrate
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import Detector, run
-from fusion_sfdia.enkf import EnKFSettings
-from fusion_sfdia.estimators import Ensemble, Extended, Unscented
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.particle_filter import ParticleFilter
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
-from fusion_sfdia.ukf import SigmaPoints
+from fusion_sfdia.core.arguments import batch_shape, floats, number, probability, shown, whole
+from fusion_sfdia.core.detector import Detector, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.filters.enkf import EnKFSettings
+from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.kalman_banks.calibration import calibrate
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
 
 PLANT = tanks()
 DETECTORS: list[Detector] = [

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
-from fusion_sfdia.bounded_readings import WITHIN, BoundedReadings
-from fusion_sfdia.chebyshev import Chebyshev
-from fusion_sfdia.detector import run
-from fusion_sfdia.estimators import Extended
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor
-from fusion_sfdia.threshold_rules import alpha_for, false_alarm_of
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor
+from fusion_sfdia.filters.estimators import Extended
+from fusion_sfdia.stochastic_thresholds.bounded_readings import WITHIN, BoundedReadings
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.stochastic_thresholds.threshold_rules import alpha_for, false_alarm_of
 
 BOUND = 0.3
 

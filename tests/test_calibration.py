@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.calibration import calibrate
-from fusion_sfdia.detector import run
-from fusion_sfdia.estimators import Extended
-from fusion_sfdia.fusing_bank import FusingBank
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.filters.estimators import Extended
+from fusion_sfdia.kalman_banks.calibration import calibrate
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 
 
 def test_each_quantity_takes_its_share_of_the_data_above_its_threshold() -> None:

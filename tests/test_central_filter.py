@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import norm
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import run
-from fusion_sfdia.enkf import EnKFSettings
-from fusion_sfdia.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.filters.enkf import EnKFSettings
+from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 
 
 def test_on_a_linear_plant_it_is_the_textbook_kalman_filter() -> None:

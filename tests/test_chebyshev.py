@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.bias_hypotheses import Evidence, explain
-from fusion_sfdia.chebyshev import Chebyshev, calibrated
-from fusion_sfdia.consensus import Diagnosers, foretell, take
-from fusion_sfdia.detector import Decision, run
-from fusion_sfdia.estimators import Extended, Unscented
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.plant import Array, Plant
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.filters.estimators import Extended, Unscented
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 from fusion_sfdia.models.marine_engine import marine_engine
 from fusion_sfdia.models.power_network import power_network
-from fusion_sfdia.monte_carlo import MonteCarlo
-from fusion_sfdia.plant import Array, Plant
-from fusion_sfdia.simulate import simulate
-from fusion_sfdia.threshold_rules import false_alarm_of
+from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev, calibrated
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, foretell, take
+from fusion_sfdia.stochastic_thresholds.monte_carlo import MonteCarlo
+from fusion_sfdia.stochastic_thresholds.threshold_rules import false_alarm_of
 
 RUNS, STEPS, SETTLED = 300, 40, 10
 WATCHING = {"accommodate": False}

@@ -27,8 +27,8 @@ from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.benchmarks.scenario import adjust
 from fusion_sfdia.cli import main, parser
-from fusion_sfdia.detector import Detector
-from fusion_sfdia.plant import Plant
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.plant import Plant
 
 TINY = {
     "plants": "two-tanks",

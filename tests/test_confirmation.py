@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.confirmation import Consecutive, Cusum, WindowGlr, run
-from fusion_sfdia.threshold_rules import conformal_alpha
+from fusion_sfdia.stochastic_thresholds.confirmation import Consecutive, Cusum, WindowGlr, run
+from fusion_sfdia.stochastic_thresholds.threshold_rules import conformal_alpha
 
 TESTS = [Consecutive(2.0, q=3), Cusum(5.0), WindowGlr(4.0, window=5)]
 

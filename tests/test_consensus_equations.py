@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia import consensus_equations as equations
-from fusion_sfdia.areas import Areas
-from fusion_sfdia.consensus import MODES, Diagnosers, beginners, foretell, take
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_simulation import run_network
-from fusion_sfdia.plant import Array
+from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners, foretell, take
 
 LAM, SEEDS, STEPS, SETTLED = 0.3, 400, 24, 12
 MODEL = network_model()

@@ -14,13 +14,13 @@ from toy_plants import Array, chain
 
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.detectors import CALIBRATION_SEEDS, CALIBRATION_STEPS, DETECTORS, FALSE_ALARM, WARM_UP, build
-from fusion_sfdia.detector import Decision, Detector, State, run
-from fusion_sfdia.fixed_limits import FixedLimits
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.pca import PrincipalComponents
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import simulate
-from fusion_sfdia.storage import load_state, save_state
+from fusion_sfdia.core.detector import Decision, Detector, State, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.storage import load_state, save_state
+from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+from fusion_sfdia.data_driven.pca import PrincipalComponents
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 
 TOYS = ("chain", "two-tanks")
 WITH_MODULES = {"marine-engine", "two-tanks"}

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from fusion_sfdia import corner_bounds
-from fusion_sfdia.corner_bounds import prove, slopes
+from fusion_sfdia.adaptive_thresholds import corner_bounds
+from fusion_sfdia.adaptive_thresholds.corner_bounds import prove, slopes
 
 
 def test_slopes_of_a_known_function_are_proved() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import Decision, check_reading, run, stack
+from fusion_sfdia.core.detector import Decision, check_reading, run, stack
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 
 
 def decision(residual: list[float], threshold: list[float], isolated: list[bool]) -> Decision:

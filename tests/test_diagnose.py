@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import run
-from fusion_sfdia.diagnose import DiagnosisWarning, diagnose, spans
-from fusion_sfdia.estimators import Extended
-from fusion_sfdia.faults import Fault
-from fusion_sfdia.faults import apply as apply_faults
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose, spans
+from fusion_sfdia.evaluation.faults import Fault
+from fusion_sfdia.evaluation.faults import apply as apply_faults
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.filters.estimators import Extended
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
-from fusion_sfdia.simulate import simulate
 
 
 @pytest.mark.parametrize("window", [1, 15], ids=["chi2", "glr"])

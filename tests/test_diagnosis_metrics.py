@@ -7,17 +7,17 @@ import pytest
 from engine_signatures import AGENTS, K24_LOCAL, SENSORS
 from scipy.stats import binomtest
 
-from fusion_sfdia.detection_metrics import detection_delay, missed_detection_rate
-from fusion_sfdia.diagnosis_metrics import (
+from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, latched
+from fusion_sfdia.adaptive_thresholds.signatures import signature_matrix
+from fusion_sfdia.evaluation.detection_metrics import detection_delay, missed_detection_rate
+from fusion_sfdia.evaluation.diagnosis_metrics import (
     exoneration_performance,
     isolation_performance,
     response,
     smallest_detectable,
     smallest_detected,
 )
-from fusion_sfdia.diagnosis_sets import DiagnosisLogic, latched
-from fusion_sfdia.metrics import NOTHING
-from fusion_sfdia.signatures import signature_matrix
+from fusion_sfdia.evaluation.metrics import NOTHING
 
 STEP = 0.01  # s
 T = np.arange(10001) * STEP

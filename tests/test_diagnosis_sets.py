@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 from engine_signatures import AGENTS, K22_LOCAL, K24_LOCAL, SENSORS
 
-from fusion_sfdia import diagnosis_sets
-from fusion_sfdia.diagnosis_sets import DiagnosisLogic, latched
-from fusion_sfdia.signatures import Agent, SignatureMatrix, combinations, global_signatures, masks, signature_matrix
+from fusion_sfdia.adaptive_thresholds import diagnosis_sets
+from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, latched
+from fusion_sfdia.adaptive_thresholds.signatures import (
+    Agent,
+    SignatureMatrix,
+    combinations,
+    global_signatures,
+    masks,
+    signature_matrix,
+)
 
 EVERY = combinations(10)
 PATTERNS = ((np.arange(1024)[:, None] >> np.arange(10)) & 1).astype(bool)

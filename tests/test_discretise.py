@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 from toy_plants import tank_physics, tanks
 
-from fusion_sfdia.discretise import (
+from fusion_sfdia.core.discretise import (
     discretise,
     exponential_midpoint,
     linear_plant,
@@ -19,10 +19,10 @@ from fusion_sfdia.discretise import (
     solve_algebraic,
     zero_order_hold,
 )
-from fusion_sfdia.equation import complex_step_jacobian
-from fusion_sfdia.physics import Physics
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
+from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
 
 EPS = np.finfo(float).eps
 NONE = np.zeros(0)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia import enkf
-from fusion_sfdia.enkf import EnKFSettings, Method
-from fusion_sfdia.gaussian import condition
+from fusion_sfdia.filters import enkf
+from fusion_sfdia.filters.enkf import EnKFSettings, Method
+from fusion_sfdia.filters.gaussian import condition
 
 Array = NDArray[Any]
 

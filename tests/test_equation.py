@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from fusion_sfdia.equation import argument_names, complex_step_jacobian, difference_jacobian, equation
+from fusion_sfdia.core.equation import argument_names, complex_step_jacobian, difference_jacobian, equation
 
 EPS = np.finfo(float).eps
 

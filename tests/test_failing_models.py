@@ -9,16 +9,16 @@ import pytest
 from toy_plants import Array, chain, readings, tanks
 
 from fusion_sfdia.benchmarks.trials import faulted, outcome
-from fusion_sfdia.calibration import calibrate
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import Decision, Detector, run
-from fusion_sfdia.enkf import EnKFSettings
-from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Unscented, guarded_points
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.particle_filter import ParticleFilter
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.ukf import SigmaPoints
+from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.enkf import EnKFSettings
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented, guarded_points
+from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.kalman_banks.calibration import calibrate
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
 
 ROOT = Ensemble(EnKFSettings(size=8, method="square-root"))
 PLANT = tanks()
@@ -154,8 +154,8 @@ def test_a_campaign_and_a_calibration_go_on() -> None:
 
 
 def test_the_gas_pipeline_is_a_plant_too() -> None:
+    from fusion_sfdia.evaluation.simulate import simulate
     from fusion_sfdia.models.gas_pipeline import gas_pipeline
-    from fusion_sfdia.simulate import simulate
 
     plant: Plant = gas_pipeline()
     recording = simulate(plant, 6, [0, 1])

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.areas import Areas
-from fusion_sfdia.consensus import MODES, Diagnosers, beginners, foretell, take
-from fusion_sfdia.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED, FaultHypotheses, exclusion_alpha
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_faults import fault_function
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_operation import AreaFault, conditions, load_profile
 from fusion_sfdia.models.power_network_parameters import load_steps
 from fusion_sfdia.models.power_network_simulation import run_network
-from fusion_sfdia.plant import Array
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners, foretell, take
+from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED, FaultHypotheses, exclusion_alpha
 
 MODEL = network_model(unplugged=["3"])  # area 4 has an open tie
 AREAS = network_areas(MODEL)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from toy_plants import chain, tanks
 
-from fusion_sfdia.fault_draws import PRESETS, FaultRange, draw, draw_apart
-from fusion_sfdia.faults import FAULT_KINDS, Fault, apply, load_faults
+from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange, draw, draw_apart
+from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, apply, load_faults
 
 T = np.arange(1, 11) * 1.0  # s, the chain's dt
 Y = np.arange(10.0)[:, None] + np.array([100.0, 200.0, 300.0])

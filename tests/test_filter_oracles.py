@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia import ekf, enkf, ukf
-from fusion_sfdia.discretise import runge_kutta_4
-from fusion_sfdia.enkf import EnKFSettings
-from fusion_sfdia.gaussian import condition
-from fusion_sfdia.ukf import SigmaPoints
+from fusion_sfdia.core.discretise import runge_kutta_4
+from fusion_sfdia.filters import ekf, enkf, ukf
+from fusion_sfdia.filters.enkf import EnKFSettings
+from fusion_sfdia.filters.gaussian import condition
+from fusion_sfdia.filters.ukf import SigmaPoints
 
 Array = NDArray[Any]
 

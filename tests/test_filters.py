@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia import ekf, ukf
-from fusion_sfdia.gaussian import Joint, condition, dense
-from fusion_sfdia.ukf import SigmaPoints
+from fusion_sfdia.filters import ekf, ukf
+from fusion_sfdia.filters.gaussian import Joint, condition, dense
+from fusion_sfdia.filters.ukf import SigmaPoints
 
 Array = NDArray[Any]
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import betabinom
 from toy_plants import Array, chain, tanks
 
-from fusion_sfdia.data_driven import upper_limit
-from fusion_sfdia.detector import Decision, run
-from fusion_sfdia.fixed_limits import FixedLimits
-from fusion_sfdia.plant import Plant
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+from fusion_sfdia.data_driven.healthy_limits import upper_limit
 
 PLANT = tanks()
 CENTRE = np.array([1.0, 1.0, 6e-4, 6e-4])

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.calibration import calibrate
-from fusion_sfdia.detector import run
-from fusion_sfdia.enkf import EnKFSettings
-from fusion_sfdia.estimators import Ensemble, Estimator, Extended, Unscented
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.ukf import SigmaPoints
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.enkf import EnKFSettings
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
+from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.kalman_banks.calibration import calibrate
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 
 KINDS = [
     Extended(),

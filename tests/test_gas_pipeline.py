@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from fusion_sfdia.discretise import runge_kutta_4
-from fusion_sfdia.equation import complex_step_jacobian
+from fusion_sfdia.core.discretise import runge_kutta_4
+from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models import gas_pipeline_equations as equations
 from fusion_sfdia.models.fit_natural_gas import gerg_2008
 from fusion_sfdia.models.gas_pipeline import SIGMA, coarse_state, demand, gas_pipeline
@@ -28,8 +30,6 @@ from fusion_sfdia.models.gas_pipeline_physics import (
     pipeline_physics,
     steady_state,
 )
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import simulate
 
 Array = NDArray[Any]
 

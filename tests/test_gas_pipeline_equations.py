@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from fusion_sfdia.equation import COMPLEX_STEP, complex_step_jacobian
+from fusion_sfdia.core.equation import COMPLEX_STEP, complex_step_jacobian
 from fusion_sfdia.models import gas_pipeline_equations as equations
 from fusion_sfdia.models.gas_pipeline_physics import STENCIL, pipeline_parameters, pipeline_physics, steady_state
 from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia import gaussian
-from fusion_sfdia.gaussian import Joint, condition
+from fusion_sfdia.filters import gaussian
+from fusion_sfdia.filters.gaussian import Joint, condition
 
 Array = NDArray[Any]
 

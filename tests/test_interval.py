@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.interval import Interval, select
-from fusion_sfdia.rounding import LIBRARY_ULPS
+from fusion_sfdia.intervals.interval import Interval, select
+from fusion_sfdia.intervals.rounding import LIBRARY_ULPS
 
 Function = Callable[..., Any]
 UNARY: list[tuple[str, Function]] = [

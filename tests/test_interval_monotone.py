@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.equation import complex_step_jacobian
-from fusion_sfdia.expression import record
-from fusion_sfdia.interval import Interval
-from fusion_sfdia.interval_kernels import KERNELS
-from fusion_sfdia.monotone import DERIVATIVES, gradient, monotone_hull
+from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.intervals.expression import record
+from fusion_sfdia.intervals.interval import Interval
+from fusion_sfdia.intervals.interval_kernels import KERNELS
+from fusion_sfdia.intervals.monotone import DERIVATIVES, gradient, monotone_hull
 
 SMOOTH: dict[str, Callable[..., Any]] = {
     "flow": lambda x, y, z: x * np.sqrt(y**2 + z) / (y + z),

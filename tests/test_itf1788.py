@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.contractors import PROJECTIONS, base, factor
-from fusion_sfdia.interval import Interval
-from fusion_sfdia.interval_kernels import real_power
-from fusion_sfdia.rounding import LIBRARY_ULPS
+from fusion_sfdia.intervals.contractors import PROJECTIONS, base, factor
+from fusion_sfdia.intervals.interval import Interval
+from fusion_sfdia.intervals.interval_kernels import real_power
+from fusion_sfdia.intervals.rounding import LIBRARY_ULPS
 
 # + - * / sqrt: the nearest float lies within one unit of the tightest bound and goes out by one, near underflow by two
 ROUNDED = 2

@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 from toy_plants import chain, tanks
 
-from fusion_sfdia import ekf, mixing
-from fusion_sfdia.gaussian import Joint
-from fusion_sfdia.leave_one_out import eliminate, local_estimates, normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.filters import ekf
+from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.kalman_banks import mixing
+from fusion_sfdia.kalman_banks.leave_one_out import (
+    eliminate,
+    local_estimates,
+    normalised_innovation_squared,
+    posterior,
+    statistics,
+)
 
 
 def random_joint(rng: np.random.Generator, n: int, count: int, batch: tuple[int, ...] = ()) -> tuple[Joint, np.ndarray]:

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import binom
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.detector import run
-from fusion_sfdia.estimators import Ensemble, Extended, Unscented
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.plant import Plant
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
 
 @pytest.mark.parametrize("window", [1, 15])

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from toy_plants import chain, tanks
 
-from fusion_sfdia.logs import read_log, write_log
-from fusion_sfdia.signals import Signal
+from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.evaluation.logs import read_log, write_log
 
 HEADER = "time,l1,l2,q12,q2"
 ROW = "1,1.0,1.0,6e-4,6e-4"

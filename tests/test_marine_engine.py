@@ -9,8 +9,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from fusion_sfdia.discretise import discretise
-from fusion_sfdia.equation import complex_step_jacobian, difference_jacobian
+from fusion_sfdia.core.discretise import discretise
+from fusion_sfdia.core.equation import complex_step_jacobian, difference_jacobian
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models import marine_engine_equations as equations
 from fusion_sfdia.models.marine_engine import (
     BLOCKS,
@@ -22,8 +24,6 @@ from fusion_sfdia.models.marine_engine import (
 )
 from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import simulate
 
 Array = NDArray[Any]
 EPS = np.finfo(float).eps

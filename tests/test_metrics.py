@@ -8,10 +8,10 @@ from scipy.stats import binomtest
 from sklearn.metrics import roc_auc_score
 from toy_plants import chain, tanks
 
-from fusion_sfdia import detection_metrics as detection
-from fusion_sfdia import estimation_metrics as estimation
-from fusion_sfdia import isolation_metrics as isolation
-from fusion_sfdia.metrics import (
+from fusion_sfdia.evaluation import detection_metrics as detection
+from fusion_sfdia.evaluation import estimation_metrics as estimation
+from fusion_sfdia.evaluation import isolation_metrics as isolation
+from fusion_sfdia.evaluation.metrics import (
     NOTHING,
     bootstrap_over_runs,
     mean_over_runs,

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 from toy_plants import tank_modules
 
-from fusion_sfdia.modules import ObserverBound
+from fusion_sfdia.core.modules import ObserverBound
 
 MODULES = tank_modules()
 

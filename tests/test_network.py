@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.network import Network, Topology
+from fusion_sfdia.core.network import Network, Topology
 
 SQUARE = Topology.joined(("a", "b", "c", "d"), [("a", "b"), ("b", "c"), ("d", "c"), ("a", "d"), ("c", "a")])
 

@@ -20,11 +20,11 @@ from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, dra
 from fusion_sfdia.benchmarks.plots import style
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Summary
+from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_operation import Switch
 from fusion_sfdia.models.power_network_simulation import run_network
-from fusion_sfdia.random_streams import stream
 
 TINY: dict[str, dict[str, Any]] = {
     "network/false-alarms": {"steps": 110, "shock_steps": 500, "laws": ("gaussian",), "shocks": ("three-point 90",)},

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from consensus_arrays import foretell, take
 
-from fusion_sfdia import consensus
-from fusion_sfdia.areas import Areas
-from fusion_sfdia.consensus import MODES, Diagnosers, beginners
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_parameters import generate_network
-from fusion_sfdia.network_step import network_step
-from fusion_sfdia.plant import Array
+from fusion_sfdia.stochastic_thresholds import consensus
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners
+from fusion_sfdia.stochastic_thresholds.network_step import network_step
 
 ALPHA, LAM = 2.0, 0.3
 NETWORKS = {

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from fusion_sfdia import ekf, particle
-from fusion_sfdia.gaussian import condition
-from fusion_sfdia.particle import Particles
+from fusion_sfdia.filters import ekf, particle
+from fusion_sfdia.filters.gaussian import condition
+from fusion_sfdia.filters.particle import Particles
 
 Array = NDArray[Any]
 

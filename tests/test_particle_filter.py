@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import Decision, Detector, run
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.particle_filter import ParticleFilter
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
-from fusion_sfdia.storage import load_state, save_state
+from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.storage import load_state, save_state
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
 
 Array = NDArray[Any]
 
@@ -192,7 +192,7 @@ def test_a_run_without_a_batch_and_one_that_breaks_down_alone() -> None:
     [
         ({"size": 1}, "1 particles; a covariance needs at least 2"),
         ({"false_alarm": 0.0}, "strictly between 0 and 1"),
-        ({"max_faults": 4}, "plant 'tanks' has 4 sensors"),
+        ({"max_faults": 4}, "plant 'two-tanks' has 4 sensors"),
     ],
 )
 def test_bad_settings(settings: dict[str, Any], message: str) -> None:

@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from fusion_sfdia.areas import Areas
-from fusion_sfdia.consensus import MODES, Diagnosers, beginners
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_parameters import generate_network
-from fusion_sfdia.network_part import Part, at_borders, blocks, routes, share
-from fusion_sfdia.network_step import network_step
-from fusion_sfdia.partitioned_network import PartitionedNetwork, Readings
-from fusion_sfdia.plant import Array
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners
+from fusion_sfdia.stochastic_thresholds.network_part import Part, at_borders, blocks, routes, share
+from fusion_sfdia.stochastic_thresholds.network_step import network_step
+from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork, Readings
 
 ALPHA, LAM, BATCH, STEPS = 2.0, 0.3, 2, 6
 AREAS = network_areas(network_model(generate_network(23, 3, degree=5.0), unplugged=["7", "8"]))

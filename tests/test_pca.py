@@ -10,11 +10,11 @@ from scipy.stats import betabinom
 from sklearn.decomposition import PCA
 from toy_plants import Array, chain
 
-from fusion_sfdia.detector import Decision, run
-from fusion_sfdia.fixed_limits import FixedLimits
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+from fusion_sfdia.data_driven.pca import PrincipalComponents
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.two_tanks import two_tanks
-from fusion_sfdia.pca import PrincipalComponents
-from fusion_sfdia.simulate import simulate
 
 PLANT = chain(6)
 RNG = np.random.default_rng(0)

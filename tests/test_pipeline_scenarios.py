@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia import detection_metrics, isolation_metrics
 from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.detectors import build
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, detection_rows, gather, tasks, trial
 from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
 from fusion_sfdia.benchmarks.trials import decide, faulted, outcome
-from fusion_sfdia.fault_draws import FaultRange
+from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
+from fusion_sfdia.evaluation.fault_draws import FaultRange
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
 SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "truth": "finer"}

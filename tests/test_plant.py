@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from toy_plants import chain, tank_physics, tanks
 
-from fusion_sfdia.discretise import linear_plant
-from fusion_sfdia.equation import complex_step_jacobian
-from fusion_sfdia.physics import Block, Physics
-from fusion_sfdia.plant import Plant, diagonal, require_covariance
-from fusion_sfdia.signals import Sensor, Signal
+from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.physics import Block, Physics
+from fusion_sfdia.core.plant import Plant, diagonal, require_covariance
+from fusion_sfdia.core.signals import Sensor, Signal
 
 NAN, INF = float("nan"), float("inf")
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from fusion_sfdia.equation import complex_step_jacobian
+from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models import power_network_equations as equations
 from fusion_sfdia.models.power_network import network_physics, network_sensors, power_network
 from fusion_sfdia.models.power_network_model import NetworkModel, network_model
 from fusion_sfdia.models.power_network_operation import AreaFault, Switch
 from fusion_sfdia.models.power_network_parameters import generate_network, load_network
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.simulate import simulate
 
 MODEL = network_model()
 NAMES = MODEL.names

@@ -10,6 +10,7 @@ import pytest
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from fusion_sfdia.core.network import Network, Topology
 from fusion_sfdia.models.power_network_parameters import (
     DYNAMIC,
     NETWORK_FILE,
@@ -18,7 +19,6 @@ from fusion_sfdia.models.power_network_parameters import (
     load_network,
     load_steps,
 )
-from fusion_sfdia.network import Network, Topology
 
 TEXT = NETWORK_FILE.read_text(encoding="utf-8")
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
-from fusion_sfdia.chebyshev import Chebyshev
-from fusion_sfdia.detector import Decision, State, run
+from fusion_sfdia.core.detector import Decision, State, run
+from fusion_sfdia.core.plant import Array, Plant
+from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.models.power_network import power_network
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_operation import Switch
 from fusion_sfdia.models.power_network_simulation import run_network
-from fusion_sfdia.plant import Array, Plant
-from fusion_sfdia.replug import replug
-from fusion_sfdia.storage import load_state, save_state
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.stochastic_thresholds.replug import replug
 
 RUNS, STEPS, AT = 10, 40, 20
 

@@ -20,8 +20,7 @@ from engine_signatures import (
     parse,
 )
 
-from fusion_sfdia.equation import argument_names
-from fusion_sfdia.signatures import (
+from fusion_sfdia.adaptive_thresholds.signatures import (
     Agent,
     SignatureMatrix,
     combinations,
@@ -32,6 +31,7 @@ from fusion_sfdia.signatures import (
     sensors_read,
     signature_matrix,
 )
+from fusion_sfdia.core.equation import argument_names
 
 
 def differences(found: SignatureMatrix, printed: dict[str, dict[str, str]]) -> dict[tuple[str, str], tuple[str, str]]:

@@ -9,12 +9,12 @@ import pytest
 from scipy.stats import kstest, truncnorm
 from toy_plants import chain, tanks
 
-from fusion_sfdia.discretise import linear_plant
+from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.random_streams import require_seeds, stream
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.gas_pipeline import coarse_state, gas_pipeline
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.random_streams import require_seeds, stream
-from fusion_sfdia.signals import Sensor, Signal
-from fusion_sfdia.simulate import simulate
 
 
 def walk(sensor: Sensor | None = None, process_cov: float = 1.0, **changes) -> Plant:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.codac_adapter import codac_sivia
-from fusion_sfdia.contractors import PROJECTIONS, backward
-from fusion_sfdia.equation import equation
-from fusion_sfdia.expression import DOMAINS, record
-from fusion_sfdia.interval import Interval
-from fusion_sfdia.interval_kernels import KERNELS
-from fusion_sfdia.sivia import Paving, sivia
+from fusion_sfdia.core.equation import equation
+from fusion_sfdia.intervals.codac_adapter import codac_sivia
+from fusion_sfdia.intervals.contractors import PROJECTIONS, backward
+from fusion_sfdia.intervals.expression import DOMAINS, record
+from fusion_sfdia.intervals.interval import Interval
+from fusion_sfdia.intervals.interval_kernels import KERNELS
+from fusion_sfdia.intervals.sivia import Paving, sivia
 
 RING_AREA = 3 * np.pi
 # not imported here: that would change the rounding mode of the whole test run
@@ -284,6 +284,6 @@ def test_rounding_is_to_nearest_after_codac() -> None:
 @needs_codac
 def test_intervals_refuse_another_rounding_mode() -> None:
     """In a process of its own: importing codac changes the mode."""
-    script = "import codac\nfrom fusion_sfdia.interval import Interval\nInterval(1.0) + 1.0"
+    script = "import codac\nfrom fusion_sfdia.intervals.interval import Interval\nInterval(1.0) + 1.0"
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert "RuntimeError: the processor does not round to nearest" in ended.stderr

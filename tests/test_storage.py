@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.central_filter import CentralFilter
-from fusion_sfdia.detector import Detector, State, run
-from fusion_sfdia.estimators import Ensemble, Extended, Unscented
-from fusion_sfdia.fusing_bank import FusingBank
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.storage import atomic_write, explained, fingerprint, load_state, save_state
+from fusion_sfdia.core.detector import Detector, State, run
+from fusion_sfdia.core.storage import atomic_write, explained, fingerprint, load_state, save_state
+from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
 DETECTORS: list[Detector] = [
     FusingBank(tanks(), Extended(), thresholds=(1.0,) * 4),
@@ -150,9 +150,9 @@ def test_a_state_that_cannot_be_saved_leaves_the_old_file(tmp_path: Path) -> Non
 
 
 def test_a_state_of_a_plant_with_other_parameters_or_another_taper_is_refused(tmp_path: Path) -> None:
-    from fusion_sfdia.central_filter import CentralFilter
-    from fusion_sfdia.enkf import EnKFSettings, taper
-    from fusion_sfdia.estimators import Ensemble
+    from fusion_sfdia.filters.enkf import EnKFSettings, taper
+    from fusion_sfdia.filters.estimators import Ensemble
+    from fusion_sfdia.kalman_banks.central_filter import CentralFilter
     from fusion_sfdia.models.gas_pipeline import gas_pipeline
     from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.threshold_rules import RULES, alpha_for, conformal_alpha, false_alarm_of
+from fusion_sfdia.stochastic_thresholds.threshold_rules import RULES, alpha_for, conformal_alpha, false_alarm_of
 
 
 def test_rules_against_numbers_worked_by_hand() -> None:

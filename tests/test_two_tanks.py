@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks import registry
-from fusion_sfdia.interval import Interval
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.models.two_tanks import EQUATIONS, INFLOW, SWING_PERIOD, Tanks, tank_physics, two_tanks
-from fusion_sfdia.simulate import simulate
 
 EPS = np.finfo(float).eps
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.diagnose import DiagnosisWarning, diagnose
-from fusion_sfdia.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor, Signal
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
 Array = NDArray[Any]
 

@@ -11,13 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from toy_plants import readings, tanks
 
-from fusion_sfdia.adaptive_observer import Estimates, adapt, adaptive_rate
-from fusion_sfdia.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.detector import Decision, State, run
-from fusion_sfdia.interval import Interval
+from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, adapt, adaptive_rate
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
+from fusion_sfdia.core.detector import Decision, State, run
+from fusion_sfdia.evaluation.simulate import Recording, simulate
+from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.models.marine_engine import marine_engine
-from fusion_sfdia.simulate import Recording, simulate
-from fusion_sfdia.virtual_sensors import VirtualSensors
 
 Array = NDArray[Any]
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.discretise import linear_plant
+from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.models.two_tanks import tank_modules as tank_modules
 from fusion_sfdia.models.two_tanks import tank_physics as tank_physics
 from fusion_sfdia.models.two_tanks import two_tanks as tanks  # noqa: F401
-from fusion_sfdia.plant import Plant
-from fusion_sfdia.signals import Sensor
 
 Array = NDArray[Any]
 

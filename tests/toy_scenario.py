@@ -12,7 +12,7 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.plots import panels, time_series
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task, seed_blocks
-from fusion_sfdia.random_streams import stream
+from fusion_sfdia.core.random_streams import stream
 
 NASTY = '<script>alert(1)</script> & "quotes" -->'
 

@@ -1,0 +1,251 @@
+"""Detector: observers and algebraic residuals with adaptive thresholds, and diagnosis sets from their decisions.
+
+Kougiatsos and Reppa 2024 (K24). A module compares the sensor of one variable with the equation that computes it. A state
+has a Luenberger observer (6), here sampled: exact for its linear part, with h and the reading y held over a step,
+
+    x+ = lam x + (1 - lam)/a (h + L y),   a = rate + L,   lam = exp(-a dt),
+
+an algebraic variable its equation at the readings, (11)-(13). A threshold bounds what noise within the sensors' bounds d can
+do: the state's error e obeys
+
+    |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d) + moved,   |y - x| <= |e| + d
+
+where `moved` is what the state may move within a step, see monitoring. The supremum, as the interval of an algebraic residual,
+comes from the corners of the equation over the box that the readings leave to the truth (`corner_bounds`). No false alarm is
+possible while the plant obeys its equations, readings are within their bounds, variables within the envelope and, over one
+step, monotone (h is taken at the middle of the two readings of a step, its box holds both), and states move no more than
+their `drift`. A missing reading leaves the whole envelope; those at which an equation has no value are moved into it for that
+equation.
+
+With `observer_bounds` the thresholds of the observers are (10) with given constants instead, as published. The Lipschitz
+constant of (10) is the slope at the nominal point there: a law with an infinite slope within the box has none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.adaptive_thresholds.algebraic_bounds import METHODS, enclosed
+from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes, prove
+from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, module_logic
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, monitor, verdict
+from fusion_sfdia.core.arguments import number, shown
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.equation import COMPLEX_STEP, argument_names
+from fusion_sfdia.core.modules import Modules, ObserverBound
+
+Array = NDArray[Any]
+
+ENVELOPE = 0.05  # of the nominal values, beyond twice the noise, in which healthy readings are taken to lie
+
+
+@dataclass(frozen=True)
+class AdaptiveThreshold(BatchDetector):
+    """Monitoring modules of a plant whose `modules` say its equations; hypotheses are the sensors.
+
+    envelope: the range of healthy readings: half its width as a share of the nominal values, or {variable: (least, most)} in
+    SI for those that the load moves, with room for twice the noise bound on either side; otherwise twice the largest noise
+    bound, and 5 %. A load that moves needs one as wide as its transients, or else alarms are no proof of a fault.
+    drift: {state: share of its nominal value by which it moves at most in one plant.dt}, for which the plant's modules have
+    values at a steady load; of other states what the model and the readings allow.
+    bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
+    inversion, K24 (11). These are wider and slow.
+    margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired stays fired, (16).
+    agents: whether the silence of all modules of a block clears its own sensors, (17), (18).
+
+    isolated are the members of all diagnoses: suspects, perhaps most sensors, whose readings stay in `measured`; none where
+    no set of faults explains the modules that fire. The fault size is the residual, for an observer only what it has not
+    followed of the fault.
+    """
+
+    envelope: float | Mapping[str, tuple[float, float]] | None = None
+    drift: Mapping[str, float] | None = None
+    bounds: str = "corners"
+    observer_bounds: Mapping[str, ObserverBound] = field(default_factory=dict)
+    margins: Mapping[str, float] = field(default_factory=dict)
+    latch: bool = True
+    agents: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        modules, plant = self._modules, self.plant
+        measured = [s.measures for s in plant.sensors]
+        for variable in modules.equations:
+            if len(several := [s.name for s in plant.sensors if s.measures == variable]) > 1:
+                raise ValueError(
+                    f"sensors {', '.join(several)} all read {variable}; a module compares one: build the plant with one of them"
+                )
+        if sorted(measured) != sorted(modules.equations):
+            raise ValueError(
+                f"plant {plant.name!r} has sensors of {', '.join(measured)}, equations of {', '.join(modules.equations)}; "
+                "wanted one sensor for each equation"
+            )
+        if unbounded := [s.name for s in plant.sensors if not np.isfinite(s.noise_bound)]:
+            raise ValueError(f"sensors {', '.join(unbounded)} have no noise bound; an adaptive threshold needs one: give bound")
+        if self.bounds not in METHODS:
+            raise ValueError(f"bounds is {shown(self.bounds)}; known: {', '.join(METHODS)}")
+        for what, known in (("observer_bounds", modules.states), ("drift", modules.states), ("margins", modules.equations)):
+            if unknown := [v for v in getattr(self, what) or () if v not in known]:
+                raise ValueError(f"{what} names {', '.join(unknown)}; wanted some of {', '.join(known)}")
+        if isinstance(self.envelope, Mapping) and (unknown := [v for v in self.envelope if v not in modules.equations]):
+            raise ValueError(f"envelope names {', '.join(unknown)}; wanted some of {', '.join(modules.equations)}")
+
+    @property
+    def _modules(self) -> Modules:
+        if self.plant.modules is None:
+            raise ValueError(
+                f"plant {self.plant.name!r} does not say its scalar equations; give Plant(modules=Modules(...)) or take "
+                "another detector"
+            )
+        return self.plant.modules
+
+    @cached_property
+    def _sensor(self) -> Array:
+        """The sensor of each variable (E,)."""
+        names = [s.measures for s in self.plant.sensors]
+        return np.array([names.index(v) for v in self._modules.equations])
+
+    @cached_property
+    def _variable(self) -> Array:
+        """The variable of each sensor (N,)."""
+        return np.argsort(self._sensor)
+
+    @cached_property
+    def _bound(self) -> Array:
+        """Noise bounds by variable (E,), SI."""
+        return (np.array([s.noise_bound for s in self.plant.sensors]) / np.abs(self.plant.sensor_scale))[self._sensor]
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Nominal values by variable (E,), SI."""
+        return np.array([self._modules.nominal[v] for v in self._modules.equations])
+
+    @cached_property
+    def ends(self) -> tuple[Array, Array]:
+        """Least and largest healthy readings by variable (E,), SI."""
+        given = self.envelope if isinstance(self.envelope, Mapping) else {}
+        if isinstance(self.envelope, Mapping) or self.envelope is None:
+            if zero := [v for v, n in zip(self._modules.equations, self.nominal, strict=True) if n == 0 and v not in given]:
+                raise ValueError(f"the nominal value of {', '.join(zero)} is 0, no measure of a range; give envelope")
+            measured = self.nominal != 0
+            share = 2 * float(np.max((self._bound[measured] / np.abs(self.nominal[measured])), initial=0.0)) + ENVELOPE
+        else:
+            share = number("envelope", self.envelope)
+        usual = zip(self.nominal - share * np.abs(self.nominal), self.nominal + share * np.abs(self.nominal), strict=True)
+        found = np.array([given.get(v, pair) for v, pair in zip(self._modules.equations, usual, strict=True)])
+        return found[:, 0], found[:, 1]
+
+    @cached_property
+    def half_width(self) -> Array:
+        """Half-width of the envelope by variable (E,), SI."""
+        return (self.ends[1] - self.ends[0]) / 2
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """Signs of the equations' slopes, proved over the envelope (and all values of the inputs)."""
+        m, inputs = self._modules, self.plant.inputs
+        low = np.concatenate([self.ends[0], [s.low for s in inputs]])
+        high = np.concatenate([self.ends[1], [s.high for s in inputs]])
+        return prove(m.equations, m.variables, low, high, m.parameters)
+
+    @cached_property
+    def _steepness(self) -> Array:
+        """|dh/dx| of each state's own equation at the nominal point (S,), 1/s."""
+        m = self._modules
+        at = dict(m.nominal) | {s.name: s.nominal for s in self.plant.inputs}
+        moved: list[dict[str, Any]] = [{**at, v: at[v] + 1j * COMPLEX_STEP} for v in m.states]
+        rates = [m.equations[v](*(p[a] for a in named(m, v)), m.parameters) for v, p in zip(m.states, moved, strict=True)]
+        return np.asarray(np.abs(np.imag(rates)) / COMPLEX_STEP)
+
+    @cached_property
+    def logic(self) -> DiagnosisLogic:
+        """Signature matrices from the arguments of the equations: 1 for an observer's own sensor, * for the others read."""
+        return module_logic(self.plant, self._modules, agents=self.agents)
+
+    @cached_property
+    def _settings(self) -> Settings:
+        m, slopes = self._modules, self.slopes
+        middle, shares = np.mean(self.ends, axis=0), m.drift if self.drift is None else self.drift
+        widest = 2 * self.half_width / np.abs(self.nominal)
+        drift = np.array([shares.get(v, widest[e]) * abs(m.nominal[v]) for e, v in enumerate(m.states)]) / self.plant.dt
+        rates, gains = np.asarray(m.rates, float), np.array([m.gains[v] for v in m.states])
+        return Settings(middle, self.half_width, self._bound, rates, gains, slopes.signs, slopes.unproved, drift)
+
+    @cached_property
+    def _monitor(self) -> Callable[..., Any]:
+        m = self._modules
+        return m.monitor or partial(monitor, m.equations, m.variables, m.parameters)
+
+    @cached_property
+    def _layers(self) -> tuple[Array, Array, Array]:
+        """What `verdict` adds to the radii by variable (E,), the variable and the scale of each sensor (N,)."""
+        margin = np.array([self.margins.get(v, 0.0) for v in self._modules.equations]) * np.abs(self.nominal)
+        scale = np.broadcast_to(self.plant.sensor_scale, self._sensor.shape).copy()
+        return self._bound + margin, np.argsort(self._sensor), scale
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """Estimates x (S,), bounds of their errors, last readings by variable (E,), modules that have fired (N,), seconds."""
+        count, e = len(self._modules.states), len(self.nominal)
+        core = np.mean(self.ends, axis=0)[:count], self.half_width[:count], np.full(e, np.nan), np.zeros(e, bool)
+        return *(np.broadcast_to(a, (*batch, a.size)).copy() for a in core), np.zeros(batch)
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        if (axes := y.ndim - 1) > 1:
+            flat = [a.reshape(-1, *a.shape[axes:]) for a in (y, u, *core)]
+            after, decision = self._judge(tuple(flat[2:]), now, flat[0], flat[1])
+            return tuple(a.reshape(*y.shape[:-1], *a.shape[1:]) for a in after), nested(decision, y.shape[:-1])
+        x, error, before, fired, elapsed = core
+        extra, variable, scale = self._layers
+        y, u = np.array(y, order="C"), np.array(u, order="C")  # of one layout, for compiled code
+        reading = (y / scale).take(self._sensor, axis=-1)
+        x, error, lower, upper = self._monitor(x, error, before, reading, u, now.dt, self._settings)
+        if self.bounds != "corners":
+            lower, upper = enclosed(self.bounds, self._modules, reading, u, self._settings)
+        elapsed = elapsed + now.dt
+        radius = self._published(error, elapsed) if self.observer_bounds else error
+        if not self.latch:
+            fired = np.zeros_like(fired)
+        residual, threshold, measured, fired, lost = verdict(
+            y, x, radius, lower, upper, extra, variable, scale, fired, float(self.threshold_scale)
+        )
+        isolated = self.logic.isolated(fired)
+        decision = Decision(
+            estimate=x,
+            measured=measured,
+            residual=residual,
+            threshold=threshold,
+            isolated=isolated,
+            fault_size=np.where(isolated, residual, np.nan),
+            diverged=lost,
+            guarded=np.zeros(lost.shape, bool),
+            nis=np.full(lost.shape, np.nan),
+        )
+        return (x, error, reading, fired, elapsed), decision
+
+    def _published(self, error: Array, t: Array) -> Array:
+        """What bounds the states' errors (B, S) at t (B,) since the start: (10) less the noise where constants are given."""
+        error = error.copy()
+        for e, variable in enumerate(self._modules.states):
+            if variable in self.observer_bounds:
+                c, start, lipschitz = self.observer_bounds[variable], self.half_width[e], self._steepness[e]
+                error[:, e] = c.threshold(t, start, self._bound[e], lipschitz)
+        return error
+
+
+def nested(decision: Decision, batch: tuple[int, ...]) -> Decision:
+    """The decision of a batch of one axis as one of that shape."""
+    told = (getattr(decision, f.name) for f in fields(Decision))
+    shaped: list[Any] = [None if a is None else a.reshape(*batch, *a.shape[1:]) for a in told]
+    return Decision(*shaped)
+
+
+def named(modules: Modules, variable: str) -> list[str]:
+    """The variables and inputs that the equation of a variable takes."""
+    return [a for a in argument_names(modules.equations[variable]) if a != "c"]

@@ -1,0 +1,172 @@
+"""Which sets of sensor faults explain the decisions of monitoring modules (Kougiatsos 2024, sec. V, (16)-(18)).
+
+One semantics: a set of faults is a diagnosis when
+
+1. it is consistent: every row that fired has an entry 1 or * among the faults, no row that is silent has a 1 among them
+   (silence exonerates by 1, never by *); rows are the modules and, as decided by any of their modules, the agents;
+2. it has no bystander: each fault has an entry 1 or * in a module that fired. Of others nothing is known.
+
+Without detection the diagnosis set is empty, and so it is where no consistent set exists (`explained` tells the two
+apart). S^F, the sensors isolated, are the members of all diagnoses; all agents are intersected at once, as in (18).
+
+The sets printed with the paper's scenario are these with at most one fault for each agent, a restriction it does not
+state and that would lose two faults in one agent; S^F there is the same. Two textbook alternatives fail on that
+scenario: minimal sets lose the torque sensor, which is faulty, once a third fault explains its detection; consistent
+sets with bystanders accuse 8 of 10 sensors, two of which no module that fired reads. Exoneration lasts while the silence
+does: with latched decisions sensors are only ever added, as long as the pattern is explained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.adaptive_thresholds.signatures import (
+    Agent,
+    SignatureMatrix,
+    combinations,
+    global_signatures,
+    local_signatures,
+    masks,
+    members,
+    sensors_read,
+)
+from fusion_sfdia.core.equation import argument_names
+from fusion_sfdia.core.modules import Modules
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+
+TABLE = 16  # modules up to which the answer to every pattern is kept
+
+
+def latched(decisions: Array, axis: int = 0) -> Array:
+    """Return decisions that stay once they are made, along the axis of time: D = 1 for t >= T_D (Kougiatsos 2024, (16))."""
+    return np.logical_or.accumulate(decisions, axis=axis)
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisLogic:
+    """The combinatorial decision logic over local signatures and, where agents are given, the global ones.
+
+    Without agents, the silence of an agent does not clear its own sensors (see signatures.global_signatures): more
+    sensors stay accused, and a fault that only neighbours notice is not cleared.
+
+    decisions are (..., M) bool, modules in the order of `local.rows`; any leading axes, seeds or time.
+    """
+
+    local: SignatureMatrix
+    agents: Mapping[str, Agent] | None = None
+
+    def isolated(self, decisions: Array) -> Array:
+        """Return S^F, the sensors in some diagnosis, (..., N) bool."""
+        given = self._checked(decisions)
+        if len(self.local.rows) <= TABLE:
+            return self._table[0].take(given @ self._place, axis=0)
+        return self._answers(given)[0]
+
+    def explained(self, decisions: Array) -> Array:
+        """Return whether some set of faults, the empty one included, is consistent with the decisions, (...) bool."""
+        return self._answers(self._checked(decisions))[1]
+
+    def consistent(self, decisions: Array, faults: Array) -> Array:
+        """Return whether sets of faults, masks, are consistent with decisions, bystanders or not: both (...) broadcast."""
+        fired = self._fired(self._checked(decisions))
+        possible, certain = zip(*(matrix.columns(faults) for matrix in self._matrices), strict=True)
+        allowed = np.where(fired, np.concatenate(possible, axis=-1), ~np.concatenate(certain, axis=-1))
+        return np.asarray(allowed.all(axis=-1))
+
+    def diagnoses(self, decisions: Array) -> tuple[frozenset[str], ...]:
+        """Return the diagnosis set of one pattern (M,), the smallest sets of faults first."""
+        if np.ndim(decisions) != 1:
+            raise ValueError(f"decisions have shape {np.shape(decisions)}; diagnoses are those of one pattern (M,)")
+        named = np.flatnonzero(self.isolated(decisions))
+        if not named.size:
+            return ()
+        chosen = members(combinations(named.size), named.size)
+        faults = np.zeros((len(chosen), len(self.local.sensors)), bool)
+        faults[:, named] = chosen
+        faults = faults[self.consistent(decisions, masks(faults))]
+        return tuple(
+            frozenset(self.local.sensors[j] for j in np.flatnonzero(row))
+            for row in faults[np.argsort(faults.sum(axis=-1), kind="stable")]
+        )
+
+    @cached_property
+    def _matrices(self) -> tuple[SignatureMatrix, ...]:
+        return (self.local,) if self.agents is None else (self.local, global_signatures(self.local, self.agents))
+
+    @cached_property
+    def _membership(self) -> Array:
+        """Return (agents, M) bool: the modules of each agent."""
+        agents = (self.agents or {}).values()
+        return np.array([[m in agent.modules for m in self.local.rows] for agent in agents], bool).reshape(
+            -1, len(self.local.rows)
+        )
+
+    def _fired(self, decisions: Array) -> Array:
+        """Return the decisions of modules and agents (..., R)."""
+        agents = (decisions[..., None, :] & self._membership).any(axis=-1)
+        return np.concatenate([decisions, agents], axis=-1)
+
+    def _judge(self, decisions: Array) -> tuple[Array, Array]:
+        """Return isolated (P, N) and explained (P,) of patterns (P, M)."""
+        fired = self._fired(decisions)
+        possible = np.concatenate([matrix.possible_masks for matrix in self._matrices])
+        certain = np.concatenate([matrix.certain_masks for matrix in self._matrices])
+        exonerated = np.bitwise_or.reduce(np.where(fired, np.uint64(0), certain), axis=-1)
+        seen = np.bitwise_or.reduce(np.where(decisions, self.local.possible_masks, np.uint64(0)), axis=-1)
+        candidates = seen & ~exonerated
+        explained = (~fired | ((candidates[:, None] & possible) != 0)).all(axis=-1)
+        return members(candidates, len(self.local.sensors)) & explained[:, None], explained
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Return the answers to all 2^M patterns."""
+        count = len(self.local.rows)
+        return self._judge(members(np.arange(2**count, dtype=np.uint64), count))
+
+    @cached_property
+    def _place(self) -> Array:
+        """Return 2^m (M,): a pattern times it is its row in the table."""
+        return 2 ** np.arange(len(self.local.rows))
+
+    def _checked(self, decisions: Array) -> Array:
+        given, modules = np.asarray(decisions), self.local.rows
+        if given.dtype != bool or given.shape[-1:] != (len(modules),):
+            raise ValueError(
+                f"decisions are {given.dtype} {given.shape}; wanted bool (..., {len(modules)}), modules {', '.join(modules)}"
+            )
+        return given
+
+    def _answers(self, decisions: Array) -> tuple[Array, Array]:
+        """Return isolated (..., N) and explained (...)."""
+        patterns = masks(decisions)
+        if len(self.local.rows) <= TABLE:
+            named, explained = self._table
+            return named[patterns], explained[patterns]
+        distinct, which = np.unique(patterns, return_inverse=True)
+        named, explained = self._judge(members(distinct, len(self.local.rows)))
+        which = which.reshape(patterns.shape)
+        return named[which], explained[which]
+
+
+def module_logic(plant: Plant, modules: Modules, *, agents: bool = True) -> DiagnosisLogic:
+    """Return the logic of a plant's modules, in the order of its sensors, an agent being the modules of one owner.
+
+    Signatures come from the arguments of the equations: 1 for an observer's own sensor, * for the others read.
+    """
+    sensor = {s.measures: s.name for s in plant.sensors}
+    named = {modules.names[s.measures]: (s.measures, *argument_names(modules.equations[s.measures])) for s in plant.sensors}
+    reads = sensors_read(named, sensor, known=(*modules.inputs, "c"))
+    local = local_signatures(reads, {modules.names[v]: (sensor[v],) for v in modules.states}, plant.sensor_names)
+    if not agents:
+        return DiagnosisLogic(local)
+    owned = {owner: [s for s in plant.sensors if s.owner == owner] for owner in dict.fromkeys(s.owner for s in plant.sensors)}
+    parts = {o: Agent(tuple(modules.names[s.measures] for s in own), tuple(s.name for s in own)) for o, own in owned.items()}
+    return DiagnosisLogic(local, parts)

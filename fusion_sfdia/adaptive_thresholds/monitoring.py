@@ -1,0 +1,171 @@
+"""One step of the observers and algebraic residuals of a plant's modules, with bounds, on arrays.
+
+The true error of an observer, x^ - x, over a step in which its correction L (y - x^) uses the reading y at its beginning:
+
+    e+ = lam e + int_0^dt exp(-a (dt - s)) [h^ - h(s) + L (y - x(0)) - L (x(s) - x(0))] ds.
+
+The last term is what the state moves within the step, at most min(drift, s sup|h - rate x(0)|).
+A plant may bring the same compiled (`Modules.monitor`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.equation import argument_names, compiled
+
+Array = NDArray[Any]
+Equations = Mapping[str, Callable[..., Any]]
+
+ROUNDING = 1e-12  # relative, by which bounds are widened: some thousand times what a hundred operations round
+
+
+class Settings(NamedTuple):
+    """Of the E variables, the S states first, and the V - E inputs: middles and half-widths of the envelope, noise bounds (E,),
+    rates and gains (S,), the signs and slacks of the equations' corners (E, V), see corner_bounds, and the states' largest
+    drifts a second (S,), 0 at a steady load. On arrays, bounds and gains may differ from run to run (B, ...).
+    """
+
+    nominal: Array
+    half_width: Array
+    bound: Array
+    rates: Array
+    gains: Array
+    signs: Array
+    unproved: Array
+    drift: Array | float = 0.0
+    rounding: float = ROUNDING
+
+
+def monitor(
+    equations: Equations,
+    variables: Sequence[str],
+    c: Any,
+    x: Array,
+    error: Array,
+    before: Array,
+    reading: Array,
+    u: Array,
+    dt: float,
+    s: Settings,
+) -> tuple[Array, Array, Array, Array]:
+    """Return estimates of the states and bounds of their errors (B, S) after a step, and bounds of the others (B, E - S).
+
+    An equation that has no value at the readings takes them moved into the envelope.
+
+    x, error (B, S) before the step; the readings before and after it (B, E), NaN where missing; u (B, V - E) during it. The
+    equations are of variables in the order of `variables`, which then has the inputs; c: their parameters.
+    """
+    functions = [(f, [variables.index(a) for a in argument_names(f) if a != "c"]) for f in equations.values()]
+    states = len(s.rates)
+    drift = np.broadcast_to(s.drift, states)
+    low, high = box(np.minimum(before, reading), np.maximum(before, reading), u, s)
+    ahead, bound = np.empty_like(x), np.empty_like(x)
+
+    def bounds(e: int, low: Array, high: Array, at: Array | float = 0.0) -> tuple[Array, Array, Array]:
+        function, columns = functions[e]
+        lower, upper = _corners(function, columns, e, low, high, c, s)
+        lost = ~np.isfinite(lower + at + upper)
+        if np.any(lost):
+            inside = _corners(function, columns, e, *into_envelope(low, high, s), c, s)
+            lower, upper = np.where(lost, inside[0], lower), np.where(lost, inside[1], upper)
+        return lower, np.where(lost, (lower + upper) / 2, at), upper
+
+    for e in range(states):
+        own_low, own_high, middle = low.copy(), high.copy(), (low + high) / 2
+        own_low[:, e], own_high[:, e], middle[:, e] = np.minimum(low[:, e], x[:, e]), np.maximum(high[:, e], x[:, e]), x[:, e]
+        function, columns = functions[e]
+        least, h, most = bounds(e, own_low, own_high, _value(function, middle[:, columns], c))
+        known, rate = np.isfinite(before[:, e]), s.rates[e]
+        gain = np.where(known, s.gains[..., e], 0.0)
+        a = rate + gain
+        lam = np.exp(-a * dt)
+        some = np.where(a > 0, a, 1.0)
+        held = np.where(a > 0, (1 - lam) / some, dt)
+        ahead[:, e] = lam * x[:, e] + held * (h + gain * np.where(known, before[:, e], 0.0))
+        speed = np.maximum(np.abs(most - rate * x[:, e]), np.abs(least - rate * x[:, e])) + rate * error[:, e]
+        moved = np.minimum(gain * held * drift[e] * dt, gain * (dt - held) / some * speed)
+        grown = lam * error[:, e] + held * (np.maximum(most - h, h - least) + gain * s.bound[..., e]) + moved
+        bound[:, e] = np.minimum(grown, np.abs(ahead[:, e] - s.nominal[e]) + s.half_width[e])
+    low, high = box(reading, reading, u, s)
+    found = [bounds(e, low, high) for e in range(states, len(functions))]
+    lower, upper = np.empty((2, len(x), len(found)))
+    for k, (least, _, most) in enumerate(found):
+        lower[:, k], upper[:, k] = least, most
+    return ahead, bound, lower, upper
+
+
+def box(low: Array, high: Array, u: Array, s: Settings) -> tuple[Array, Array]:
+    """Ends (B, V) of where the truth is, from the least and largest reading; the envelope where one is missing."""
+    missing = np.isnan(low) | np.isnan(high)
+    low, high = (
+        np.where(missing, s.nominal - s.half_width, low - s.bound),
+        np.where(missing, s.nominal + s.half_width, high + s.bound),
+    )
+    return np.concatenate([low, u], axis=1), np.concatenate([high, u], axis=1)
+
+
+def into_envelope(low: Array, high: Array, s: Settings) -> tuple[Array, Array]:
+    """Ends (B, V) of boxes moved into the envelope, in which equations have values."""
+    free = np.full(low.shape[1] - len(s.nominal), np.inf)
+    least, most = np.append(s.nominal - s.half_width, -free), np.append(s.nominal + s.half_width, free)
+    return np.clip(low, least, most), np.clip(high, least, most)
+
+
+def _value(function: Callable[..., Any], at: Array, c: Any) -> Array:
+    return np.broadcast_to(function(*at.T, c), at.shape[:1])
+
+
+def _corners(
+    function: Callable[..., Any], columns: list[int], e: int, low: Array, high: Array, c: Any, s: Settings
+) -> tuple[Array, Array]:
+    """Lower and upper bound (B,) of an equation over boxes (B, V)."""
+    low, high, sign = low[:, columns], high[:, columns], s.signs[e, columns]
+    middle = (low + high) / 2
+    lower = _value(function, np.where(sign > 0, low, np.where(sign < 0, high, middle)), c)
+    upper = _value(function, np.where(sign > 0, high, np.where(sign < 0, low, middle)), c)
+    slack = (high - low) / 2 @ s.unproved[e, columns] + s.rounding * np.maximum(np.abs(lower), np.abs(upper))
+    return lower - slack, upper + slack
+
+
+@compiled
+def verdict(
+    y: Array,
+    x: Array,
+    state_bound: Array,
+    lower: Array,
+    upper: Array,
+    extra: Array,
+    variable: Array,
+    scale: Array,
+    fired: Array,
+    factor: float,
+) -> Any:
+    """Return residual, threshold, measured, whether each module fires or has fired (B, N), and where a prediction is no number
+    (B,): of readings y (B, N) in sensor units, `scale` to SI, sensors of the variables `variable` (N,).
+
+    x, state_bound (B, S), lower, upper (B, E - S): the predictions; extra (E,) is added to their radius, and `factor`
+    multiplies that. fired (B, N): before.
+    """
+    size, count = y.shape
+    states = x.shape[1]
+    residual, threshold, measured = np.empty((size, count)), np.empty((size, count)), np.empty((size, count))
+    firing, lost = np.empty((size, count), np.bool_), np.zeros(size, np.bool_)
+    for b in range(size):
+        for i in range(count):
+            e = variable[i]
+            if e < states:
+                predicted, radius = x[b, e], state_bound[b, e]
+            else:
+                predicted = (lower[b, e - states] + upper[b, e - states]) / 2
+                radius = (upper[b, e - states] - lower[b, e - states]) / 2
+            residual[b, i] = (y[b, i] / scale[i] - predicted) * scale[i]
+            threshold[b, i] = factor * (radius + extra[e]) * abs(scale[i])
+            measured[b, i] = predicted * scale[i] if np.isnan(y[b, i]) else y[b, i]
+            firing[b, i] = fired[b, i] or abs(residual[b, i]) > threshold[b, i]
+            lost[b] = lost[b] or not np.isfinite(predicted)
+    return residual, threshold, measured, firing, lost

@@ -1,0 +1,1 @@
+"""The interface: signals, physics, plants, networks, detectors, and what all of them share."""

@@ -1,0 +1,104 @@
+"""Linear areas that share their first states: what the diagnosers of a network know, each of its own area and its border.
+
+x_i+ = F_i x_i + b_i u_i + g_i (sum_j P_ij z_j - d_i) + w_i, z the first state, read by its area and by all its neighbours
+(Boem et al. 2018, sec. II; the equations of the diagnosers: consensus_equations).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.network import Network
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Areas:
+    """N areas of n states each, joined at 2E sides of ties, in the layout of network.py.
+
+    network: its plugged-in areas and closed ties. states: the names of each area's states (N tuples of n). owners: the
+    name by which a sensor says that the area owns it (N). matrices: (N, n, n + 2) rows [F_i, b_i, g_i]. slope: (2E,) P_ij, 0
+    at open ties. shared_gain: (2E,) what the area at a side takes for F_j[0, 0] of its neighbour.
+    process_variance: (N, n) of w over a step. noise: (N, n) variances of the areas' own readings; shared_noise: (2E,) of
+    what each reads of its neighbour's z.
+    ValueError for arrays of other shapes, variances that are not finite and at least 0 (noise: positive), a slope at an open
+    tie, and a shared state of which the models of two areas disagree.
+    """
+
+    network: Network
+    states: tuple[tuple[str, ...], ...]
+    owners: tuple[str, ...]
+    matrices: Array
+    slope: Array
+    shared_gain: Array
+    process_variance: Array
+    noise: Array
+    shared_noise: Array
+
+    def __post_init__(self) -> None:
+        at = self.network.topology
+        count, sides = len(at.names), at.node.size
+        n = self.matrices.shape[1] if self.matrices.ndim == 3 else 0
+        shapes = {
+            "matrices": (count, n, n + 2), "slope": (sides,), "shared_gain": (sides,), "process_variance": (count, n),
+            "noise": (count, n), "shared_noise": (sides,),
+        }  # fmt: skip
+        for what, wanted in shapes.items():
+            value = getattr(self, what)
+            if value.shape != wanted or not np.all(np.isfinite(value)):
+                raise ValueError(f"{what} of {count} areas has shape {value.shape}; wanted {wanted} finite numbers")
+        if np.any(self.process_variance < 0) or np.any(self.noise <= 0) or np.any(self.shared_noise <= 0):
+            raise ValueError("variances of the process must be at least 0, of readings positive; give them squared")
+        if np.any(odd := (self.slope != 0) & ~self.network.closed):
+            i = int(np.flatnonzero(odd)[0])
+            raise ValueError(f"the open tie {at.names[at.node[i]]}-{at.names[at.neighbour[i]]} has a slope; wanted 0")
+        self._require_agreement(np.flatnonzero(self.network.closed))
+
+    def _require_agreement(self, sides: Array) -> None:
+        at = self.network.topology
+        own = self.matrices[at.neighbour[sides], 0, 0]
+        wrong = sides[self.shared_gain[sides] != own]
+        if wrong.size:
+            s = int(wrong[0])
+            i, j = at.node[s], at.neighbour[s]
+            raise ValueError(
+                f"areas {at.names[j]} and {at.names[i]} share {self.states[j][0] if self.states else 'a state'} and model it "
+                f"differently: its factor is {self.matrices[j, 0, 0]:g} there, {self.shared_gain[s]:g} here; give both the same"
+            )
+
+    @property
+    def opposite(self) -> Array:
+        """(2E,): the side at the other end of each side's tie."""
+        return self.network.topology.opposite
+
+    @property
+    def size(self) -> tuple[int, int, int]:
+        """Areas, states of each, sides."""
+        return len(self.network.topology.names), self.matrices.shape[1], self.slope.size
+
+    def place(self, measures: str, owner: str) -> int:
+        """Where a sensor stands among the N n own readings and 2E shared ones; ValueError where it has no place."""
+        known = self._places.get((measures, owner))
+        if known is None:
+            raise ValueError(
+                f"a sensor of {measures} is owned by {owner!r}; an area reads its own states and the first ones of its "
+                "neighbours"
+            )
+        return known
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], int]:
+        count, n, _ = self.size
+        at = self.network.topology
+        own = {(name, self.owners[i]): n * i + c for i, names in enumerate(self.states) for c, name in enumerate(names)}
+        shared = {
+            (self.states[j][0], self.owners[i]): n * count + s
+            for s, (i, j) in enumerate(zip(at.node, at.neighbour, strict=True))
+        }
+        return own | shared

@@ -1,0 +1,124 @@
+"""What the filter-based detectors share: arguments checked at the border, one layout of the state, and a batch of at least one.
+
+A single run is stepped as a batch of one, so that both have the same bits: products of matrices round differently from those
+of vectors.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fusion_sfdia.core.arguments import Array, batch_shape, number, shown, whole
+from fusion_sfdia.core.detector import Decision, State, check_reading
+from fusion_sfdia.core.health import keep_broken_out, without_broken
+from fusion_sfdia.core.plant import Plant
+
+CLOCK = 3  # scalars at the head of a state: seed, steps so far, time
+FIELDS = tuple(f.name for f in fields(Decision))
+
+
+class Moment(NamedTuple):
+    """A step over [last, t], dt seconds long: the k-th since init with that seed."""
+
+    last: float
+    t: float
+    dt: float
+    seed: int
+    k: int
+
+
+@dataclass(frozen=True)
+class BatchDetector(ABC):
+    """A detector whose state is (seed, steps so far, time, diverged (*batch), *core), the core's arrays with the batch first.
+
+    A subclass says how the core starts and judges readings of a batch with at least one axis.
+    threshold_scale: all thresholds are multiplied by it, as where detectors are compared at one rate of false alarms.
+    """
+
+    plant: Plant
+    threshold_scale: float = field(default=1.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.plant, Plant):
+            raise ValueError(f"plant is {shown(self.plant)}; wanted a Plant")
+        if not 0 < number("threshold_scale", self.threshold_scale) < np.inf:
+            raise ValueError(
+                f"threshold_scale is {self.threshold_scale}; wanted a positive number, 1 for thresholds as they are"
+            )
+
+    @abstractmethod
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """The core of a batch at the plant's x0."""
+
+    @abstractmethod
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        """The core after the readings y (*batch, N) under the input u (*batch, m); diverged: in this step."""
+
+    @property
+    def hypotheses(self) -> tuple[str, ...]:
+        return self.plant.sensor_names
+
+    def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
+        """State at time t of a batch of that shape (a number: of that many runs); ValueError for anything else, and unless
+        t is finite and seed an integer from 0 to 2^64 - 1.
+        """
+        shape, t, seed = batch_shape(batch), number("t", t), whole("seed", seed, least=0)
+        if not np.isfinite(t) or seed >= 2**64:
+            raise ValueError(f"t is {t}, seed {seed}; wanted a finite time in seconds and a seed below 2^64")
+        return np.array(seed, np.uint64), np.array(0), np.array(t), np.zeros(shape, bool), *self._start(shape, seed)
+
+    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
+        """Diagnose the readings y (*batch, N) at t, NaN where missing, under the input u (*batch, m) or (m,) for all runs.
+
+        ValueError for a state of another detector, values or shapes that do not fit, and a time for which the model does not
+        hold.
+        """
+        batch = self._batch_of(state)
+        single = batch == ()
+        y, u = check_reading(self.plant, y, u, batch)
+        now = self._moment(state, number("t", t))
+        diverged, *core = (a[None] for a in state[CLOCK:]) if single else state[CLOCK:]
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            after, decision = self._judge(tuple(core), now, y[None] if single else y, u[None] if single else u)
+        diverged = diverged | decision.diverged
+        if diverged.any():
+            after = keep_broken_out(diverged, after, self._start(diverged.shape, now.seed))
+            decision = without_broken(decision, diverged)
+        batched = (diverged, *after)
+        if single:
+            batched = tuple(_only(a) for a in batched)
+            told = (getattr(decision, name) for name in FIELDS)
+            only: list[Any] = [None if a is None else _only(a) for a in told]
+            decision = Decision(*only)
+        return (state[0], np.array(now.k), np.array(now.t), *batched), decision
+
+    def _moment(self, state: State, t: float) -> Moment:
+        last = float(state[2])
+        self.plant.check_dt(t - last)
+        return Moment(last, t, t - last, int(state[0]), int(state[1]) + 1)
+
+    @cached_property
+    def _layout(self) -> tuple[tuple[int, ...], ...]:
+        return tuple(a.shape for a in self._start((), 0))
+
+    def _batch_of(self, state: State) -> tuple[int, ...]:
+        """The shape of the state's batch; ValueError where it is no state of this detector."""
+        if isinstance(state, tuple | list) and len(state) == CLOCK + 1 + len(self._layout):
+            shapes = [a.shape if isinstance(a, np.ndarray) else np.shape(a) for a in state]
+            batch = shapes[CLOCK]
+            if shapes == [(), (), (), batch, *((*batch, *s) for s in self._layout)]:
+                return batch
+        raise ValueError(
+            f"this is no state of {type(self).__name__} on plant {self.plant.name!r} with these settings; take it from "
+            "its init, its last step or load_state"
+        )
+
+
+def _only(a: Array) -> Array:
+    """The only element of a batch of one, as an array."""
+    return a[0] if a.ndim > 1 else a.reshape(())

@@ -1,0 +1,130 @@
+"""The contract that every detector keeps: frozen settings, `init` and `step` with explicit state, a Decision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+State = tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a detector says of one step; leading axes are the batch (and time, in a run).
+
+    estimate: state estimate (..., n). covariance: of the estimate (..., n, n), or None where the method has none.
+    measured: readings (..., N), the missing ones and, where the method accommodates, the isolated ones from the estimate.
+    residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf cannot judge yet.
+    isolated: (..., hypotheses) bool, the hypotheses held to be true. fault_size: (..., hypotheses), NaN where not isolated.
+    nis: normalised innovation squared per reading used (...); 1 on average for a consistent filter, NaN where there is none.
+    diverged: (...) bool, the estimator has broken down or the model gave it no number, now or in an earlier step: every number
+    of this Decision is NaN and nothing is isolated.
+    guarded: (...) bool, the estimate, or a point of those that stand for it, left the limits of the model and was moved back.
+    """
+
+    estimate: Array
+    measured: Array
+    residual: Array
+    threshold: Array
+    isolated: Array
+    fault_size: Array
+    diverged: Array
+    guarded: Array
+    nis: Array
+    covariance: Array | None = None
+
+    @property
+    def scores(self) -> Array:
+        """|residual| / threshold of each sensor (..., N); 0 where not evaluated."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.abs(self.residual) / self.threshold
+        return np.where(np.isfinite(self.residual), ratio, 0.0)
+
+    @property
+    def score(self) -> Array:
+        """The largest of `scores` (...)."""
+        return np.asarray(np.max(self.scores, axis=-1))
+
+    @property
+    def alarm(self) -> Array:
+        """Whether a residual exceeds its threshold or a hypothesis is isolated (...)."""
+        return np.asarray((self.score > 1) | np.any(self.isolated, axis=-1))
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """A diagnosis method bound to a plant.
+
+    hypotheses: what can be isolated, the plant's sensors first.
+    init(batch, t, seed): the state at time t of a batch of that shape; seed fixes all randomness of the method.
+    step(state, t, y, u): y (..., N) read at t (NaN where missing), u (..., m) the input that acted since the last step.
+    """
+
+    @property
+    def plant(self) -> Plant: ...
+    @property
+    def hypotheses(self) -> tuple[str, ...]: ...
+    def init(self, batch: tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State: ...
+    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]: ...
+
+
+def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> tuple[Array, Array]:
+    """Return y as floats (*batch, N), NaN where missing, and u as (*batch, m), which may have been given once for all runs.
+
+    ValueError for anything but numbers, for other shapes, infinities and missing inputs.
+    """
+    y, u = floats("y", y), floats("u", u)
+    n, m = len(plant.sensors), len(plant.inputs)
+    if y.shape != (*batch, n):
+        raise ValueError(
+            f"y has shape {y.shape}; wanted {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one"
+        )
+    wanted = (*batch, m)
+    if u.shape[-1:] != (m,):
+        raise ValueError(
+            f"u has shape {u.shape}; plant {plant.name!r} has {m} inputs ({', '.join(s.name for s in plant.inputs)})"
+        )
+    if u.shape != wanted and (
+        len(u.shape) > len(wanted) or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], batch[::-1], strict=False))
+    ):
+        raise ValueError(f"u has shape {u.shape}; it does not broadcast to {wanted}: give ({m},) or one row for each run")
+    if np.isinf(y).any():
+        raise ValueError("y has infinite readings; pass NaN for a missing one")
+    if not np.isfinite(u).all():
+        raise ValueError("u has values that are not finite; an input must be known")
+    return y, u if u.shape == wanted else np.broadcast_to(u, wanted)
+
+
+def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covariance: bool = False) -> tuple[State, Decision]:
+    """Step through t (K,), y (K, ..., N), u (K, ..., m); return the last state and the Decisions stacked over time.
+
+    The covariances are left out unless asked for: they are the bulk of the memory. ValueError where t, y and u are not of one
+    length, or there is no reading.
+    """
+    t, y, u = floats("t", t), floats("y", y), floats("u", u)
+    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape:
+        raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, ..., sensors), (K, ..., inputs)")
+    if not len(t):
+        raise ValueError("there are no readings: t is empty; pass at least one time")
+    decisions = []
+    for time, reading, applied in zip(t, y, u, strict=True):
+        state, decision = detector.step(state, float(time), reading, applied)
+        decisions.append(decision)
+    return state, stack(decisions, covariance=covariance)
+
+
+def stack(decisions: list[Decision], *, covariance: bool = False) -> Decision:
+    """Return one Decision whose arrays have time as their first axis."""
+    stacked = {
+        f.name: np.stack([getattr(d, f.name) for d in decisions])
+        for f in fields(Decision)
+        if f.name != "covariance" or (covariance and decisions[0].covariance is not None)
+    }
+    return Decision(**stacked)

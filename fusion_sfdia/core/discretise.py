@@ -1,0 +1,193 @@
+"""From continuous physics to a discretised plant: algebraic variables, Runge-Kutta 4, exponential midpoint, exact hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+
+Array = NDArray[Any]
+
+MAX_SWEEPS = 200
+ALGEBRAIC_TOLERANCE = 1e-13  # relative change of a sweep at which the fixed point is taken as reached
+
+
+def runge_kutta_4(slope: Callable[[float, Array], Array], t: float, x: Array, dt: float) -> Array:
+    """One step of the classical fourth-order method (Shaheen 2024, sec. II-B)."""
+    k1 = slope(t, x)
+    k2 = slope(t + dt / 2, x + dt / 2 * k1)
+    k3 = slope(t + dt / 2, x + dt / 2 * k2)
+    k4 = slope(t + dt, x + dt * k3)
+    advanced: Array = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return advanced
+
+
+def exponential_midpoint(slope: Callable[[float, Array], Array], t: float, x: Array, dt: float, decay: Array) -> Array:
+    """One step of x' = -a x + h by x+ = e^(-a dt) x + (1 - e^(-a dt)) / a h_mid, h_mid at half a step of h held.
+
+    decay: a (n,) in 1/s, all positive. Of second order, exact for constant h however stiff a is (Hochbruck and Ostermann
+    2010, sec. 2.2). With h at the beginning for h_mid it is exponential Euler (ETD1), of first order.
+    """
+    middle = x - np.expm1(-decay * dt / 2) / decay * slope(t, x)
+    h = slope(t + dt / 2, middle) + decay * middle
+    advanced: Array = x - np.expm1(-decay * dt) / decay * (h - decay * x)
+    return advanced
+
+
+def solve_algebraic(physics: Physics, t: float, x: Array, u: Array) -> Array:
+    """Return z (..., k) with z = phi(t, x, z, u, c), by fixed-point sweeps from the nominal values.
+
+    A variable has settled when a sweep changes it by at most 1e-13 of its value or its nominal value, whichever is larger:
+    one that is zero by cancellation never settles relative to itself. Real and imaginary parts must both have settled, or
+    a Jacobian by the complex step would be that of a sweep and not of the solution. Raises ArithmeticError naming the
+    variables that do not settle.
+    """
+    nominal = np.array([s.nominal for s in physics.algebraic], dtype=float)
+    scale = np.maximum(np.abs(nominal), 1e-300)
+    batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
+    z = np.broadcast_to(nominal, (*batch, nominal.size)).astype(np.result_type(x, u, float))
+    if physics.phi is None:
+        return z
+    for _ in range(MAX_SWEEPS):
+        new = physics.phi(t, x, z, u, physics.parameters)
+        unsettled = np.abs(new.real - z.real) > ALGEBRAIC_TOLERANCE * np.maximum(np.abs(new.real), scale)
+        if np.iscomplexobj(new):
+            largest = np.max(np.abs(new.imag), axis=-1, keepdims=True)
+            unsettled |= np.abs(new.imag - z.imag) > ALGEBRAIC_TOLERANCE * largest
+        z = new
+        if not np.any(unsettled):
+            return z
+    culprits = [s.name for s, bad in zip(physics.algebraic, np.any(unsettled.reshape(-1, z.shape[-1]), 0), strict=True) if bad]
+    raise ArithmeticError(
+        f"the algebraic variables {', '.join(culprits)} of {physics.name!r} did not settle in {MAX_SWEEPS} sweeps; "
+        "write phi so that its sweeps contract, or start from other nominal values"
+    )
+
+
+def discretise(
+    physics: Physics,
+    sensors: Sequence[Sensor],
+    *,
+    dt: float,
+    x0: Array,
+    initial_cov: Array,
+    process_cov: Array,
+    substeps: int = 1,
+    process_bound: Array | None = None,
+    operation: Callable[[float], Array] | None = None,
+    decay: Array | None = None,
+) -> Plant:
+    """Return the plant that integrates physics by RK4 with inputs held, each sensor reading a state or algebraic variable.
+
+    x0 (n,), covariances (n,) or (n, n) in SI; dt in seconds, divided into `substeps`. decay: rates a (n,) of states that
+    follow x' = -a x + h, in 1/s; with them it integrates by the exponential midpoint rule. Raises ValueError for a sensor of
+    an unknown variable, less than one substep or a rate that is not positive.
+    """
+    if substeps < 1:
+        raise ValueError(f"substeps is {substeps}; a step of {physics.name!r} takes at least 1")
+    names = [s.name for s in (*physics.states, *physics.algebraic)]
+    unknown = [s.name for s in sensors if s.measures not in names]
+    if unknown:
+        raise ValueError(f"sensors {', '.join(unknown)} measure no variable of {physics.name!r}; variables: {', '.join(names)}")
+    picks = np.array([names.index(s.measures) for s in sensors])
+    n = len(physics.states)
+    if decay is not None and not (np.shape(decay) == (n,) and np.all(np.isfinite(decay)) and np.all(decay > 0)):
+        raise ValueError(f"decay of {physics.name!r} is {decay}; wanted {n} positive rates in 1/s, one a state")
+    c = physics.parameters
+
+    def slope(t: float, x: Array, u: Array) -> Array:
+        return physics.f(t, x, solve_algebraic(physics, t, x, u), u, c)
+
+    def step(t: float, x: Array, u: Array, dt: float) -> Array:
+        part = dt / substeps
+        for i in range(substeps):
+            if decay is None:
+                x = runge_kutta_4(lambda s, p: slope(s, p, u), t + i * part, x, part)
+            else:
+                x = exponential_midpoint(lambda s, p: slope(s, p, u), t + i * part, x, part, decay)
+        return x
+
+    def output(t: float, x: Array, u: Array) -> Array:
+        z = solve_algebraic(physics, t, x, u)
+        return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], n)), z], axis=-1)[..., picks]
+
+    only_states = bool(np.all(picks < n))
+    selection = np.eye(n)[picks[picks < n]]
+    return Plant(
+        name=physics.name,
+        states=physics.states,
+        inputs=physics.inputs,
+        sensors=tuple(sensors),
+        step=step,
+        output=(lambda t, x, u: x[..., picks]) if only_states else output,
+        output_jacobian=(lambda t, x, u: selection) if only_states else None,
+        dt=dt,
+        x0=np.asarray(x0, dtype=float),
+        initial_cov=np.asarray(initial_cov, dtype=float),
+        process_cov=np.asarray(process_cov, dtype=float),
+        process_bound=process_bound,
+        operation=operation,
+        blocks=physics.blocks,
+    )
+
+
+def linear_plant(
+    name: str,
+    transition: Array,
+    readout: Array,
+    sensors: Sequence[Sensor],
+    *,
+    dt: float,
+    x0: Array,
+    initial_cov: Array,
+    process_cov: Array,
+    input_matrix: Array | None = None,
+    states: Sequence[Signal] | None = None,
+    inputs: Sequence[Signal] = (),
+) -> Plant:
+    """Return the plant x+ = F x + G u, y = H x, with F (n, n), G (n, m), H (N, n); its dt is fixed."""
+    f, h = np.asarray(transition, dtype=float), np.asarray(readout, dtype=float)
+    n = f.shape[0] if f.ndim else 0
+    g = np.zeros((n, len(inputs))) if input_matrix is None else np.asarray(input_matrix, dtype=float)
+    if f.shape != (n, n) or h.shape != (len(sensors), n) or g.shape != (n, len(inputs)):
+        raise ValueError(
+            f"F {f.shape}, G {g.shape}, H {h.shape} do not fit {n} states, {len(inputs)} inputs and {len(sensors)} sensors"
+        )
+    if not all(np.all(np.isfinite(a)) for a in (f, g, h)):
+        raise ValueError(f"F, G or H of plant {name!r} has entries that are not finite; give numbers")
+    return Plant(
+        name=name,
+        states=tuple(states or (Signal(f"x{i}") for i in range(n))),
+        inputs=tuple(inputs),
+        sensors=tuple(sensors),
+        step=lambda t, x, u, dt: x @ f.T + u @ g.T,
+        output=lambda t, x, u: x @ h.T,
+        step_jacobian=lambda t, x, u, dt: f,
+        output_jacobian=lambda t, x, u: h,
+        dt=dt,
+        x0=np.asarray(x0, dtype=float),
+        initial_cov=np.asarray(initial_cov, dtype=float),
+        process_cov=np.asarray(process_cov, dtype=float),
+        fixed_dt=True,
+    )
+
+
+def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
+    """Return F = exp(A dt) and G = integral of exp(A s) B over a step: dx/dt = A x + B u with u held, exactly.
+
+    A (n, n), B (n, m); ValueError for other shapes or a dt that is not positive and finite.
+    """
+    if np.ndim(a) != 2 or np.ndim(b) != 2 or not a.shape[0] == a.shape[1] == b.shape[0]:
+        raise ValueError(f"A {np.shape(a)} and B {np.shape(b)} do not fit; wanted (n, n) and (n, m)")
+    if not (np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt is {dt} s; it must be positive and finite")
+    n, m = b.shape
+    both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
+    return both[:n, :n], both[:n, n:]

@@ -1,0 +1,49 @@
+"""When an estimator has broken down, and how the rest of its batch goes on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.detector import Decision
+
+Array = NDArray[Any]
+
+
+def broken(x: Array, p: Array) -> Array:
+    """Return (...) whether the estimate x (..., n) or covariance p (..., n, n) is no longer finite and non-negative."""
+    variances = np.diagonal(p, axis1=-2, axis2=-1)
+    sound = np.all(np.isfinite(x), axis=-1) & np.all(np.isfinite(p), axis=(-2, -1)) & np.all(variances >= 0, axis=-1)
+    return np.asarray(~sound)
+
+
+def keep_broken_out(diverged: Array, core: tuple[Array, ...], fresh: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return core with the diverged elements of the batch replaced by fresh values: they are flagged, the others go on."""
+    if not np.any(diverged):
+        return core
+    return tuple(
+        np.where(diverged.reshape(diverged.shape + (1,) * (a.ndim - diverged.ndim)), b, a)
+        for a, b in zip(core, fresh, strict=True)
+    )
+
+
+def without_broken(decision: Decision, diverged: Array) -> Decision:
+    """Return the decision flagged, with nothing that looks like a number where the filter has diverged (...)."""
+    if not np.any(diverged):
+        return replace(decision, diverged=diverged)
+    gone = diverged[..., None]
+    return replace(
+        decision,
+        estimate=np.where(gone, np.nan, decision.estimate),
+        measured=np.where(gone, np.nan, decision.measured),
+        residual=np.where(gone, np.nan, decision.residual),
+        threshold=np.where(gone, np.nan, decision.threshold),
+        isolated=decision.isolated & ~gone,
+        fault_size=np.where(gone, np.nan, decision.fault_size),
+        nis=np.where(diverged, np.nan, decision.nis),
+        diverged=diverged,
+        covariance=None if decision.covariance is None else np.where(gone[..., None], np.nan, decision.covariance),
+    )

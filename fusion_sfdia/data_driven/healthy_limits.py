@@ -1,0 +1,72 @@
+"""What detectors that learn from healthy readings share: checked data, limits at a rate, a Decision without an estimate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+
+
+def without_model(plant: Plant, y: Array, measured: Array, residual: Array, threshold: Array, isolated: Array) -> Decision:
+    """The Decision of a detector without a model: the plant's x0 stands for an estimate, faults are reading less measured."""
+    batch = y.shape[:-1]
+    return Decision(
+        estimate=np.broadcast_to(plant.x0, (*batch, plant.x0.size)).copy(),
+        measured=measured,
+        residual=residual,
+        threshold=threshold,
+        isolated=isolated,
+        fault_size=np.where(isolated, y - measured, np.nan),
+        diverged=np.zeros(batch, bool),
+        guarded=np.zeros(batch, bool),
+        nis=np.full(batch, np.nan),
+    )
+
+
+def per_sensor(plant: Plant, what: str, value: Array) -> Array:
+    """Return finite numbers (N,), one a sensor; ValueError for anything else."""
+    value = floats(what, value)
+    if value.shape != plant.sensor_sigma.shape or not np.all(np.isfinite(value)):
+        raise ValueError(
+            f"{what} has shape {value.shape}; wanted {len(plant.sensors)} finite numbers, one a sensor of plant {plant.name!r}"
+        )
+    return value
+
+
+def healthy_readings(plant: Plant, y: Array) -> Array:
+    """Return readings as (K, B, N); ValueError for other shapes, infinities, and sensors never read or without any noise."""
+    y = floats("y", y)
+    count = len(plant.sensors)
+    if y.ndim < 2 or y.shape[-1] != count or y.shape[0] < 4 or not y.size:
+        raise ValueError(f"y has shape {y.shape}; wanted healthy readings (K, ..., {count}) of at least 4 times")
+    if np.isinf(y).any():
+        raise ValueError("y has infinite readings; pass NaN for a missing one")
+    y = y.reshape(len(y), -1, count)
+    change = np.diff(y, axis=0)
+    moves = np.any(np.abs(change[::2]) > 0, axis=(0, 1)) & np.any(np.abs(change[1::2]) > 0, axis=(0, 1))
+    if not np.all(moves):
+        names = ", ".join(s.name for s, m in zip(plant.sensors, moves, strict=True) if not m)
+        raise ValueError(f"the healthy readings of {names} are missing or never move; leave the sensor out or record more")
+    return y
+
+
+def upper_limit(values: Array, rate: float) -> float:
+    """The order statistic of healthy values (M,) that a fresh one exceeds with a probability of at most `rate`, on average.
+
+    Of M exchangeable values and a fresh one, it is the k-th with k = ceil((M + 1) (1 - rate)), at most M; ValueError where
+    less than one of M is expected above it.
+    """
+    if values.size * rate < 1:
+        raise ValueError(
+            f"{values.size} healthy samples cannot set a limit that one in {1 / rate:.0f} exceeds; give at least that many to "
+            "set limits (every other one is used for that), or ask for a higher rate of false alarms"
+        )
+    rank = min(int(np.ceil((values.size + 1) * (1 - rate))), values.size)
+    return float(np.partition(values, rank - 1)[rank - 1])

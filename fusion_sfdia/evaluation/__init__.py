@@ -1,0 +1,1 @@
+"""Simulated recordings, faults, logs, and the metrics of detection, isolation and accommodation."""

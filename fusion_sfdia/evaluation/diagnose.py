@@ -1,0 +1,141 @@
+"""From a log of readings to a table of events, whatever the detector and whoever made the data."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+
+MOST_BRIDGES = 10_000  # steps in gaps, besides ten for each reading: a day's outage in steps of 10 s
+
+
+@dataclass(frozen=True)
+class Event:
+    """A hypothesis (mostly a sensor) held true from start to end (s); size in the sensor's unit, its median over the event.
+
+    open: whether it was still held true at the end of the data.
+    """
+
+    hypothesis: str
+    start: float
+    end: float
+    size: float
+    unit: str
+    open: bool
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Events in order of their start, and the Decisions (time first) behind them with the times (K,)."""
+
+    events: tuple[Event, ...]
+    decisions: Decision
+    t: Array
+
+
+class DiagnosisWarning(UserWarning):
+    """A diagnosis that says less than its table of events seems to."""
+
+
+def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) -> Diagnosis:
+    """Run a detector over t (K,), y (K, N), u (K, m), NaN where missing, and gather what it isolated into events.
+
+    Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
+    of the plant, the detector steps by dt through the gap without readings, under inputs on the line between those before
+    and after. ValueError where shapes or times do not fit. DiagnosisWarning where the estimate diverged or was moved back
+    into the limits of the model, where a sensor was never read, and where the detector has no thresholds and cannot raise
+    an alarm.
+    """
+    t, y, u = np.asarray(t, dtype=float), np.asarray(y, dtype=float), np.asarray(u, dtype=float)
+    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2 or u.ndim != 2:
+        raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, sensors), (K, inputs)")
+    if not t.size:
+        raise ValueError("there are no readings: t is empty; pass at least one time")
+    first = float(t[0]) - (
+        detector.plant.dt if len(t) < 2 or detector.plant.fixed_dt else min(detector.plant.dt, float(t[1] - t[0]))
+    )
+    own, times, readings, inputs = _bridged(detector.plant, first, t, y, u)
+    _, decisions = run(detector, detector.init((), first), times, readings, inputs)
+    decisions = Decision(**{f.name: v[own] for f in fields(Decision) if (v := getattr(decisions, f.name)) is not None})
+    _warn(detector, t, y, decisions)
+    units = [s.unit for s in detector.plant.sensors] + [""] * (len(detector.hypotheses) - len(detector.plant.sensors))
+    events = [
+        Event(name, float(t[a]), float(t[b]), _median(decisions.fault_size[a : b + 1, i]), units[i], b == len(t) - 1)
+        for i, name in enumerate(detector.hypotheses)
+        for a, b in spans(decisions.isolated[:, i], gap)
+    ]
+    return Diagnosis(tuple(sorted(events, key=lambda e: (e.start, e.hypothesis))), decisions, t)
+
+
+def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[Array, Array, Array, Array]:
+    """Where the given samples stand among t, y, u with steps of dt without readings in gaps longer than the plant can step."""
+    gaps = np.diff(t, prepend=first)
+    with np.errstate(invalid="ignore"):
+        long = (gaps > (plant.dt if plant.fixed_dt else plant.max_dt) * (1 + 1e-9)) & np.isfinite(gaps)
+        parts = np.where(long, np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
+    if np.sum(parts) > MOST_BRIDGES + 10 * t.size:
+        raise ValueError(
+            f"{t.size} readings take {np.sum(parts):.5g} steps of {plant.dt:g} s, for they are up to {np.max(gaps):g} s apart; "
+            "give times in seconds, or cut the readings where nothing was read for long"
+        )
+    for k, step in enumerate(gaps / parts):
+        try:
+            plant.check_dt(float(step))
+        except ValueError as error:
+            raise ValueError(f"reading {k + 1}, {t[k]:.10g} s, is {gaps[k]:.10g} s after the one before: {error}") from error
+    last, which = np.cumsum(parts.astype(int)) - 1, np.repeat(np.arange(t.size), parts.astype(int))
+    ahead = last[which] - np.arange(which.size)  # steps of the gap that are still to come
+    times = t[which] - ahead * (gaps / parts)[which]
+    between = (ahead / parts[which])[:, None]  # 0 at a reading
+    inputs = u[which] * (1 - between) + np.concatenate([u[:1], u[:-1]])[which] * between
+    return last, times, np.where(between == 0, y[which], np.nan), inputs
+
+
+def _warn(detector: Detector, t: Array, y: Array, decisions: Decision) -> None:
+    """Say what the events do not."""
+    remarks = []
+    silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
+    if silent:
+        some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
+        whole = ": the diagnosis is the model's prediction alone" if len(silent) == y.shape[1] else ""
+        remarks.append(f"no reading at all of {some}{whole}; fill their columns to have them judged")
+    thresholds = decisions.threshold[np.isfinite(decisions.residual)]
+    if thresholds.size and np.all(np.isinf(thresholds)):
+        remarks.append(
+            f"{type(detector).__name__} cannot raise an alarm: its thresholds are infinite; set them with calibrate() on "
+            "healthy readings"
+        )
+    for flags, what, cure in (
+        (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),
+        (decisions.diverged, "diverged and does not count", "check units, inputs and parameters, or cut the log before"),
+    ):
+        if np.any(flags):
+            first = f"{np.sum(flags)} of {t.size} samples, first at {t[np.argmax(flags)]:g} s"
+            remarks.append(f"the estimate {what} in {first}; {cure}")
+    for remark in remarks:
+        warnings.warn(remark, DiagnosisWarning, stacklevel=3)
+
+
+def spans(held: Array, gap: int = 1) -> list[tuple[int, int]]:
+    """Return first and last index of each run of True in held (K,); runs fewer than `gap` samples apart are joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
+    joined: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
+        if joined and a - joined[-1][1] - 1 < gap:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined
+
+
+def _median(sizes: Array) -> float:
+    known = sizes[np.isfinite(sizes)]
+    return float(np.median(known)) if known.size else float("nan")

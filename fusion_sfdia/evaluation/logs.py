@@ -1,0 +1,174 @@
+"""Logs of readings as CSV: a header, then one row a sampling time; an empty cell is a missing reading."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import require_unique
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.storage import atomic_write
+
+Array = NDArray[Any]
+
+TIME = Signal("time", "s")
+
+
+class Log(NamedTuple):
+    """Times t (K,) in s, readings y (K, N) with NaN where missing, inputs u (K, m) that acted until t."""
+
+    t: Array
+    y: Array
+    u: Array
+
+
+def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None) -> None:
+    """Write t (K,), y (K, N) and, if given, u (K, m) so that read_log returns the same bits. ValueError for other shapes."""
+    t, y = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
+    u = np.empty((t.size, 0)) if u is None else np.asarray(u, dtype=float)
+    inputs = plant.inputs if u.size else ()
+    if t.ndim != 1 or y.shape != (t.size, len(plant.sensors)) or u.shape != (t.size, len(inputs)):
+        raise ValueError(
+            f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, {len(plant.sensors)}) and "
+            f"(K, {len(plant.inputs)}) of plant {plant.name!r}: one run, without a batch"
+        )
+    with atomic_write(Path(path)) as file:
+        table = csv.writer(file, lineterminator="\n")
+        named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *inputs)
+        table.writerow([f"{c.name} [{c.unit}]" for c in named])
+        for row in np.column_stack([t, y, u]):
+            table.writerow(["" if np.isnan(v) else repr(float(v)) for v in row])
+
+
+def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, other_columns: bool = False) -> Log:
+    """Read a log of a plant.
+
+    The header names `time`, every sensor and any of the inputs, in any order, each with or without its unit in brackets.
+    Inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before where that is
+    later. absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
+    Raises ValueError naming file, row (the header is row 1) and column for anything else than increasing times, finite or
+    missing readings and inputs within their limits.
+    """
+    with Path(path).open(encoding="utf-8-sig", newline="") as file:
+        try:
+            rows = [(n, row) for n, row in enumerate(csv.reader(file, strict=True), start=1) if any(c.strip() for c in row)]
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise ValueError(f"{path} is not a CSV text file ({error}); wanted UTF-8 text as `simulate` writes it") from error
+    if not rows:
+        raise ValueError(f"{path} is empty; wanted a header: time and the sensors of plant {plant.name!r}")
+    columns = _columns(path, rows[0][1], plant, absent_sensors, other_columns)
+    if len(rows) == 1:
+        raise ValueError(f"{path} has a header and no rows; wanted at least one reading")
+    width = len(rows[0][1])
+    for n, row in rows[1:]:
+        if len(row) != width:
+            raise ValueError(
+                f"{path}, row {n}: {len(row)} cells under a header of {width}; leave a missing reading's cell empty"
+            )
+    numbers = [n for n, _ in rows[1:]]
+    cells = [row for _, row in rows[1:]]
+    t = _values(path, numbers, cells, columns, TIME, required=True)
+    for k in range(1, t.size):
+        if not t[k] > t[k - 1]:
+            raise ValueError(
+                f"{path}, row {numbers[k]}, column time: {float(t[k])!r} s after {float(t[k - 1])!r} s; times must increase, "
+                "sort the rows"
+            )
+    y = np.full((t.size, len(plant.sensors)), np.nan)
+    for i, sensor in enumerate(plant.sensors):
+        if sensor.name in columns:
+            y[:, i] = _values(path, numbers, cells, columns, sensor, required=False)
+    before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
+    u = np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
+    for i, signal in enumerate(plant.inputs):
+        if signal.name in columns:
+            u[:, i] = _values(path, numbers, cells, columns, signal, required=True)
+            for k in np.flatnonzero((u[:, i] < signal.low) | (u[:, i] > signal.high))[:1]:
+                raise ValueError(
+                    f"{path}, row {numbers[k]}, column {signal.name}: {u[k, i]:g} {signal.unit}; plant {plant.name!r} holds "
+                    f"from {signal.low:g} to {signal.high:g} {signal.unit}; correct the input or convert its unit"
+                )
+    return Log(t, y, u)
+
+
+def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, other: bool) -> dict[str, int]:
+    """Return where the column of each name stands."""
+    named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *plant.inputs)
+    require_unique(f"columns of a log of plant {plant.name!r}", [c.name for c in named])
+    units = {c.name: c.unit for c in named}
+    found: dict[str, int] = {}
+    unknown = []
+    for i, title in enumerate(header):
+        name, unit = _title(title)
+        if name not in units:
+            unknown.append(name)
+            continue
+        if name in found:
+            raise ValueError(f"{path}: the column {name!r} stands twice; leave one")
+        if unit is not None and unit != units[name]:
+            raise ValueError(
+                f"{path}: column {name!r} is in {unit!r}, plant {plant.name!r} has it in {units[name]!r}; convert the column, "
+                "or read with the plant in that unit (Plant.in_units)"
+            )
+        found[name] = i
+    lacking = [n for n in (TIME.name, *plant.sensor_names) if n not in found]
+    if TIME.name in lacking and len(header) == 1 and (mark := re.search("[;\t|]", header[0])):
+        raise ValueError(f"{path}: cells are separated by {mark[0]!r}; wanted commas, and points in decimal numbers")
+    if TIME.name in lacking:
+        raise ValueError(f"{path}: no column 'time' among {_some(header)}; name the column of the times (s) so")
+    if lacking and not absent:
+        raise ValueError(
+            f"{path}: no column for the sensors {_some(lacking)} of plant {plant.name!r}; add them (empty where not read), "
+            "or take them as missing with --absent-sensors (absent_sensors=True)"
+        )
+    if len(lacking) == len(plant.sensors):
+        raise ValueError(f"{path}: no column of any sensor of plant {plant.name!r}; sensors: {_some(plant.sensor_names)}")
+    if unknown and not other:
+        raise ValueError(
+            f"{path}: the columns {_some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, "
+            "or ignore them with --other-columns (other_columns=True)"
+        )
+    return found
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first names, each cut to a length that a line can hold."""
+    shown = ", ".join(repr(n if len(n) <= 20 else f"{n[:20]}...") for n in names[:8])
+    return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown
+
+
+def _title(title: str) -> tuple[str, str | None]:
+    match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\])?\s*", title, flags=re.DOTALL)
+    name, unit = match.groups() if match else (title, None)
+    return name, None if unit is None else unit.strip()
+
+
+def _values(
+    path: str | Path,
+    numbers: Sequence[int],
+    cells: Sequence[Sequence[str]],
+    columns: dict[str, int],
+    what: Signal | Sensor,
+    *,
+    required: bool,
+) -> Array:
+    """Return a column as numbers; ValueError for text, infinity and, where required, missing values."""
+    at = columns[what.name]
+    values = np.empty(len(cells))
+    for k, row in enumerate(cells):
+        text = row[at].strip()
+        try:
+            values[k] = float(text) if text else np.nan
+        except ValueError:
+            values[k] = np.inf
+        if np.isinf(values[k]) or (required and np.isnan(values[k])):
+            wanted = "a finite number" if required else "a finite number, or nothing where the reading is missing"
+            raise ValueError(f"{path}, row {numbers[k]}, column {what.name}: {text!r}; wanted {wanted}")
+    return values

@@ -1,0 +1,244 @@
+"""Simulated recordings: a truth, its noise, and the readings that a detector is given.
+
+The recording of a seed is the same bits whatever other seeds are simulated with it: each seed draws its own streams, and
+the plant steps a batch of shape (seeds, 1), so that a matrix product, too, is that of one seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from fusion_sfdia.core.plant import Plant, diagonal
+from fusion_sfdia.core.random_streams import require_seeds, stream
+from fusion_sfdia.core.signals import Sensor
+
+Array = NDArray[Any]
+
+MOST_STEPS = 10**9  # more is a slip: a step takes at least a microsecond
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Healthy readings and the truth behind them, time first, one run a seed.
+
+    t (K,) s, of the readings; u (K, m) the input that acted until t; y (K, B, N) readings; signal (K, B, N) the same
+    without noise; x (K, B, n) true states, None where they are not those of the detector's plant. seeds (B,).
+    """
+
+    t: Array
+    u: Array
+    y: Array
+    signal: Array
+    x: Array | None
+    seeds: tuple[int, ...]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    sensors: tuple[str, ...]
+
+
+def simulate(
+    plant: Plant,
+    times: int | Array,
+    seeds: Sequence[int],
+    *,
+    truth: Plant | str = "finer",
+    to_states: Callable[[Array], Array] | None = None,
+    process_noise: bool = False,
+    start: str | Array = "nominal",
+    inputs: Callable[[float], Array] | Array | None = None,
+    t0: float = 0.0,
+) -> Recording:
+    """Simulate readings for a detector on `plant`.
+
+    times: how many steps of plant.dt, or the times (K,) of the readings, increasing from t0. truth: what makes the
+    readings: "finer" for the plant's finer twin where it has one, so that a detector is not tried on its own model (the
+    inverse crime); "model" for `plant` itself, the setting of most papers; or a plant with the same sensors and inputs,
+    whose dt divides plant.dt and whose sensors' noise is added. to_states: maps the states (K, B, n') of such a plant to
+    those of `plant`; without it, and with states of other names, x is None. process_noise: whether the truth is disturbed
+    by its process noise. start: "nominal" for the truth's x0, "sampled" from its initial covariance, or states (n',) or
+    (B, n'). inputs: u as a function of the time from which it acts, or as (K, m), or None for the plant's operation; it is
+    held from one reading to the next.
+
+    Noise: Gaussian where a sigma is stated, uniform within the bound where only a bound is, Gaussian truncated to the
+    bound where both are; the process noise likewise. Raises ValueError for arguments that do not fit, ArithmeticError
+    where a run leaves the limits of the truth's model.
+    """
+    if isinstance(truth, str):
+        if truth not in ("finer", "model"):
+            raise ValueError(f"truth is {truth!r}; wanted 'finer', 'model' or a plant")
+        if truth == "finer" and plant.finer is not None:
+            truth, to_states = plant.finer()
+        else:
+            truth = plant
+    elif not isinstance(truth, Plant):
+        raise ValueError(f"truth is {truth!r}; wanted 'finer', 'model' or a plant")
+    _require_fit(plant, truth)
+    seeds = require_seeds(seeds)
+    if not np.isfinite(t0):
+        raise ValueError(f"t0 is {t0}; wanted a finite time in s")
+    t, dt = _times(plant, times, t0)
+    u = _inputs(plant, t - dt, inputs)
+    x = _start(truth, start, seeds, t0)
+    n, steps, count = x.shape[-1], t.size, len(truth.sensors)
+    draws = _ProcessNoise(truth, seeds) if process_noise else None
+    xs = np.empty((steps, len(seeds), n))
+    signal = np.empty((steps, len(seeds), count))
+    before = t - dt
+    for k in range(steps):
+        parts = 1 if truth.dt == plant.dt else int(np.ceil(float(dt[k]) / truth.dt - 1e-9))
+        part = float(dt[k]) / parts
+        truth.check_dt(part)
+        for j in range(parts):
+            with np.errstate(all="ignore"):
+                x = truth.step(float(before[k]) + j * part, x, u[k], part)
+            if draws is not None:
+                x = x + draws.over(part)
+            _require_inside(truth, x, seeds, float(before[k]) + (j + 1) * part)
+        xs[k] = x[:, 0]
+        signal[k] = truth.output(float(t[k]), x, u[k])[:, 0]
+    uniform = np.stack([_unit(stream(s, "measurement noise"), (steps, count)) for s in seeds], axis=1)
+    names = tuple(s.name for s in plant.states)
+    states: Array | None = xs if names == tuple(s.name for s in truth.states) else None
+    if to_states is not None:
+        states = np.asarray(to_states(xs))
+        if states.shape != (wanted := (steps, len(seeds), len(names))):
+            raise ValueError(f"to_states gives {states.shape}; wanted {wanted}, the states of {plant.name!r}")
+    return Recording(
+        t=t,
+        u=u,
+        y=signal + _sensor_noise(truth.sensors, uniform),
+        signal=signal,
+        x=states,
+        seeds=seeds,
+        states=names,
+        inputs=tuple(s.name for s in plant.inputs),
+        sensors=plant.sensor_names,
+    )
+
+
+def _require_fit(plant: Plant, truth: Plant) -> None:
+    for what, own, other in (
+        ("sensors", plant.sensor_names, truth.sensor_names),
+        ("inputs", tuple(s.name for s in plant.inputs), tuple(s.name for s in truth.inputs)),
+    ):
+        if own != other:
+            raise ValueError(f"truth has the {what} {', '.join(other)}; wanted those of the plant, {', '.join(own)}")
+    ratio = plant.dt / truth.dt
+    if not np.isclose(ratio, round(ratio), rtol=1e-9) or round(ratio) < 1:
+        raise ValueError(f"truth steps by {truth.dt:g} s; wanted plant dt = {plant.dt:g} s divided by a whole number")
+
+
+def _times(plant: Plant, times: int | Array, t0: float) -> tuple[Array, Array]:
+    if isinstance(times, int | np.integer):
+        if not 1 <= times <= MOST_STEPS:
+            raise ValueError(f"{times} steps; wanted at least 1 and at most {MOST_STEPS}")
+        return t0 + np.arange(1, times + 1) * plant.dt, np.full(int(times), plant.dt)
+    try:
+        t = np.asarray(times, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"times is {times!r}; wanted a number of steps or times (K,) in s") from error
+    if t.ndim != 1 or not t.size:
+        came = f"has shape {t.shape}" if t.ndim else f"is {times!r}"
+        raise ValueError(f"times {came}; wanted a whole number of steps or at least one time (K,)")
+    dt = np.diff(t, prepend=t0)
+    for step in dt:
+        plant.check_dt(float(step))
+    return t, np.where(np.isclose(dt, plant.dt, rtol=1e-9), plant.dt, dt)
+
+
+def _inputs(plant: Plant, before: Array, inputs: Callable[[float], Array] | Array | None) -> Array:
+    given = plant.input_at if inputs is None else inputs
+    u = np.array([given(float(s)) for s in before], dtype=float) if callable(given) else np.asarray(given, dtype=float)
+    wanted = (before.size, len(plant.inputs))
+    if u.shape != wanted or not np.all(np.isfinite(u)):
+        raise ValueError(f"inputs have shape {u.shape}; wanted finite values {wanted}, a row a reading")
+    return u
+
+
+def _start(truth: Plant, start: str | Array, seeds: tuple[int, ...], t0: float) -> Array:
+    """States (B, 1, n) at t0."""
+    n = truth.x0.size
+    if not isinstance(start, str):
+        given = np.asarray(start, dtype=float)
+        if given.shape not in {(n,), (len(seeds), n)} or not np.all(np.isfinite(given)):
+            raise ValueError(f"start has shape {given.shape}; wanted finite states ({n},) or ({len(seeds)}, {n})")
+        return np.broadcast_to(given, (len(seeds), n))[:, None, :].copy()
+    if start not in ("nominal", "sampled"):
+        raise ValueError(f"start is {start!r}; wanted 'nominal', 'sampled' or states")
+    x = np.broadcast_to(truth.x0, (len(seeds), 1, n))
+    if start == "sampled":
+        xi = np.stack([stream(s, "initial state").standard_normal((1, n)) for s in seeds])
+        x = x + xi * np.sqrt(truth.initial_cov) if truth.initial_cov.ndim == 1 else x + xi @ _half(truth.initial_cov).T
+        _require_inside(truth, x, seeds, t0)
+    return x.copy()
+
+
+def _half(cov: Array) -> Array:
+    """L with L L' = cov, for a positive semi-definite matrix."""
+    scale = np.sqrt(np.where(np.diagonal(cov) > 0, np.diagonal(cov), 1.0))
+    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+    half: Array = scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
+    return half
+
+
+def _unit(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Uniform numbers inside (0, 1), so that any quantile of them is finite."""
+    return (rng.integers(0, 2**52, shape) + 0.5) / 2**52
+
+
+def _quantile(uniform: Array, sigma: Array, bound: Array) -> Array:
+    """Noise (..., N) by inversion: Gaussian, truncated to the bound; uniform within it where sigma is inf."""
+    gaussian = np.isfinite(sigma)
+    scale = np.where(gaussian & (sigma > 0), sigma, 1.0)
+    beyond = ndtr(-bound / scale)  # each tail's share
+    truncated = np.where(gaussian, sigma, 0.0) * ndtri(beyond + uniform * (1 - 2 * beyond))
+    even = np.where(gaussian, 0.0, bound) * (2 * uniform - 1)
+    return np.asarray(np.where(gaussian, np.clip(truncated, -bound, bound), even))
+
+
+def _sensor_noise(sensors: tuple[Sensor, ...], uniform: Array) -> Array:
+    sigma = np.array([np.inf if s.sigma is None else s.sigma for s in sensors])
+    return _quantile(uniform, sigma, np.array([s.noise_bound for s in sensors]))
+
+
+class _ProcessNoise:
+    """One stream a seed; each step takes the next numbers of every stream."""
+
+    def __init__(self, truth: Plant, seeds: tuple[int, ...]) -> None:
+        self.truth = truth
+        self.streams = [stream(s, "process noise") for s in seeds]
+        if truth.process_bound is not None and truth.process_cov.ndim == 2:
+            raise ValueError(f"plant {truth.name!r} has a process bound and a full process_cov; give variances or no bound")
+
+    def over(self, dt: float) -> Array:
+        """Noise (B, 1, n) of a step of dt seconds: its covariance and its bound grow in proportion to dt."""
+        truth = self.truth
+        uniform = np.stack([_unit(r, (1, truth.x0.size)) for r in self.streams])
+        cov = truth.process_cov_over(dt)
+        if cov.ndim == 2:
+            return np.asarray(ndtri(uniform) @ _half(cov).T)
+        sigma = np.sqrt(diagonal(cov))
+        if truth.process_bound is None:
+            return np.asarray(sigma * ndtri(uniform))
+        bound = np.broadcast_to(truth.process_bound, sigma.shape) * (dt / truth.dt)
+        return _quantile(uniform, np.where((sigma == 0) & (bound > 0), np.inf, sigma), bound)
+
+
+def _require_inside(truth: Plant, x: Array, seeds: tuple[int, ...], t: float) -> None:
+    _, outside = truth.guard(x[:, 0])
+    if not np.any(outside):
+        return
+    b = int(np.flatnonzero(outside)[0])
+    low, high = truth.state_limits
+    i = int(np.flatnonzero(~((x[b, 0] >= low) & (x[b, 0] <= high)))[0])
+    state = truth.states[i]
+    raise ArithmeticError(
+        f"seed {seeds[b]} left the limits of {truth.name!r} at {t:g} s: {state.name} = {x[b, 0, i]:g} {state.unit}, limits "
+        f"[{state.low:g}, {state.high:g}]; make inputs or start milder, lower the process noise, or widen the limits"
+    )

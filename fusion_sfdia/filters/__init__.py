@@ -1,0 +1,1 @@
+"""Kalman, ensemble and particle filters as pure functions on batches."""

@@ -1,0 +1,200 @@
+"""From a filterpy filter to a plant: any detector then runs on the user's own model and settings.
+
+filterpy's functions take one state at a time, so the plant loops over a batch, and their Jacobians are central differences
+unless given: writing the model as a `Physics` or `Plant` of array functions is many times faster.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from filterpy.kalman import (
+    EnsembleKalmanFilter,
+    ExtendedKalmanFilter,
+    JulierSigmaPoints,
+    KalmanFilter,
+    MerweScaledSigmaPoints,
+    UnscentedKalmanFilter,
+)
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.equation import difference_jacobian
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.filters.ukf import SigmaPoints
+
+Array = NDArray[Any]
+One = Callable[[Array], Array]  # of one state (n,)
+
+
+def plant_from_filterpy(
+    source: KalmanFilter | ExtendedKalmanFilter | UnscentedKalmanFilter | EnsembleKalmanFilter,
+    *,
+    dt: float | None = None,
+    sensors: Sequence[str] | None = None,
+    states: Sequence[str] | None = None,
+    h: One | None = None,
+    h_jacobian: One | None = None,
+    f_jacobian: One | None = None,
+) -> Plant:
+    """Return the plant of a filterpy filter as it stands: its model, x, P, Q and R (diagonal).
+
+    dt: the step in seconds; an unscented or ensemble filter knows its own, for the others it is 1 unless given, and fixed.
+    sensors, states: names, z0, z1, ... and x0, x1, ... unless given. h, h_jacobian: what an ExtendedKalmanFilter takes in
+    `update` as Hx and HJacobian (h is required, and is called with a state of the shape of source.x). f_jacobian: that of an
+    overridden predict_x, or of fx. Raises ValueError for what a plant cannot carry: correlated readings, fading memory,
+    cross-correlated noise, custom means or residuals.
+    """
+    n, shape = np.size(source.x), np.shape(source.x)
+    states = list(states or (f"x{i}" for i in range(n)))
+    noise = np.asarray(source.R, dtype=float)
+    if np.any(noise != np.diag(np.diagonal(noise))):
+        raise ValueError("R is not diagonal; sensors err independently: whiten the readings (multiply z and h by R^-1/2) first")
+    sensors = list(sensors or (f"z{i}" for i in range(len(noise))))
+    if len(sensors) != len(noise) or len(states) != n:
+        raise ValueError(
+            f"{len(sensors)} sensor and {len(states)} state names; the filter has {len(noise)} readings, {n} states"
+        )
+    signals = [Signal(s) for s in states]
+    instruments = [Sensor(s, s, sigma=float(np.sqrt(v))) for s, v in zip(sensors, np.diagonal(noise), strict=True)]
+    moments: dict[str, Any] = {
+        "x0": np.array(source.x, dtype=float).reshape(-1),
+        "initial_cov": np.array(source.P, dtype=float),
+        "process_cov": np.array(source.Q, dtype=float),
+    }
+    name = f"filterpy {type(source).__name__}"
+    if isinstance(source, KalmanFilter):
+        matrix, inputs = _linear(source)
+        step_size = 1.0 if dt is None else dt
+        F, H = np.array(source.F, dtype=float), np.array(source.H, dtype=float)
+        return linear_plant(
+            name, F, H, instruments, dt=step_size, input_matrix=matrix, states=signals, inputs=inputs, **moments
+        )
+    model = _extended(source, h, dt) if isinstance(source, ExtendedKalmanFilter) else _timed(source, dt)
+    f_jacobian = f_jacobian or model.f_jacobian
+    largest = np.maximum(np.diagonal(moments["initial_cov"]), np.diagonal(moments["process_cov"]))
+    scale = np.sqrt(np.where(largest > 0, largest, 1.0))
+
+    def step(t: float, x: Array, u: Array, dt: float) -> Array:
+        return _over_batch(lambda p, v: model.f(p, v, dt), (n,), x, u)
+
+    def output(t: float, x: Array, u: Array) -> Array:
+        return _over_batch(model.h, (len(sensors),), x)
+
+    def step_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
+        if f_jacobian is not None:
+            return _over_batch(f_jacobian, (n, n), x)
+        return difference_jacobian(lambda p: step(t, p, np.expand_dims(u, -2), dt), x, scale)
+
+    def output_jacobian(t: float, x: Array, u: Array) -> Array:
+        if h_jacobian is not None:
+            return _over_batch(lambda p: h_jacobian(p.reshape(shape)), (len(sensors), n), x)
+        return difference_jacobian(lambda p: output(t, p, u), x, scale)
+
+    return Plant(
+        name=name,
+        states=tuple(signals),
+        sensors=tuple(instruments),
+        inputs=model.inputs,
+        step=step,
+        output=output,
+        step_jacobian=step_jacobian,
+        output_jacobian=output_jacobian,
+        dt=model.dt,
+        fixed_dt=isinstance(source, ExtendedKalmanFilter),
+        **moments,
+    )
+
+
+class _Model(NamedTuple):
+    """Functions of one state (n,): f(x, u, dt), h(x), and the Jacobian of f where known."""
+
+    f: Callable[[Array, Array, float], Array]
+    h: One
+    dt: float
+    inputs: tuple[Signal, ...] = ()
+    f_jacobian: One | None = None
+
+
+def _linear(source: KalmanFilter) -> tuple[Array | None, tuple[Signal, ...]]:
+    if source.alpha != 1.0:
+        raise ValueError(f"alpha is {source.alpha}; a plant has no fading memory: set alpha = 1 and enlarge Q instead")
+    if np.any(source.M):
+        raise ValueError("M is not zero; a plant has no noise common to states and readings: fold it into F and Q")
+    return _inputs(source.B, np.size(source.x))
+
+
+def _extended(source: ExtendedKalmanFilter, h: One | None, dt: float | None) -> _Model:
+    if h is None:
+        raise ValueError("an ExtendedKalmanFilter takes its measurement function in update; pass it as h=, and h_jacobian=")
+    own = copy.deepcopy(source)  # predict_x works on its filter's x; the user's is left alone
+    shape = np.shape(source.x)
+    F = np.array(source.F, dtype=float)
+    linear = type(source).predict_x is ExtendedKalmanFilter.predict_x
+
+    def f(x: Array, u: Array, dt: float) -> Array:
+        own.x = x.reshape(shape)
+        own.predict_x(u.reshape(-1, *shape[1:]) if u.size else 0)
+        return np.asarray(own.x)
+
+    return _Model(
+        f=f,
+        h=lambda x: h(x.reshape(shape)),
+        dt=1.0 if dt is None else dt,
+        inputs=_inputs(source.B, np.size(source.x))[1],
+        f_jacobian=(lambda x: F) if linear else None,
+    )
+
+
+def _timed(source: UnscentedKalmanFilter | EnsembleKalmanFilter, dt: float | None) -> _Model:
+    if isinstance(source, UnscentedKalmanFilter):
+        _require_plain(source)
+    own = float(source._dt if isinstance(source, UnscentedKalmanFilter) else source.dt)
+    if dt is not None and dt != own:
+        raise ValueError(f"dt is {dt} s, that of the filter {own} s; leave it out")
+    return _Model(f=lambda x, u, dt: source.fx(x, dt), h=source.hx, dt=own)
+
+
+def sigma_points(source: UnscentedKalmanFilter) -> SigmaPoints:
+    """Return the settings of an UnscentedKalmanFilter's sigma points (Merwe's scaled or Julier's)."""
+    points = source.points_fn
+    if isinstance(points, MerweScaledSigmaPoints):
+        return SigmaPoints(points.alpha, points.beta, points.kappa)
+    if isinstance(points, JulierSigmaPoints):
+        return SigmaPoints(1.0, 0.0, points.kappa)
+    raise ValueError(f"no counterpart for {type(points).__name__}; use MerweScaledSigmaPoints or JulierSigmaPoints")
+
+
+def _require_plain(source: UnscentedKalmanFilter) -> None:
+    plain = {
+        "x_mean_fn": source.x_mean is None,
+        "z_mean_fn": source.z_mean is None,
+        "residual_x": source.residual_x is np.subtract,
+        "residual_z": source.residual_z is np.subtract,
+        "state_add": source.state_add is np.add,
+    }
+    custom = [name for name, is_plain in plain.items() if not is_plain]
+    if custom:
+        raise ValueError(f"the filter has its own {', '.join(custom)}; a plant's states add and subtract as numbers do")
+
+
+def _inputs(B: Any, n: int) -> tuple[Array | None, tuple[Signal, ...]]:
+    """B as a matrix (n, m), or None where the filter has no inputs, and the signals u0, u1, ..."""
+    if B is None or np.ndim(B) == 0:
+        return None, ()
+    matrix = np.asarray(B, dtype=float).reshape(n, -1)
+    return matrix, tuple(Signal(f"u{i}") for i in range(matrix.shape[1]))
+
+
+def _over_batch(function: Callable[..., Array], shape: tuple[int, ...], x: Array, *others: Array) -> Array:
+    """Call function on each state of x (..., n), and each of others (..., m); results (..., *shape)."""
+    batch = np.broadcast_shapes(x.shape[:-1], *(o.shape[:-1] for o in others))
+    arguments = [np.broadcast_to(a, (*batch, a.shape[-1])) for a in (x, *others)]
+    out = np.empty((*batch, *shape))
+    for index in np.ndindex(batch):
+        out[index] = np.asarray(function(*(a[index].copy() for a in arguments)), dtype=float).reshape(shape)
+    return out

@@ -1,0 +1,1 @@
+"""Detectors on filters: banks that leave each sensor out, single filters, and their algebra."""

@@ -1,0 +1,64 @@
+"""Detector: one Kalman filter on all sensors with a test of each innovation; the usual choice, and the banks' yardstick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from fusion_sfdia.core.arguments import probability
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.filters.estimators import Estimator, Extended, Reading, require_filter, step_stream
+from fusion_sfdia.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class CentralFilter(BatchDetector):
+    """A single filter of any kind: residual y - E[y], threshold from its variance at a false-alarm budget per step over
+    all sensors (Bonferroni); names the sensor with the largest ratio; nothing is accommodated.
+    """
+
+    estimator: Estimator = field(default_factory=Extended)
+    false_alarm: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_filter(self.estimator)
+        probability("false_alarm", self.false_alarm)
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        return self.estimator.start(self.plant, batch, step_stream(seed, 0))
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        plant, est = self.plant, self.estimator
+        prior = est.predict(plant, core, now.last, u, now.dt, step_stream(now.seed, now.k))
+        joint = est.joint(plant, prior, now.t, u)
+        found = statistics(joint, y, np.isfinite(y))
+        x, p = posterior(joint, found)
+        after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, step_stream(now.seed, now.k + 2**32))
+        expected = plant.output(now.t, x, u)
+        residual = y - joint.y
+        alpha = -ndtri(self.false_alarm / y.shape[-1] / 2) * self.threshold_scale
+        threshold = np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)) * alpha
+        ratio = np.where(np.isfinite(residual), np.abs(residual) / threshold, 0.0)
+        isolated = (np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]) & (ratio > 1)
+        decision = Decision(
+            estimate=x,
+            measured=np.where(np.isfinite(y), y, expected),
+            residual=residual,
+            threshold=threshold,
+            isolated=isolated,
+            fault_size=np.where(isolated, residual, np.nan),
+            diverged=prior.lost | broken(x, p),
+            guarded=prior.guarded,
+            nis=normalised_innovation_squared(joint, found, y),
+            covariance=p,
+        )
+        return after, decision

@@ -1,0 +1,188 @@
+"""Detector: the fusing filters of Shaheen 2024, a bank of N leave-one-out filters with an information mixture.
+
+As printed, but for what cannot run as printed: the process noise is reset each step (fed back as Q_i = beta_i Q_m it
+falls as N^(-2k) and the gain dies), the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify,
+gives each local ensemble the mixture's mean and covariance.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.filters.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
+from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.kalman_banks import mixing
+from fusion_sfdia.kalman_banks.leave_one_out import (
+    LeaveOneOut,
+    eliminate,
+    local_estimates,
+    normalised_innovation_squared,
+    posterior,
+    statistics,
+)
+
+Array = NDArray[Any]
+
+
+class Mixed(NamedTuple):
+    """The mixture's x (..., n) and P (..., n, n), the core fed back, and the NIS (...)."""
+
+    x: Array
+    p: Array
+    core: Core
+    nis: Array
+
+
+@dataclass(frozen=True)
+class FusingBank(BatchDetector):
+    """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
+
+    plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum
+    to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
+    gives the same numbers for the price of one (equal beta only: unequal beta always runs literally).
+    thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units: the paper gives none, so set them
+    with `calibration.calibrate`. Without, no alarm is ever raised, of which `init` warns; (inf,) * N says that it is meant so.
+    residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds unlike units; None for the
+    plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
+    """
+
+    estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
+    beta: tuple[float, ...] | None = None
+    thresholds: tuple[float, ...] | None = None
+    residual_scale: tuple[float, ...] | None = None
+    accommodate: bool = True
+    literal: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_filter(self.estimator)
+        n, count = len(self.plant.states), len(self.plant.sensors)
+        if count < 2:
+            raise ValueError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")
+        for what, wanted in (("beta", count), ("thresholds", count), ("residual_scale", n)):
+            if getattr(self, what) is None:
+                continue
+            values = floats(what, getattr(self, what))
+            if values.shape != (wanted,) or not np.all(values > 0):
+                least = f"{values.min():g}" if values.size else "none"
+                raise ValueError(f"{what} must be {wanted} positive numbers; got shape {values.shape}, the least {least}")
+            object.__setattr__(self, what, tuple(values.tolist()))
+        if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
+            raise ValueError(f"beta sums to {sum(self.beta):.6g}; the information distribution factors must sum to 1")
+
+    @property
+    def runs_literally(self) -> bool:
+        return self.literal or (self.beta is not None and len(set(self.beta)) > 1)
+
+    def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
+        """As of every detector; a UserWarning where there are no thresholds."""
+        if self.thresholds is None:
+            warnings.warn(
+                "FusingBank has no thresholds and will never raise an alarm; set them with calibrate() on healthy readings, "
+                "or thresholds=(inf,) * N where no alarm is wanted",
+                stacklevel=2,
+            )
+        return super().init(batch, t, seed)
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """The filter's core, with an axis N after the batch when literal."""
+        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        if self.runs_literally:
+            axis, count = len(batch), len(self.plant.sensors)
+            core = tuple(np.repeat(np.expand_dims(a, axis), count, axis=axis) for a in core)
+        return core
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
+        prior = self._predict(core, y.ndim - 1, now, u)
+        joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
+        used = np.isfinite(y)
+        founds, local = self._update(joints, y, used)
+        mixed = self._mix(prior, joints, founds, local, now, y, u)
+        seen = plant.output(now.t, local, u[..., None, :])
+        state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
+        residual = np.where(used, np.sqrt(state_variance), np.nan)
+        limits = np.inf if self.thresholds is None else self.threshold_scale * np.asarray(self.thresholds)
+        threshold = np.broadcast_to(limits, y.shape)
+        distance = np.linalg.norm((local - mixed.x[..., None, :]) / scale, axis=-1)  # (20)
+        alarm = np.any(residual > threshold, axis=-1)
+        suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
+        isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
+        if self.accommodate and np.any(isolated):
+            if self.runs_literally:
+                founds, local = self._update(joints, y, used & ~isolated)
+            else:
+                founds = [eliminate(founds[0], suspect, np.any(isolated, axis=-1))]
+            mixed = self._mix(prior, joints, founds, local, now, y, u)
+        without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
+        expected = plant.output(now.t, mixed.x, u)
+        decision = Decision(
+            estimate=mixed.x,
+            measured=np.where(used & ~isolated, y, expected),
+            residual=residual,
+            threshold=threshold.copy(),
+            isolated=isolated,
+            fault_size=np.where(isolated, y - without, np.nan),
+            diverged=np.any([p.lost for p in prior], axis=0) | broken(mixed.x, mixed.p),
+            guarded=np.any([p.guarded for p in prior], axis=0),
+            nis=mixed.nis,
+            covariance=mixed.p,
+        )
+        return mixed.core, decision
+
+    def _predict(self, core: Core, axis: int, now: Moment, u: Array) -> list[Prior]:
+        """The prior of each local filter (their axis in a literal core is given), or the one they share."""
+        cores = [core]
+        if self.runs_literally:
+            cores = [tuple(np.take(a, i, axis=axis) for a in core) for i in range(len(self.plant.sensors))]
+        est, plant = self.estimator, self.plant
+        return [est.predict(plant, c, now.last, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
+
+    def _update(self, joints: list[Joint], y: Array, used: Array) -> tuple[list[LeaveOneOut], Array]:
+        """Step 2: the statistics of the readings in use (of each filter, when literal), and the local estimates (..., N, n)."""
+        if self.runs_literally:
+            count = len(self.plant.sensors)
+            founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
+            return founds, np.stack([posterior(j, f)[0] for j, f in zip(joints, founds, strict=True)], axis=-2)
+        found = statistics(joints[0], y, used)
+        return [found], local_estimates(joints[0], found)[0]
+
+    def _mix(
+        self,
+        priors: list[Prior],
+        joints: list[Joint],
+        founds: list[LeaveOneOut],
+        local: Array,
+        now: Moment,
+        y: Array,
+        u: Array,
+    ) -> Mixed:
+        """Steps 3 and 4: mixture, feedback."""
+        plant, est, count = self.plant, self.estimator, len(self.plant.sensors)
+        beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
+        used = np.any([f.used for f in founds], axis=0)
+        reading = Reading(now.t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
+        if self.runs_literally:
+            p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
+            # LAPACK's eigenvalues give up on the whole batch where one has no numbers; its local estimates have none either
+            sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
+            x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
+        elif est.consistent:
+            x, p = mixing.mixture(joints[0], y, used, plant.sensor_cov)
+        else:
+            x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
+        cores = [
+            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(now.seed, now.k + 2**32))
+            for prior, b in zip(priors, beta, strict=False)
+        ]
+        core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))
+        return Mixed(x, p, core, normalised_innovation_squared(joints[0], founds[0], y))

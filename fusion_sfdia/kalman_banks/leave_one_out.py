@@ -1,0 +1,106 @@
+"""All leave-one-out filters from one: what each filter that ignores one sensor would say, without running it.
+
+With a common prior, the filter that leaves out sensor i differs from the one that uses all by one rank. From the joint
+Gaussian of state and readings, innovation d, S^-1 over the readings used, and K = C S^-1, let u = S^-1 d, w_i = (S^-1)_ii,
+K_i the i-th column of K. Then, by the partitioned inverse,
+
+    leave-one-out innovation   y_i - E[y_i | prior, other readings] = u_i / w_i, with variance 1 / w_i
+    local estimate             x_i = x_f - K_i u_i / w_i
+    local covariance           P_i = P_f + K_i K_i' / w_i
+
+where x_f, P_f are those of the filter that uses all. No inverse of P appears: a singular P (an ensemble's) will do.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.filters.gaussian import Joint, half_inverse
+
+Array = NDArray[Any]
+
+
+class LeaveOneOut(NamedTuple):
+    """Leave-one-out statistics of the readings used (..., N).
+
+    Whitened innovation u and weight w (..., N), both 0 for a reading not used; S^-1 (..., N, N) with zero rows and columns
+    for those; half U with S^-1 = U U', None after an elimination.
+    """
+
+    whitened: Array
+    weight: Array
+    inverse: Array
+    used: Array
+    half: Array | None
+
+    @property
+    def innovation(self) -> Array:
+        """y_i less its prediction from the prior and the other readings (..., N), in sensor units; 0 where not used."""
+        return np.where(self.used, self.whitened, 0.0) / np.where(self.used, self.weight, 1.0)
+
+    @property
+    def variance(self) -> Array:
+        """Variance of `innovation` (..., N); inf where not used."""
+        with np.errstate(divide="ignore"):
+            return 1.0 / self.weight
+
+    @property
+    def chi_square(self) -> Array:
+        """Squared innovation over its variance, chi-square with 1 degree of freedom when healthy (..., N)."""
+        return self.whitened * self.innovation
+
+
+def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
+    """Return the leave-one-out statistics of the readings y (..., N) for which `used` holds (NaN readings never are)."""
+    used = used & np.isfinite(y)
+    d = np.where(used, y, joint.y) - joint.y
+    half = half_inverse(joint.S) if np.all(used) else half_inverse(joint.S, used)
+    s_inv = half @ np.swapaxes(half, -1, -2)
+    whitened = (s_inv @ d[..., None])[..., 0]
+    return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half)
+
+
+def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
+    """Return the statistics without sensor `worst` (...) in those elements of the batch for which `where` (...) holds.
+
+    One rank off the inverse: S^-1 <- S^-1 - s_w s_w' / s_ww, u <- u - s_w u_w / s_ww, with s_w the w-th column.
+    """
+    index = worst[..., None]
+    column = np.take_along_axis(found.inverse, index[..., None], axis=-1)[..., 0]
+    pivot = np.where(where[..., None], np.take_along_axis(found.weight, index, axis=-1), np.inf)
+    u_worst = np.take_along_axis(found.whitened, index, axis=-1)
+    whitened = found.whitened - column * (u_worst / pivot)
+    s_inv = found.inverse - column[..., :, None] * (column / pivot)[..., None, :]
+    keep = ~((np.arange(whitened.shape[-1]) == index) & where[..., None])
+    s_inv = s_inv * keep[..., :, None] * keep[..., None, :]
+    weight = np.maximum(np.diagonal(s_inv, axis1=-2, axis2=-1), 0.0)
+    return LeaveOneOut(whitened * keep, weight, s_inv, found.used & keep, None)
+
+
+def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
+    """Return estimate (..., n) and covariance (..., n, n) after the readings used: x + C u and P - C S^-1 C'.
+
+    As `gaussian.condition`, with W = C U: P - W W', plus four times its rounding on the diagonal, stays positive definite.
+    """
+    x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
+    w = joint.C @ (found.half if found.half is not None else half_inverse(joint.S, found.used))
+    p = joint.P - w @ np.swapaxes(w, -1, -2)
+    floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
+    np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
+    return x, p
+
+
+def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
+    """Return x_i (..., N, n) of every local filter, and the columns K_i of the gain as rows (..., N, n)."""
+    x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
+    gains = np.swapaxes(joint.C @ found.inverse, -1, -2)
+    return x[..., None, :] - gains * found.innovation[..., None], gains
+
+
+def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:
+    """Return d' S^-1 d over the readings used, divided by their number (...): 1 on average for a consistent filter."""
+    innovation = np.where(found.used, y, joint.y) - joint.y
+    return np.asarray(np.sum(innovation * found.whitened, axis=-1) / np.maximum(np.sum(found.used, axis=-1), 1))

@@ -1,0 +1,167 @@
+"""Detector: one central Kalman filter with exact leave-one-out statistics, windowed likelihood ratios, and readmission.
+
+The statistically consistent form of the bank: every sensor is judged against all others, at a stated false-alarm budget.
+
+- One sample: the leave-one-out chi-square u_i^2 / w_i (see `leave_one_out`); the worst sensor above the threshold is
+  eliminated and the statistics of the rest follow by one rank, until none is left above: simultaneous faults are told apart.
+- A window of onsets: generalised likelihood ratios (see `likelihood_window`) that remember what the filter has absorbed.
+- Accommodation: a sensor held faulty is left out of the update (after a window's alarm the estimate is freed from what it
+  had absorbed of the fault), its reading replaced by the estimate, and it is readmitted by a likelihood ratio of
+  "healthy" against "as large as estimated".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from fusion_sfdia.core.arguments import probability, whole
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Prior, require_filter, step_stream
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.kalman_banks.likelihood_window import Best, Evidence, Window, absorbed, advance, best_onset, empty, weigh
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class LeaveOneOutBank(BatchDetector):
+    """Leave-one-out bank on one central filter (extended or unscented with redraw).
+
+    window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
+    false_alarm: probability that a healthy set of sensors begins an alarm in one step (with accommodation an alarm then lasts
+    until its sensor is readmitted, without until its samples have left the window), shared equally by the sensors and,
+    with a window, by the one-sample test (half) and the onsets (half): Bonferroni, so a bound, for a model that is true.
+    max_faults: sensors that may be out at once (None: a quarter of them). accommodate: leave faulty sensors out; without,
+    the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.
+    """
+
+    estimator: Estimator = field(default_factory=Extended)
+    window: int = 15
+    false_alarm: float = 1e-3
+    max_faults: int | None = None
+    accommodate: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_filter(self.estimator)
+        probability("false_alarm", self.false_alarm)
+        whole("window, in samples,", self.window, least=1)
+        if isinstance(self.estimator, Ensemble) or not self.estimator.consistent:
+            raise ValueError(
+                f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)"
+            )
+        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
+            raise ValueError(
+                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
+            )
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Thresholds on the one-sample statistic and on those of the window: chi-square quantiles with 1 degree of freedom."""
+        count, scale = len(self.plant.sensors), self.threshold_scale
+        if self.window == 1:
+            return float((scale * ndtri(self.false_alarm / count / 2)) ** 2), np.inf
+        half = self.false_alarm / 2 / count
+        return float((scale * ndtri(half / 2)) ** 2), float((scale * ndtri(half / (self.window - 1) / 2)) ** 2)
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """x, P, the exclusions, and the window's eta, a, b."""
+        n, count = len(self.plant.states), len(self.plant.sensors)
+        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        return *core, *nobody(batch, count), *empty(batch, self.window - 1, n, count)
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        exclusion, window = Exclusion(*core[2:7]), Window(*core[7:])
+        plant, est, t = self.plant, self.estimator, now.t
+        one_limit, window_limit = self.limits
+        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        joint = est.joint(plant, prior, t, u)
+        usable = np.isfinite(y) & ~exclusion.out
+        everything = statistics(joint, y, usable)
+        found, named = self._eliminate(everything, exclusion.out)
+        size, residual = everything.innovation, everything.innovation
+        threshold = np.sqrt(one_limit * everything.variance)
+        if self.window > 1:
+            tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.last, core[0], u, now.dt)
+            evidence = weigh(window, tangent, plant.output_jacobian_at(t, prior.core[0], u), everything)
+            best = best_onset(evidence, usable, plant.sensor_cov)
+            stronger = best.statistic / window_limit > everything.chi_square / one_limit
+            residual = np.where(stronger, best.size, residual)
+            threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
+            worst = np.argmax(best.statistic, axis=-1)
+            room = ~np.any(named, axis=-1) & (np.sum(exclusion.out, axis=-1) < self._most_faults)
+            chosen = (room & (np.max(best.statistic, axis=-1) > window_limit))[..., None] & _only(worst, y)
+            size = np.where(chosen, best.size, size)
+            if np.any(chosen) and self.accommodate:
+                joint = est.joint(plant, prior := _freed(prior, evidence, best, worst, chosen), t, u)
+                found, named = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
+            named = named | chosen
+        if not self.accommodate:
+            found = everything
+        x, p = posterior(joint, found)
+        if self.window > 1:
+            restart = np.any(named, axis=-1) & self.accommodate
+            window = advance(evidence, joint.C @ found.inverse, found, restart)
+
+        expected = plant.output(t, x, u)
+        h = plant.output_jacobian_at(t, x, u)
+        variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
+        error = y - expected  # of the sensors that are out: they have no part in `expected`
+        if self.accommodate:
+            exclusion = watch(exclusion, error, variance, one_limit, -np.log(self.false_alarm / y.shape[-1]))
+            exclusion = exclude(exclusion, named, error)
+        held = exclusion.out if self.accommodate else named
+        outside = np.isfinite(y) & ~usable
+        decision = Decision(
+            estimate=x,
+            measured=np.where(np.isfinite(y) & ~held, y, expected),
+            residual=np.where(outside, error, np.where(usable, residual, np.nan)),
+            threshold=np.where(outside, np.sqrt(one_limit * variance), threshold),
+            isolated=held,
+            fault_size=np.where(held, exclusion.size if self.accommodate else size, np.nan),
+            diverged=prior.lost | broken(x, p),
+            guarded=prior.guarded,
+            nis=normalised_innovation_squared(joint, found, y),
+            covariance=p,
+        )
+        return (x, p, *exclusion, *window), decision
+
+    @property
+    def _most_faults(self) -> int:
+        return self.max_faults or max(1, len(self.plant.sensors) // 4)
+
+    def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array]:
+        """Eliminate the worst sensor above the one-sample threshold until none is left or too many are out."""
+        named = np.zeros(found.used.shape, bool)
+        limit, _ = self.limits
+        for _ in range(self._most_faults):
+            chi_square = found.chi_square
+            worst = np.argmax(chi_square, axis=-1)
+            room = np.sum(out | named, axis=-1) < self._most_faults
+            where = (np.max(chi_square, axis=-1) > limit) & room
+            if not np.any(where):
+                break
+            named = named | (where[..., None] & _only(worst, named))
+            found = eliminate(found, worst, where)
+        return found, named
+
+
+def _only(sensor: Array, like: Array) -> Array:
+    """One-hot (..., N) of the sensor's index (...)."""
+    return np.asarray(np.arange(like.shape[-1]) == sensor[..., None])
+
+
+def _freed(prior: Prior, evidence: Evidence, best: Best, sensor: Array, chosen: Array) -> Prior:
+    """The prior without what the filter had absorbed of the fault of `sensor` since its onset, and with the doubt about it."""
+    x, p = prior.core
+    moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(evidence, best, sensor), 0.0)
+    size, information = (np.take_along_axis(v, sensor[..., None], axis=-1) for v in (best.size, best.information))
+    return prior._replace(core=(x - moved * size, p + moved[..., :, None] * (moved / information)[..., None, :]))

@@ -1,0 +1,65 @@
+"""The information mixture of local filters (Shaheen 2024, sec. III-B, step 3), literal and in closed form.
+
+P_m = (sum_i P_i^-1)^-1,    x_m = P_m sum_i P_i^-1 x_i
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.filters.gaussian import Joint, cholesky
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
+
+Array = NDArray[Any]
+
+RANK_TOLERANCE = 1e-9  # of the largest eigenvalue, below which a direction of a scaled covariance counts as absent
+
+
+def mix(x: Array, p: Array, scale: Array) -> tuple[Array, Array]:
+    """Return x_m (..., n), P_m (..., n, n) from N local estimates x (..., N, n), p (..., N, n, n), as printed.
+
+    Singular covariances (an ensemble smaller than the state) are inverted on their range, which leave-one-out filters
+    with a common prior share. scale (n,): a size of each state, which makes the units of the states immaterial.
+    """
+    unit = scale[:, None] * scale
+    information = np.linalg.pinv(p / unit, rcond=RANK_TOLERANCE, hermitian=True)
+    p_m = np.linalg.pinv(np.sum(information, axis=-3), rcond=RANK_TOLERANCE, hermitian=True)
+    # relative to the mean of the x_i: exact, since the weights sum to the identity on the common range
+    middle = np.mean(x, axis=-2)
+    pull = np.sum(information @ ((x - middle[..., None, :]) / scale)[..., None], axis=-3)
+    return middle + scale * (p_m @ pull)[..., 0], p_m * unit
+
+
+def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Array, Array]:
+    """Return x_m, P_m of the N leave-one-out filters with a common prior, N = number of sensors, in closed form.
+
+    Each reading in use enters N - 1 of the N filters, so sum_i P_i^-1 = N P^-1 + (N - 1) H' R^-1 H: one central filter
+    with R N / (N - 1), its covariance divided by N. A missing reading leaves N unchanged: its filter runs on the others.
+    sensor_cov: R as its diagonal (N,). Holds where S = H P H' + R and C = P H' (not for sigma points that lack Q).
+    """
+    count = sensor_cov.size
+    spread = Joint(joint.x, joint.P, joint.y, joint.S + np.diag(sensor_cov / (count - 1)), joint.C)
+    x, p = posterior(spread, statistics(spread, y, used))
+    return x, p / count
+
+
+def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
+    """Return x_m, P_m of the N leave-one-out filters with a common prior for any joint Gaussian with positive P_f.
+
+    With A = P_f, P_i^-1 = A^-1 - v_i v_i' / (w_i + K_i' v_i), v_i = A^-1 K_i (Sherman and Morrison), so with the
+    Cholesky factor L of A and b_i = L^-1 K_i, P_m = L (N I - sum_i b_i b_i' / (w_i + |b_i|^2))^-1 L' and
+    x_m = x_f - P_m L'^-1 sum_i b_i u_i / (w_i + |b_i|^2). Serves the printed unscented filter, whose C lacks Q.
+    """
+    x, a = posterior(joint, found)
+    count = found.weight.shape[-1]
+    factor = cholesky(a)
+    b = np.linalg.solve(factor, joint.C @ found.inverse)
+    share = np.where(found.used, 1.0 / np.where(found.used, found.weight + np.sum(b * b, axis=-2), 1.0), 0.0)
+    inner = count * np.eye(a.shape[-1]) - (b * share[..., None, :]) @ np.swapaxes(b, -1, -2)
+    pull = b @ (share * found.whitened)[..., None]
+    solved = factor @ np.linalg.solve(inner, np.concatenate([np.swapaxes(factor, -1, -2), pull], axis=-1))
+    p = solved[..., :-1]
+    return x - solved[..., -1], (p + np.swapaxes(p, -1, -2)) / 2

@@ -1,0 +1,140 @@
+"""Detector: one bootstrap particle filter, which judges each sensor by the same particles weighed without it.
+
+The readings' noises are independent, so the weights without sensor i are those with all sensors over its likelihood: every
+leave-one-out filter for the price of one, as `leave_one_out` does for Kalman filters, and for any model and cloud.
+
+It is no `Estimator` of the Kalman banks: they update by the covariance of state and readings and hand the mean and covariance
+of the result back to the filter; particles bent to that are an ensemble Kalman filter again. The number of particles that it
+takes grows exponentially with the number of readings (Snyder et al. 2008): it is for plants of a few sensors. Of a thousand on
+the 63 sensors of the gas pipeline one has all the weight after the first reading; their estimate errs 2.4 times as much as a
+Kalman filter's and 3.5 times as much as it claims.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from fusion_sfdia.core.arguments import probability, whole
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.filters import particle
+from fusion_sfdia.filters.estimators import guarded_points, readings_of, step_stream
+from fusion_sfdia.filters.gaussian import add, whiten
+from fusion_sfdia.filters.particle import Particles
+
+Array = NDArray[Any]
+
+
+class Judged(NamedTuple):
+    """Readings less what the others make of them (..., N), NaN where not used, and its standard deviation (..., N)."""
+
+    residual: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class ParticleFilter(BatchDetector):
+    """Residual: a reading less its mean by the particles weighed by all other readings; threshold: normal quantiles of its
+    spread at a false-alarm budget per step over all sensors (Bonferroni), nominal where its law is far from normal. Names the
+    sensor with the largest ratio and goes on without it until no ratio exceeds 1.
+
+    size: particles. max_faults: sensors that may be named in a step (None: a quarter of them). accommodate: weigh the
+    particles without the sensors named in this step. The state's estimate and covariance are the weighted moments.
+    """
+
+    size: int = 1000
+    false_alarm: float = 1e-3
+    max_faults: int | None = None
+    accommodate: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if whole("size", self.size, least=1) < 2:
+            raise ValueError(f"{self.size} particles; a covariance needs at least 2, and a filter some hundreds")
+        probability("false_alarm", self.false_alarm)
+        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
+            raise ValueError(
+                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
+            )
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """Members (*batch, M, n) and log weights (*batch, M)."""
+        return tuple(particle.start(self.plant.x0, self.plant.initial_cov, self.size, step_stream(seed, 0), batch))
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        plant = self.plant
+        rng, over = step_stream(now.seed, now.k), np.expand_dims(u, -2)
+        _, ahead, moved, stuck, lost = guarded_points(plant, now.last, core[0], u, now.dt)
+        cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(now.dt), rng)
+        predicted = readings_of(plant, now.t, cloud.members, over)
+        judged, named = self._eliminated(cloud, predicted, y)
+        used = np.isfinite(y) & ~(named & self.accommodate)
+        weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)
+        x, p = weighed.moments
+        expected, _ = particle.weighted_moments(predicted, weighed.weights)
+        after = particle.resample(weighed, rng)
+        decision = Decision(
+            estimate=x,
+            measured=np.where(used, y, expected),
+            residual=judged.residual,
+            threshold=self._alpha * judged.sigma,
+            isolated=named,
+            fault_size=np.where(named, judged.residual, np.nan),
+            diverged=lost | broken(x, p),
+            guarded=moved | stuck,
+            nis=self._nis(cloud, predicted, np.where(used, y, np.nan)),
+            covariance=p,
+        )
+        return tuple(after), decision
+
+    @property
+    def _alpha(self) -> float:
+        return float(-ndtri(self.false_alarm / len(self.plant.sensors) / 2)) * self.threshold_scale
+
+    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array]:
+        """The leave-one-out residuals of all readings, and the sensors that elimination names (..., N)."""
+        first = without_each(cloud, predicted, y, self.plant.sensor_cov)
+        judged, named = first, np.zeros(y.shape, bool)
+        for _ in range(self.max_faults or max(1, y.shape[-1] // 4)):
+            ratio = np.nan_to_num(np.abs(judged.residual) / (self._alpha * judged.sigma), nan=0.0)
+            worst = np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]
+            more = worst & (ratio > 1)
+            if not np.any(more):
+                break
+            named = named | more
+            judged = without_each(cloud, predicted, np.where(named, np.nan, y), self.plant.sensor_cov)
+        return first, named
+
+    def _nis(self, cloud: Particles, predicted: Array, y: Array) -> Array:
+        """Return d' S^-1 d over the number of readings (...), S the weighted covariance of the predictions with the noise."""
+        mean, spread = particle.weighted_moments(predicted, cloud.weights)
+        used = np.isfinite(y)
+        d = whiten((np.where(used, y, 0.0) - mean)[..., None, :], add(spread, self.plant.sensor_cov), used)[..., 0, :]
+        count = np.sum(used, axis=-1)
+        return np.where(count > 0, np.sum(d * d, axis=-1) / np.maximum(count, 1), np.nan)
+
+
+def without_each(cloud: Particles, predicted: Array, y: Array, R: Array) -> Judged:
+    """Return the residual of each reading y (..., N), NaN where missing, against the cloud weighed by all others.
+
+    predicted (..., M, N) are the members' readings, R (N,) the variances of their noises. With L_j the likelihood of y_j,
+
+        w without i = w prod_(j != i) L_j / sum of the same,    residual_i = y_i - sum w h_i,    sigma_i^2 = var_w h_i + R_i
+    """
+    used = np.isfinite(y)
+    inside = np.all(np.isfinite(predicted), axis=-1, keepdims=True)
+    h = np.where(inside, predicted, 0.0)
+    each = np.where(used[..., None, :] & inside, -0.5 * (np.where(used, y, 0.0)[..., None, :] - h) ** 2 / R, 0.0)
+    prior = np.where(inside[..., 0], cloud.log_weights, -np.inf)
+    without = (prior + np.sum(each, axis=-1))[..., None] - each
+    w = np.exp(particle.normalise(np.swapaxes(without, -1, -2)))
+    h = np.swapaxes(h, -1, -2)
+    mean = np.sum(w * h, axis=-1)
+    variance = np.sum(w * (h - mean[..., None]) ** 2, axis=-1)
+    return Judged(np.where(used, y - mean, np.nan), np.sqrt(variance + R))

@@ -1,0 +1,148 @@
+"""The diagnosers of a plant's areas behind the face of one: readings (B, N) go to those who own the sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.plant import Plant, diagonal
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Foretold, beginners, take
+from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN, foretell_areas
+from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, Taken
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class AreaDiagnosers:
+    """The local diagnosers of a plant that says its areas; the core is `Diagnosers`.
+
+    ValueError where the plant's states or inputs are not those of its areas, or a sensor has no place in them.
+    """
+
+    plant: Plant
+    areas: Areas
+    lam: float
+    mode: str
+
+    def __post_init__(self) -> None:
+        plant, count = self.plant, self.areas.size[0]
+        named = tuple(name for names in self.areas.states for name in names)
+        if tuple(s.name for s in plant.states) != named or len(plant.inputs) != 2 * count:
+            raise ValueError(
+                f"plant {plant.name!r} has {len(plant.states)} states and {len(plant.inputs)} inputs, its areas "
+                f"{len(named)} states and {2 * count} inputs, references then loads; give the areas of this plant"
+            )
+        for s in plant.sensors:
+            self.areas.place(s.measures, s.owner)
+
+    @cached_property
+    def _place(self) -> Array:
+        return np.array([self.areas.place(s.measures, s.owner) for s in self.plant.sensors])
+
+    @cached_property
+    def _scale(self) -> Array:
+        return np.broadcast_to(self.plant.sensor_scale, self._place.shape)
+
+    def at_sides(self, sides: Array) -> Array:
+        """(N,): the sensors that read at the sides chosen by (2E,)."""
+        count, n, _ = self.areas.size
+        chosen: Array = np.concatenate([np.zeros(count * n, bool), sides])[self._place]
+        return chosen
+
+    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]:
+        """At the plant's x0 and initial covariance; copies at open ties know nothing."""
+        count, n, _ = self.areas.size
+        neighbour, closed = self.areas.network.topology.neighbour, self.areas.network.closed
+        x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
+        now = beginners(self.areas, batch)
+        now.held[...], now.doubt[...] = x0, sigma
+        now.held_shared[...], now.doubt_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
+        return tuple(now)
+
+    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
+        count = self.areas.size[0]
+        ahead = self._ahead(core, u[..., :count], u[..., count:])
+        deviation = self._of_sensors(ahead.deviation, ahead.deviation_shared)
+        deviation = np.where(deviation < UNKNOWN**0.5, np.abs(self._scale) * deviation, np.inf)
+        expected = self._scale * self._of_sensors(ahead.estimate, ahead.estimate_shared)
+        lost = ~np.all(np.isfinite(expected), axis=-1)
+        return Outlook(expected, deviation, np.zeros(lost.shape, bool), lost, ahead)
+
+    def take(self, outlook: Outlook, y: Array) -> Taken:
+        """After the readings y (B, N), NaN where missing or left out."""
+        core = take(outlook.inner, *self._of_areas(y / self._scale, np.nan))
+        return Taken(tuple(core), core.held.reshape(*core.held.shape[:-2], -1), None)
+
+    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]:
+        """As of PresentReadings: the equations at unit readings and unit residuals."""
+        doubt, doubt_shared = (a[rows][:, None] for a in core[2:4])
+        units = self._of_areas(np.eye(self._place.size), 0.0)
+        nothing = np.zeros((len(doubt), self._place.size, self.areas.size[0]))
+        found = []
+        for readings in (True, False):
+            own, shared = (np.broadcast_to(a, (doubt.shape[0], *a.shape)) for a in units)
+            still = tuple(np.zeros_like(a) for a in (own, shared))
+            first, second = ((own, shared), still) if readings else (still, (own, shared))
+            if readings:
+                first = own * (doubt == 0.0), shared * (doubt_shared == 0.0)
+            doubts = (np.broadcast_to(a, (*own.shape[:2], *a.shape[2:])) for a in (doubt, doubt_shared))
+            ahead = self._ahead((*first, *doubts, *second, *still), nothing, nothing)
+            change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
+            found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
+        return found[0], -found[1]
+
+    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook:
+        """As of PresentReadings; states that nobody reads stay as they are."""
+        rows = np.any(size != 0, axis=-1)
+        absorbed = np.zeros((*size.shape, size.shape[-1]))
+        absorbed[rows] = self.effects(core, outlook, now, u, rows)[0]
+        less = np.sum(absorbed * size[..., None, :], axis=-1)
+        more = np.sum(np.abs(absorbed) * doubt[..., None, :], axis=-1)
+        ahead: Foretold = outlook.inner
+        shift, shift_shared = self._of_areas(less / self._scale, 0.0)
+        wider, wider_shared = self._of_areas(more / np.abs(self._scale), 0.0)
+        return outlook._replace(
+            expected=outlook.expected - less,
+            deviation=outlook.deviation + more,
+            inner=Foretold(
+                ahead.estimate - shift,
+                ahead.estimate_shared - shift_shared,
+                ahead.deviation + wider,
+                ahead.deviation_shared + wider_shared,
+                np.minimum(ahead.doubt + wider, UNKNOWN),
+                np.minimum(ahead.doubt_shared + wider_shared, UNKNOWN),
+            ),
+        )
+
+    def _ahead(self, core: tuple[Array, ...], reference: Array, load: Array) -> Foretold:
+        """`consensus.foretell`, compiled."""
+        areas, batch = self.areas, core[0].shape[:-2]
+        at = areas.network
+
+        def flat(a: Array) -> Array:
+            return np.ascontiguousarray(a.reshape(-1, *a.shape[len(batch) :]))
+
+        now = Diagnosers(*map(flat, core))
+        ahead = Foretold(*map(np.empty_like, (now.held, now.held_shared) * 3))
+        foretell_areas(
+            *now, flat(reference), flat(load), self.lam, self.mode == "paper", areas.matrices, areas.slope, at.closed,
+            areas.process_variance, areas.noise, areas.shared_noise, at.topology.start, areas.opposite, *ahead,
+        )  # fmt: skip
+        return Foretold(*(a.reshape(*batch, *a.shape[1:]) for a in ahead))
+
+    def _of_sensors(self, own: Array, shared: Array) -> Array:
+        flat = own.reshape(*own.shape[:-2], -1)
+        return np.concatenate([flat, np.broadcast_to(shared, (*flat.shape[:-1], shared.shape[-1]))], axis=-1)[..., self._place]
+
+    def _of_areas(self, of_sensors: Array, otherwise: float) -> tuple[Array, Array]:
+        count, n, sides = self.areas.size
+        whole = np.full((*of_sensors.shape[:-1], count * n + sides), otherwise)
+        whole[..., self._place] = of_sensors
+        return whole[..., : count * n].reshape(*whole.shape[:-1], count, n), whole[..., count * n :]

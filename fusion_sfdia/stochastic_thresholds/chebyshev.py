@@ -1,0 +1,234 @@
+"""Detector: residuals of present readings with stochastic thresholds alpha s (Boem et al. 2018, "B18", sec. III).
+
+A plant that says its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
+other has one (present_readings). Sensors are isolated by the sizes of a constant fault that explain every residual that it
+reaches (bias_hypotheses), left out, and readmitted when healthy again (exclusion). B18 isolates no sensors: there a diagnoser
+needs nothing of others but brackets and drives; who names a sensor reads the residuals of its area and of those who share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import floats, number, probability, shown, whole
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State, run
+from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
+from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
+from fusion_sfdia.filters.ukf import SigmaPoints
+from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
+from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
+from fusion_sfdia.stochastic_thresholds.bounded_readings import BoundedReadings
+from fusion_sfdia.stochastic_thresholds.consensus import MODES
+from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, PresentReadings, Taken
+from fusion_sfdia.stochastic_thresholds.threshold_rules import (
+    BOUND,
+    CONFORMAL,
+    alpha_for,
+    conformal_alpha,
+    require_alpha,
+    require_rule,
+)
+
+Array = NDArray[Any]
+
+CUBATURE = SigmaPoints(alpha=1.0, beta=0.0)
+PAPER_ALPHA, PAPER_LAMBDA = 2.0, 0.3  # B18, sec. VIII
+AT_ONCE = 32  # runs whose alarms are explained together
+READMISSION = 1e-3  # probability with which a sensor that is still faulty comes back: exp(-level) of the evidence
+
+
+class Diagnosis(Protocol):
+    """What foretells readings and takes them: AreaDiagnosers or PresentReadings."""
+
+    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]: ...
+    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook: ...
+    def take(self, outlook: Outlook, y: Array) -> Taken: ...
+    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook: ...
+    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]: ...
+
+
+@dataclass(frozen=True)
+class Chebyshev(BatchDetector):
+    """Stochastic thresholds; hypotheses are the sensors.
+
+    lam: filter parameter, 0 <= lam < 1: how much of a residual stays in the next; with 0 thresholds are as tight as can be.
+    mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
+    alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability with which
+    a diagnoser alarms falsely in a step, shared by its sensors. None of both: alpha = 2 of B18, 1 with the rule "bound", by
+    which thresholds are what noise within its bounds can do (bounded_readings, one diagnoser for the whole plant). The rule
+    "conformal" needs alpha, from `calibrated`.
+    moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
+    cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
+    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is named.
+    max_faults: sensors that may be out at once (None: a quarter of them); where more would be, none more is named.
+    accommodate: leave named sensors out; without, nothing is isolated.
+
+    residual - threshold pairs are those of (13), y - y_hat with its mean taken out of the estimate, not of the thresholds.
+    ValueError for settings that do not fit.
+    """
+
+    lam: float = PAPER_LAMBDA
+    mode: str = "corrected"
+    rule: str = "chebyshev"
+    alpha: float | Sequence[float] | None = None
+    false_alarm: float | None = None
+    moments: Estimator = field(default_factory=lambda: Unscented(CUBATURE))
+    confirmations: int = 1
+    max_faults: int | None = None
+    accommodate: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= number("lam", self.lam) < 1:
+            raise ValueError(f"lam is {self.lam}; wanted at least 0 and less than 1, for the residuals to forget")
+        if self.mode not in MODES:
+            raise ValueError(f"mode is {shown(self.mode)}; known: {', '.join(MODES)}")
+        require_rule(self.rule)
+        require_filter(self.moments)
+        whole("confirmations", self.confirmations, least=1)
+        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
+            raise ValueError(
+                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
+            )
+        if self.alpha is not None and self.false_alarm is not None:
+            raise ValueError(
+                f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each follows from the other: give one"
+            )
+        if self.alpha is None and self.rule == CONFORMAL:
+            raise ValueError("the rule 'conformal' needs alpha from healthy data; use calibrated(detector, ...)")
+        self.diagnosis  # noqa: B018 - refuses a plant whose areas do not fit
+        self.alphas  # noqa: B018 - refuses an alpha by which nothing is claimed
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis:
+        """The plant's diagnosers."""
+        if self.rule == BOUND:
+            return BoundedReadings(self.plant, self.lam, self.moments)
+        if self.plant.areas is not None:
+            return AreaDiagnosers(self.plant, self.plant.areas, self.lam, self.mode)
+        return PresentReadings(self.plant, self.lam, self.moments)
+
+    @cached_property
+    def components(self) -> Array:
+        """(N,): how many sensors the diagnoser of each sensor has."""
+        owners = [s.owner if self.plant.areas is not None else "" for s in self.plant.sensors]
+        return np.array([owners.count(owner) for owner in owners])
+
+    @cached_property
+    def alphas(self) -> Array:
+        """(N,): the threshold of each sensor in standard deviations."""
+        count = len(self.plant.sensors)
+        if self.false_alarm is not None:
+            return np.array([alpha_for(self.rule, self.false_alarm, int(c)) for c in self.components])
+        usual = 1.0 if self.rule == BOUND else PAPER_ALPHA
+        given = np.atleast_1d(floats("alpha", usual if self.alpha is None else self.alpha))
+        if given.shape not in {(1,), (count,)}:
+            raise ValueError(f"alpha has shape {given.shape}; wanted one number or one for each of {count} sensors")
+        return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)
+
+    @property
+    def _most_faults(self) -> int:
+        return self.max_faults or max(1, len(self.plant.sensors) // 4)
+
+    @property
+    def limits(self) -> Array:
+        """(N,): `alphas` times threshold_scale."""
+        return self.threshold_scale * self.alphas
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """Last residual and threshold (N,), steps for which each residual has exceeded its threshold (N,), the exclusions, and
+        the core of the diagnosers.
+        """
+        count = len(self.plant.sensors)
+        shape = (*batch, count)
+        memory = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
+        return *memory, *nobody(batch, count), *self.diagnosis.start(batch, seed)
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        exceeded = core[2]
+        exclusion, inner = Exclusion(*core[3:8]), core[8:]
+        outlook = self.diagnosis.foretell(inner, now, u)
+        expected, deviation = outlook.expected, outlook.deviation
+        residual, threshold = y - expected, self.limits * deviation
+        exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
+        if self.accommodate:
+            exclusion = watch(exclusion, residual, deviation**2, self.limits**2, -np.log(READMISSION))  # type: ignore[arg-type]
+            trusted = np.isfinite(y) & ~exclusion.out
+            rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
+            if np.any(rows):
+                named, absorbed, doubt = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
+                named &= np.sum(exclusion.out | named, axis=-1, keepdims=True) <= self._most_faults
+                if np.any(named & (absorbed != 0)):
+                    faults = np.where(named, absorbed, 0.0), np.where(named, doubt, 0.0)
+                    outlook = self.diagnosis.freed(inner, outlook, now, u, *faults)
+                exclusion = exclude(exclusion, named, y - outlook.expected)
+        used = np.where(exclusion.out, np.nan, y)
+        taken = self.diagnosis.take(outlook, used)
+        decision = Decision(
+            estimate=taken.estimate,
+            measured=np.where(np.isfinite(used), used, outlook.expected),
+            residual=residual,
+            threshold=threshold,
+            isolated=exclusion.out,
+            fault_size=np.where(exclusion.out, exclusion.size, np.nan),
+            diverged=outlook.lost | ~np.all(np.isfinite(taken.estimate), axis=-1),
+            guarded=outlook.guarded,
+            nis=np.full(outlook.lost.shape, np.nan),
+            covariance=taken.covariance,
+        )
+        seen = np.where(exclusion.out, np.nan, residual)
+        return (seen, threshold, exceeded, *exclusion, *taken.core), decision
+
+    def _explained(
+        self,
+        core: State,
+        outlook: Outlook,
+        now: Moment,
+        u: Array,
+        rows: Array,
+        trusted: Array,
+        residual: Array,
+        threshold: Array,
+    ) -> tuple[Array, Array, Array]:
+        """Which sensors explain the runs chosen by `rows`; of those whose fault began before now the least that explains, by
+        which their last readings erred too, and by how much it may be more (B, N).
+        """
+        named = np.zeros(trusted.shape, bool)
+        absorbed, doubt = np.zeros(trusted.shape), np.zeros(trusted.shape)
+        flat = np.flatnonzero(rows)
+        for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
+            few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
+            earlier = Evidence(core[0][few], core[1][few] / self.limits, core[1][few])
+            said = np.where(trusted[few], residual[few], np.nan)
+            present = Evidence(said, threshold[few] / self.limits, threshold[few])
+            found = explain(earlier, present, *self.diagnosis.effects(core[8:], outlook, now, u, few), trusted[few])
+            named[few] = found.named
+            late = found.named & found.late
+            absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
+            doubt[few] = np.where(late, found.high - found.low, 0.0)
+        return named, absorbed, doubt
+
+
+def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> Chebyshev:
+    """Return the detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
+
+    t (K,), y (K, ..., N), u (K, ..., m). Each sensor has its share of what its diagnoser may alarm falsely in a step; the
+    first `warm_up` samples are left out. ValueError where there are too few of them.
+    """
+    plain = replace(detector, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
+    whole("warm_up", warm_up, least=0)
+    probability("false_alarm", false_alarm)
+    t, y = floats("t", t), floats("y", y)
+    if t.ndim != 1 or not t.size or y.ndim < 2:
+        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; wanted at least one time (K,) and readings (K, ..., sensors)")
+    _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - detector.plant.dt), t, y, u)
+    scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
+    alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(detector.components)]
+    return replace(detector, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None)

@@ -1,0 +1,117 @@
+"""Alarms from streams of normalised residuals z = residual / deviation: several in a row, cumulative sums, windows.
+
+Each has `start(shape)` -> state and `step(state, z)` -> (state, statistic), of any shape and elementwise, so streams, seeds
+and components may be mixed; it alarms where the statistic exceeds `level`. A missing z (NaN) changes nothing and alarms
+nothing. `run` is the loop over z (K, ...).
+
+What they promise. Of q alarms in a row, each is an alarm: their probability is at most that of one, 1 / alpha^2 by Chebyshev.
+That it be (1 / alpha^2)^q (Boem et al. 2018, Proposition 5) would need independent residuals; theirs are not: neighbouring
+ones share a reading and, with lam > 0, a memory. For a stated probability of any of the three set `level` to an order
+statistic of healthy runs (`threshold_rules.conformal_alpha`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import floats, number, whole
+
+Array = NDArray[Any]
+State = tuple[Array, ...]
+
+
+class SequentialTest(Protocol):
+    """What turns a stream into alarms."""
+
+    @property
+    def level(self) -> float: ...
+    def start(self, shape: tuple[int, ...]) -> State: ...
+    def step(self, state: State, z: Array) -> tuple[State, Array]: ...
+
+
+def run(test: SequentialTest, z: Array) -> Array:
+    """The statistics (K, ...) of a stream z (K, ...); alarms are where they exceed test.level."""
+    z = floats("z", z)
+    state, statistics = test.start(z.shape[1:]), np.empty(z.shape)
+    for k in range(len(z)):
+        state, statistics[k] = test.step(state, z[k])
+    return statistics
+
+
+@dataclass(frozen=True)
+class Consecutive:
+    """q in a row: the least |z| of the last q exceeds the level (B18, sec. VII-A); 0 while there are less than q."""
+
+    level: float
+    q: int = 3
+
+    def __post_init__(self) -> None:
+        _require_level(self.level)
+        whole("q", self.q, least=1)
+
+    def start(self, shape: tuple[int, ...]) -> State:
+        return (np.zeros((*shape, self.q)),)
+
+    def step(self, state: State, z: Array) -> tuple[State, Array]:
+        (last,) = state
+        moved = np.concatenate([last[..., 1:], np.abs(z)[..., None]], axis=-1)
+        seen = np.isfinite(z)
+        last = np.where(seen[..., None], moved, last)
+        return (last,), np.where(seen, np.min(last, axis=-1), 0.0)
+
+
+@dataclass(frozen=True)
+class Cusum:
+    """Cumulative sums of z - drift and -z - drift, kept at or above 0 (Page 1954); drift: half the shift looked for."""
+
+    level: float
+    drift: float = 0.5
+
+    def __post_init__(self) -> None:
+        _require_level(self.level)
+        if not 0 <= number("drift", self.drift) < np.inf:
+            raise ValueError(f"drift is {self.drift}; wanted at least 0, half the shift in standard deviations")
+
+    def start(self, shape: tuple[int, ...]) -> State:
+        return np.zeros(shape), np.zeros(shape)
+
+    def step(self, state: State, z: Array) -> tuple[State, Array]:
+        seen = np.isfinite(z)
+        value = np.where(seen, z, 0.0)
+        up, down = (np.where(seen, np.maximum(s + v - self.drift, 0.0), s) for s, v in zip(state, (value, -value), strict=True))
+        return (up, down), np.where(seen, np.maximum(up, down), 0.0)
+
+
+@dataclass(frozen=True)
+class WindowGlr:
+    """|sum of the last k| / sqrt(k), the largest over k up to `window`: the root of twice the log-likelihood ratio of a
+    constant shift that began then, for white unit Gaussian z.
+    """
+
+    level: float
+    window: int = 8
+
+    def __post_init__(self) -> None:
+        _require_level(self.level)
+        whole("window", self.window, least=1)
+
+    def start(self, shape: tuple[int, ...]) -> State:
+        return (np.zeros((*shape, self.window)),)
+
+    def step(self, state: State, z: Array) -> tuple[State, Array]:
+        (sums,) = state  # of the last 1, 2, ... window
+        seen = np.isfinite(z)
+        value = np.where(seen, z, 0.0)[..., None]
+        moved = value + np.concatenate([np.zeros_like(value), sums[..., :-1]], axis=-1)
+        sums = np.where(seen[..., None], moved, sums)
+        statistic = np.max(np.abs(sums) / np.sqrt(np.arange(1, self.window + 1)), axis=-1)
+        return (sums,), np.where(seen, statistic, 0.0)
+
+
+def _require_level(level: object) -> None:
+    if not 0 < number("level", level) < np.inf:
+        raise ValueError(f"level is {level}; wanted a positive number of standard deviations")

@@ -1,0 +1,93 @@
+"""The diagnosers of all areas of a network, one step at a time (Boem et al. 2018, sec. III; see consensus_equations).
+
+One loop stands for all diagnosers, but each number of an area is made of its own readings and of what its neighbours
+tell it: the drive of a state that they share, and the brackets of (6) and (15).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
+from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
+
+Array = NDArray[Any]
+MODES = ("corrected", "paper")
+
+
+class Diagnosers(NamedTuple):
+    """What the diagnosers keep: own (B, N, n) of each, then shared (B, 2E), of the copies at the sides.
+
+    held: the last readings, or the estimates where there were none. doubt: 0, or then a bound of the standard deviation of
+    their errors. residual: y - x_hat, 0 where there was no reading. deviation: s, a bound of its standard deviation.
+    """
+
+    held: Array
+    held_shared: Array
+    doubt: Array
+    doubt_shared: Array
+    residual: Array
+    residual_shared: Array
+    deviation: Array
+    deviation_shared: Array
+
+
+class Foretold(NamedTuple):
+    """For the next reading: estimate (6), deviation s of its residual (14, 15), doubt of the estimate itself."""
+
+    estimate: Array
+    estimate_shared: Array
+    deviation: Array
+    deviation_shared: Array
+    doubt: Array
+    doubt_shared: Array
+
+
+def beginners(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
+    """Diagnosers of a batch of runs that know nothing: each copy starts from its first reading, judged from the second on."""
+    count, n, sides = areas.size
+    own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
+    unknown = np.full_like(own, UNKNOWN), np.full_like(shared, UNKNOWN)
+    return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy())
+
+
+def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Foretold:
+    """Estimates and deviations for the next readings, under reference and load (B, N); batches are broadcast."""
+    if mode not in MODES:
+        raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
+    count, n, sides = areas.size
+    of_areas, of_sides, inputs = now[::2], now[1::2], (reference, load)
+    batch = np.broadcast_shapes(*{a.shape[:-2] for a in of_areas}, *{a.shape[:-1] for a in (*of_sides, *inputs)})
+    own = [_flat(a, batch, (count, n)) for a in of_areas]
+    shared = [_flat(a, batch, (sides,)) for a in of_sides]
+    found = [np.empty(a[0].shape) for _ in range(3) for a in (own, shared)]
+    equations.foretell_areas(
+        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3],
+        _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", areas.matrices, areas.slope,
+        areas.network.closed, areas.process_variance, areas.noise, areas.shared_noise, areas.network.topology.start,
+        areas.opposite, *found,
+    )  # fmt: skip
+    return Foretold(*(a.reshape(*batch, *a.shape[1:]) for a in found))
+
+
+def take(foretold: Foretold, own: Array, shared: Array) -> Diagnosers:
+    """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
+    kept = []
+    for y, estimate, deviation, doubt in zip((own, shared), foretold[:2], foretold[2:4], foretold[4:], strict=True):
+        held, unsure, s = (
+            np.array(a if a.shape == y.shape else np.broadcast_to(a, y.shape), order="C") for a in (estimate, doubt, deviation)
+        )
+        residual = np.empty(y.shape)
+        equations.take_readings(np.ravel(y), held.reshape(-1), unsure.reshape(-1), residual.reshape(-1), s.reshape(-1))
+        kept.append((held, unsure, residual, s))
+    return Diagnosers(*(x for pair in zip(*kept, strict=True) for x in pair))
+
+
+def _flat(a: Array, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
+    """The array (*batch, *shape) with all leading axes of the batch in one."""
+    whole = a if a.shape == (*batch, *shape) else np.broadcast_to(a, (*batch, *shape))
+    return np.ascontiguousarray(whole, dtype=float).reshape(-1, *shape)

@@ -1,0 +1,225 @@
+"""Local diagnosers that share variables: their scalar equations (Boem et al. 2018, "B18", sec. III).
+
+An area i has the linear model x_i+ = F_i x_i + b_i u_i + g_i (sum_j P_ij z_j - d_i) + w_i. Its first state, z_i, is shared: the
+areas S = {i, neighbours of i} each read it with a sensor of their own, so an area reads its own states (4 sensors in the power
+network) and z_j of each neighbour. With e the residual y - x_hat, lam the filter parameter:
+
+    drive_i  = what z_i+ takes from all but z_i itself: row 0 of the model without its first term, of area i's readings.
+               One number, which area i tells the others of S; f_j(y_j) = a y_j + drive_i with a = F_i[0, 0] is then known to j.
+    (5)      x_hat+   = f(y) - lam e                                            of a state that is not shared
+    (6)      z_hat_i+ = sum_j W_j (a y_j + drive_i - lam e_j)                    the same number for all of S, since
+    (17)     W_j = (1 / v_j) / sum_S (1 / v)                                     does not depend on who uses it
+    (14, 15) thresholds alpha s:  s+ = lam s + sd(chi),  s_i+ = lam sum_j W_j s_j + sd(chi_i)
+
+On the right of (14) and (15) stands the threshold of the present step, as in (32), not that of the next as printed. Then
+s >= sd(e) always, by the triangle inequality of standard deviations, however the chi of different times correlate: e is a sum
+of lam^k chi, whose deviation is at most the sum of lam^k sd(chi). So 1 / alpha^2 bounds the false alarms of a component.
+
+What (15) should be. Let z_i+ = a z_i + drive* + w, with the true drive, and y_j = z_i + r_j. Subtract (6) from
+y_i+ = z_i+ + r_i+, using sum_j W_j = 1 and a z_i = sum_j W_j a (y_j - r_j):
+
+    e_i+ = sum_j W_j lam e_j + chi_i,   chi_i = -a sum_j W_j r_j + (drive* - drive) + w + r_i+
+    Var[chi_i] = a^2 sum_j W_j^2 sigma_j^2 + Var[drive] + sigma_w^2 + sigma_i^2
+
+for w and the drive's error are the same for all who share, and r_i+ is the receiver's own, of weight 1. As printed, (15) has
+sum_j W_j^2 (a^2 sigma_j^2 + Var[drive] + sigma_w^2 + sigma_j^2): as if each had another w and another drive and r_i+ were
+averaged, about 1/|S| of the truth. Only the first term depends on W: it is least for W_j ~ 1 / sigma_j^2, that is (17) with
+v_j = sigma_j^2 ("corrected"); as printed v_j = a^2 sigma_j^2 + Var[drive] + sigma_w^2 + sigma_j^2 ("paper").
+
+A reading that is missing is replaced by the estimate, e and s by 0, and its noise by `doubt`, a bound of the standard
+deviation of x - x_hat. That error correlates with the rest, so doubts add up where variances would: sd(chi) <=
+sqrt(variance of what was read) + sum of |coefficient| doubt.
+
+Layout, as in network.py: own readings (B, N, 4); sides (2E,), those of area i from start[i] to start[i + 1], at each the
+reading of z of `neighbour[side]`; slope (2E,), 0 where the tie is open. The copies of z_i are own[i, 0] and those at
+opposite[side] of the closed sides of i.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fusion_sfdia.core.equation import compiled, equation
+
+UNKNOWN = 1e100  # a doubt beyond which nothing is known: such residuals are not judged
+ENOUGH = UNKNOWN**0.5  # deviations below are of what is known
+
+
+@equation
+def noise_read(variance: Any, doubt: Any) -> Any:
+    """Noise variance of what stands for a reading: 0 where it is an estimate, which `doubt` > 0 says."""
+    return variance * (doubt == 0.0)
+
+
+@equation
+def private_term(value: Any, residual: Any, lam: Any) -> Any:
+    """(5): f(y) - lam e, with value = f(y); the estimate of a state that is not shared."""
+    return value - lam * residual
+
+
+@equation
+def shared_term(held: Any, drive: Any, residual: Any, a: Any, lam: Any) -> Any:
+    """The bracket of (6), which an area tells the others who share: a y_j + drive - lam e_j."""
+    return a * held + drive - lam * residual
+
+
+@equation
+def precision_read(variance: Any, doubt: Any) -> Any:
+    """1 / v_j of the corrected (17), where v_j is the variance of what stands for the reading."""
+    return 1.0 / (noise_read(variance, doubt) + doubt * doubt)
+
+
+@equation
+def precision_printed(variance: Any, doubt: Any, a: Any, drive_variance: Any, process_variance: Any) -> Any:
+    """1 / v_j of (17) as printed: v_j = a^2 sigma_j^2 + Var[drive] + sigma_w^2 + sigma_j^2."""
+    return 1.0 / (a * a * (noise_read(variance, doubt) + doubt * doubt) + drive_variance + process_variance + variance)
+
+
+@equation
+def printed_variance(variance: Any, doubt: Any, a: Any, drive_variance: Any, process_variance: Any) -> Any:
+    """The bracket of (15) as printed: a^2 sigma_j^2 + Var[drive] + sigma_w^2 + sigma_j^2."""
+    return a * a * noise_read(variance, doubt) + drive_variance + process_variance + variance
+
+
+@equation
+def error_deviation(memory: Any, variance: Any, process_variance: Any, doubt: Any) -> Any:
+    """Bound of the standard deviation of x - x_hat: lam s + sqrt(Var[f(x) - f(y)] + sigma_w^2) + doubts."""
+    return memory + np.sqrt(variance + process_variance) + doubt
+
+
+@equation
+def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise: Any, doubt: Any) -> Any:
+    """(14): s of a reading with this noise, lam s + sqrt(Var[f(x) - f(y)] + sigma_w^2 + sigma^2) + doubts."""
+    return memory + np.sqrt(variance + process_variance + noise) + doubt
+
+
+@compiled
+def foretell_areas(
+    held: Any, held_shared: Any, doubt: Any, doubt_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
+    deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
+    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any,
+    estimate: Any, estimate_shared: Any, s: Any, s_shared: Any, unsure: Any, unsure_shared: Any,
+) -> None:  # fmt: skip
+    """Write estimates, deviations s and doubts for the next readings into the last six arrays (B, N, n), (B, 2E) by turns.
+
+    held to deviation_shared: of consensus.Diagnosers, in this order; reference, load (B, N); printed: (15), (17) as printed.
+    matrices to opposite: of Areas; its sides may be followed by others, such as copies that are kept elsewhere. All who share
+    z_i are treated with area i: it needs the copies at its sides and at their opposites, and writes the latter.
+    """
+    n = held.shape[2]
+    for b in range(held.shape[0]):
+        for i in range(held.shape[1]):
+            inflow, inflow_variance, inflow_doubt = 0.0, 0.0, 0.0
+            for side in range(start[i], start[i + 1]):
+                if closed[side]:
+                    P, d = slope[side], doubt_shared[b, side]
+                    inflow += P * held_shared[b, side]
+                    inflow_variance += P * P * noise_read(shared_noise[side], d)
+                    inflow_doubt += abs(P) * d
+            drive, drive_variance, drive_doubt = 0.0, 0.0, 0.0
+            for r in range(n):
+                F, G = matrices[i, r], matrices[i, r, n + 1]
+                value = F[n] * reference[b, i] + G * (inflow - load[b, i])
+                variance, d = G * G * inflow_variance, abs(G) * inflow_doubt
+                for c in range(0 if r else 1, n):
+                    value += F[c] * held[b, i, c]
+                    variance += F[c] * F[c] * noise_read(noise[i, c], doubt[b, i, c])
+                    d += abs(F[c]) * doubt[b, i, c]
+                if r == 0:
+                    drive, drive_variance, drive_doubt = value, variance, d
+                else:
+                    memory, q = lam * deviation[b, i, r], process_variance[i, r]
+                    estimate[b, i, r] = private_term(value, residual[b, i, r], lam)
+                    s[b, i, r] = residual_deviation(memory, variance, q, noise[i, r], d)
+                    unsure[b, i, r] = np.minimum(error_deviation(memory, variance, q, d), UNKNOWN)
+
+            a, q, v, d = matrices[i, 0, 0], process_variance[i, 0], noise[i, 0], doubt[b, i, 0]
+            own = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
+            total = 0.0
+            for side in range(start[i], start[i + 1]):
+                if closed[side]:
+                    v, d = shared_noise[opposite[side]], doubt_shared[b, opposite[side]]
+                    total += precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
+            total += own
+            agreed, memory, variance, away, bracket = 0.0, 0.0, 0.0, 0.0, 0.0
+            for side in range(start[i], start[i + 1]):
+                if closed[side]:
+                    k = opposite[side]
+                    v, d = shared_noise[k], doubt_shared[b, k]
+                    W = (precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)) / total
+                    agreed += W * shared_term(held_shared[b, k], drive, residual_shared[b, k], a, lam)
+                    memory += W * deviation_shared[b, k]
+                    variance += W * W * noise_read(v, d)
+                    away += W * d
+                    bracket += W * W * printed_variance(v, d, a, drive_variance, q)
+            W, v, d = own / total, noise[i, 0], doubt[b, i, 0]
+            agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
+            memory = lam * (W * deviation[b, i, 0] + memory)
+            variance = a * a * (W * W * noise_read(v, d) + variance) + drive_variance
+            away = abs(a) * (W * d + away) + drive_doubt
+            bracket += W * W * printed_variance(v, d, a, drive_variance, q)
+            estimate[b, i, 0] = agreed
+            unsure[b, i, 0] = np.minimum(error_deviation(memory, variance, q, away), UNKNOWN)
+            s[b, i, 0] = memory + np.sqrt(bracket) + away if printed else residual_deviation(memory, variance, q, v, away)
+            for side in range(start[i], start[i + 1]):
+                k = opposite[side]
+                if closed[side]:
+                    estimate_shared[b, k] = agreed
+                    unsure_shared[b, k] = unsure[b, i, 0]
+                    s_shared[b, k] = s[b, i, 0]
+                    if not printed:
+                        s_shared[b, k] = residual_deviation(memory, variance, q, shared_noise[k], away)
+                else:
+                    estimate_shared[b, k], unsure_shared[b, k], s_shared[b, k] = held_shared[b, k], UNKNOWN, UNKNOWN
+
+
+@compiled
+def take_readings(y: Any, held: Any, doubt: Any, residual: Any, s: Any) -> None:
+    """Make estimates (in held), doubts and deviations into what is kept after readings y, and write residual; all flat."""
+    for k in range(y.size):
+        if np.isfinite(y[k]):
+            known = s[k] < ENOUGH
+            residual[k] = y[k] - held[k] if known else 0.0  # a copy that knew nothing starts here
+            held[k], doubt[k] = y[k], 0.0
+            if not known:
+                s[k] = 0.0
+        else:
+            residual[k], s[k] = 0.0, 0.0
+
+
+@compiled
+def find_alarms(residual: Any, residual_shared: Any, deviation: Any, deviation_shared: Any, alpha: Any, start: Any) -> Any:
+    """(B, N): whether |residual| > alpha deviation of a reading of an area, its own or one of a neighbour's first state."""
+    alarm = np.zeros(residual.shape[:2], np.bool_)
+    for b in range(residual.shape[0]):
+        for i in range(residual.shape[1]):
+            crossed = False
+            for c in range(residual.shape[2]):
+                crossed |= abs(residual[b, i, c]) > alpha * deviation[b, i, c]
+            for side in range(start[i], start[i + 1]):
+                crossed |= abs(residual_shared[b, side]) > alpha * deviation_shared[b, side]
+            alarm[b, i] = crossed
+    return alarm
+
+
+@compiled
+def step_areas(
+    held: Any, held_shared: Any, doubt: Any, doubt_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
+    deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
+    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, own: Any, shared: Any,
+    h: Any, h_shared: Any, d: Any, d_shared: Any, r: Any, r_shared: Any, s: Any, s_shared: Any,
+) -> None:  # fmt: skip
+    """`foretell_areas`, then the readings own (B, N, n) and shared (B, 2E); the last eight arrays are the Diagnosers after."""
+    foretell_areas(
+        held, held_shared, doubt, doubt_shared, residual, residual_shared, deviation, deviation_shared, reference, load, lam,
+        printed, matrices, slope, closed, process_variance, noise, shared_noise, start, opposite,
+        h, h_shared, s, s_shared, d, d_shared,
+    )  # fmt: skip
+    size = own.size  # reshape, not ravel: of arrays in another order that would be a copy
+    take_readings(own.reshape(size), h.reshape(size), d.reshape(size), r.reshape(size), s.reshape(size))
+    size = shared.size
+    take_readings(
+        shared.reshape(size), h_shared.reshape(size), d_shared.reshape(size), r_shared.reshape(size), s_shared.reshape(size)
+    )

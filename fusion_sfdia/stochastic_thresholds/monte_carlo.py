@@ -1,0 +1,65 @@
+"""Moments of a nonlinear model by random draws, where B18 would have them (Assumption 4: "Monte Carlo methods")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion_sfdia.core.arguments import Array, whole
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters import gaussian
+from fusion_sfdia.filters.estimators import Core, Prior, Reading, guarded_points, readings_of
+from fusion_sfdia.filters.gaussian import Joint
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Mean and covariance of `draws` Gaussian points; a standard deviation errs by about 1 / sqrt(2 draws) of itself.
+
+    The draws of a step are those of its seed and time, the same for all runs of a batch.
+    """
+
+    draws: int = 1000
+
+    def __post_init__(self) -> None:
+        whole("draws", self.draws, least=2)
+
+    @property
+    def consistent(self) -> bool:
+        return True
+
+    def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
+        n = plant.x0.size
+        p = np.broadcast_to(gaussian.dense(plant.initial_cov), (*batch, n, n))
+        return np.broadcast_to(plant.x0, (*batch, n)).copy(), p.copy()
+
+    def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
+        start, moved = plant.guard(core[0])
+        points = self._points(start, core[1], rng.standard_normal((self.draws, start.shape[-1])))
+        _, ahead, any_moved, stuck, lost = guarded_points(plant, t, points, u, dt)
+        mean, spread = _centred(ahead)
+        p = gaussian.add(gaussian.symmetrise(np.swapaxes(spread, -1, -2) @ spread), plant.process_cov_over(dt))
+        further = rng.standard_normal((self.draws, start.shape[-1]))  # for `joint`, which has no generator
+        return Prior((mean, p), moved | any_moved | stuck, lost, propagated=further)
+
+    def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
+        x, p = prior.core
+        assert prior.propagated is not None
+        points = self._points(x, p, prior.propagated)
+        mean, spread = _centred(readings_of(plant, t, points, np.expand_dims(u, -2)))
+        S = gaussian.add(gaussian.symmetrise(np.swapaxes(spread, -1, -2) @ spread), plant.sensor_cov)
+        return Joint(x, p, mean, S, np.swapaxes(_centred(points)[1], -1, -2) @ spread)
+
+    def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
+        return x, p
+
+    def _points(self, x: Array, p: Array, normal: Array) -> Array:
+        points: Array = x[..., None, :] + normal @ np.swapaxes(gaussian.square_root(p), -1, -2)
+        return points
+
+
+def _centred(points: Array) -> tuple[Array, Array]:
+    """Mean (..., k) of points (..., M, k), and D (..., M, k) with D' D their covariance."""
+    mean = np.mean(points, axis=-2)
+    return mean, (points - mean[..., None, :]) / np.sqrt(points.shape[-2] - 1)

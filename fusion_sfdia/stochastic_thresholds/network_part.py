@@ -1,0 +1,118 @@
+"""A part of a large network: a contiguous block of areas with its diagnosers, and what crosses its border at each step.
+
+A part treats the states of its areas with all their copies, also those that areas elsewhere read: it is given these readings
+too, and tells the others what became of the copies. So each step of a part needs one message from each neighbouring part, of
+four numbers for every copy at the border, and gives the bits that the whole network gives in one process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.stochastic_thresholds import consensus_equations
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers
+
+Array = NDArray[Any]
+
+
+class Block(NamedTuple):
+    """What a part knows of the network, which it keeps for life; all positions but the last three lines' are its own.
+
+    matrices to opposite: as of consensus_equations.foretell_areas, for M areas and their sides, then the copies read elsewhere.
+    border: its sides at which the neighbour is elsewhere; it is told of these. near: the first of the copies read elsewhere.
+    areas: first and past last area of the network. sides: the network's sides, in the order of the part's.
+    """
+
+    matrices: Array
+    slope: Array
+    closed: Array
+    process_variance: Array
+    noise: Array
+    shared_noise: Array
+    start: Array
+    opposite: Array
+    border: Array
+    near: int
+    areas: tuple[int, int]
+    sides: Array
+
+
+def blocks(areas: Areas, parts: int) -> list[Block]:
+    """The network in so many blocks of equal size; ValueError for less than one part or more parts than areas."""
+    count = areas.size[0]
+    if not 1 <= parts <= count:
+        raise ValueError(f"{count} areas cannot be shared by {parts} parts; wanted 1 to {count}")
+    at = areas.network.topology
+    bounds = np.linspace(0, count, parts + 1).astype(np.int64)
+    found = []
+    for lo, hi in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        first, past = int(at.start[lo]), int(at.start[hi])
+        other = at.opposite[first:past]
+        elsewhere = (other < first) | (other >= past)
+        sides = np.concatenate([np.arange(first, past), other[elsewhere]])
+        opposite = np.where(elsewhere, past - first + np.cumsum(elsewhere) - 1, other - first)
+        found.append(
+            Block(
+                areas.matrices[lo:hi].copy(), areas.slope[sides], areas.network.closed[sides],
+                areas.process_variance[lo:hi].copy(), areas.noise[lo:hi].copy(), areas.shared_noise[sides],
+                at.start[lo : hi + 1] - first, opposite, np.flatnonzero(elsewhere), past - first, (lo, hi), sides,
+            )
+        )  # fmt: skip
+    return found
+
+
+def routes(parts: Sequence[Block]) -> list[Array]:
+    """For each part: where what it has to be told stands among the copies of all parts that are read elsewhere."""
+    told = np.concatenate([p.sides[p.near :] for p in parts])
+    order = np.argsort(told)
+    return [order[np.searchsorted(told, p.sides[p.border], sorter=order)] for p in parts]
+
+
+def share(block: Block, state: Diagnosers) -> Diagnosers:
+    """The part of the whole network's diagnosers that a block keeps."""
+    lo, hi = block.areas
+    return Diagnosers(*((a[:, lo:hi] if a.ndim == 3 else a[:, block.sides]).copy(order="C") for a in state))
+
+
+def at_borders(parts: Sequence[Block], state: Diagnosers) -> Array:
+    """(4, B, K): held, doubt, residual, deviation of the copies read elsewhere, one part's after the other's."""
+    return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state[1::2]]) for p in parts], axis=-1)
+
+
+class Part:
+    """The diagnosers of a block for a batch of B runs, from its share of their state; two sets of arrays take turns."""
+
+    def __init__(self, block: Block, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
+        self.block, self.alpha, self.lam, self.printed = block, alpha, lam, printed
+        self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
+
+    def step(self, told: Array, own: Array, shared: Array, reference: Array, load: Array) -> tuple[Array, Array, Array]:
+        """One step: alarms of its areas (B, M), of the copies read elsewhere (B, K), and what became of these (4, B, K).
+
+        told (4, B, border): held, doubt, residual, deviation that others tell after the step before. own (B, M, n), shared
+        (B, its sides and the copies read elsewhere): readings. reference, load (B, M).
+        """
+        b, state = self.block, self._now
+        for a, new in zip(state[1::2], told, strict=True):
+            a[:, b.border] = new
+        after = self._before
+        consensus_equations.step_areas(
+            *state, reference, load, self.lam, self.printed, b.matrices, b.slope, b.closed, b.process_variance, b.noise,
+            b.shared_noise, b.start, b.opposite, own, shared, *after,
+        )  # fmt: skip
+        after.residual_shared[:, b.border] = 0.0  # until they are told
+        self._now, self._before = after, state
+        alarm = consensus_equations.find_alarms(
+            after.residual, after.residual_shared, after.deviation, after.deviation_shared, self.alpha, b.start
+        )
+        copies = np.stack([a[:, b.near :] for a in after[1::2]])
+        return alarm, np.abs(copies[2]) > self.alpha * copies[3], copies
+
+    def kept(self) -> Diagnosers:
+        """What it keeps; of its border sides only once it is told."""
+        return self._now

@@ -1,0 +1,146 @@
+"""One diagnoser of a whole plant: what the readings will be, foretold from the present readings alone.
+
+Boem et al. 2018 ("B18") foretell x+ = f(y, u) with y in the place of the state, so an old reading has no part in it. Here so
+for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). A state that
+is not read now, for its sensor is missing, left out or does not exist, is estimated from its own past by the Kalman gain.
+The moments E and Var of f(x) - f(y) come with the covariance of what stands for the state, which for directly read states is
+that of their sensors' noise. With W the gain and R the noise:
+
+    x_bar = x + W (y - E[y]),   P_bar = (1 - W H) P (1 - W H)' + W R W'      for any gain, Joseph's form
+    y_hat = E[y+] - lam (y - y_hat),   s+ = lam s + sqrt(Var[y+])             (5), (14)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters import gaussian
+from fusion_sfdia.filters.estimators import Estimator, Prior, step_stream
+from fusion_sfdia.filters.gaussian import Joint
+
+Array = NDArray[Any]
+
+
+class Outlook(NamedTuple):
+    """What is foretold of the readings (B, N): expected and the bound `deviation` of the standard deviation of y - expected,
+    inf where it is unknown; whether the estimate was moved into the model's limits, and whether there is none (B,).
+    """
+
+    expected: Array
+    deviation: Array
+    guarded: Array
+    lost: Array
+    inner: Any
+
+
+class Taken(NamedTuple):
+    """The core after readings, and the state estimate (B, n) with its covariance, or None where there is none."""
+
+    core: tuple[Array, ...]
+    estimate: Array
+    covariance: Array | None
+
+
+class _Inner(NamedTuple):
+    prior: Prior
+    joint: Joint
+    readout: Array
+    error: Array | None = None  # bounds of the states' errors, for those who keep them
+
+
+@dataclass(frozen=True)
+class PresentReadings:
+    """The diagnoser of a plant: core x_bar (B, n), P_bar (B, n, n), gain (B, n, N), residual and deviation (B, N)."""
+
+    plant: Plant
+    lam: float
+    moments: Estimator
+
+    @cached_property
+    def _direct(self) -> Array:
+        """(n, N): H where a sensor reads a state and nothing else, 0 elsewhere."""
+        plant = self.plant
+        h = plant.output_jacobian_at(0.0, plant.x0, plant.input_at(0.0))
+        named = np.array([[s.measures == x.name for s in plant.sensors] for x in plant.states])
+        alone = np.sum(h != 0, axis=1) == 1
+        return np.where(named & alone, np.swapaxes(h, 0, 1), 0.0)
+
+    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]:
+        """At the plant's x0 and initial covariance."""
+        n, count = len(self.plant.states), len(self.plant.sensors)
+        x = np.broadcast_to(self.plant.x0, (*batch, n)).copy()
+        P = np.broadcast_to(gaussian.dense(self.plant.initial_cov), (*batch, n, n)).copy()
+        return x, P, np.zeros((*batch, n, count)), np.zeros((*batch, count)), np.zeros((*batch, count))
+
+    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
+        x, P, _, residual, deviation = core
+        prior = self.moments.predict(self.plant, (x, P), now.last, u, now.dt, step_stream(now.seed, 2 * now.k))
+        joint = self.moments.joint(self.plant, prior, now.t, u)
+        expected = joint.y - self.lam * residual
+        ahead = self.lam * deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
+        readout = self.plant.output_jacobian_at(now.t, joint.x, u)
+        lost = prior.lost | broken(joint.x, joint.P)
+        return Outlook(expected, ahead, prior.guarded, lost, _Inner(prior, joint, readout))
+
+    def take(self, outlook: Outlook, y: Array) -> Taken:
+        """After the readings y (B, N), NaN where missing or left out."""
+        joint, H = outlook.inner.joint, outlook.inner.readout
+        used = np.isfinite(y)
+        given = np.where(used, y, 0.0)
+        noise = self.plant.sensor_cov
+        precision = np.where(used[..., None, :], self._direct / noise, 0.0)
+        total = np.sum(precision * self._direct, axis=-1)
+        read = total > 0
+        W = precision / np.where(read, total, 1.0)[..., None]
+        estimate = np.sum(W * given[..., None, :], axis=-1)
+        P = (W * noise) @ np.swapaxes(W, -1, -2)
+        if not np.all(read):
+            U = gaussian.half_inverse(joint.S, used)
+            gain = joint.C @ (U @ np.swapaxes(U, -1, -2))
+            W = np.where(read[..., None], W, gain)
+            innovation = np.where(used, given - joint.y, 0.0)
+            estimate = np.where(read, estimate, joint.x + np.sum(W * innovation[..., None, :], axis=-1))
+            rest = np.where(read[..., None], 0.0, np.eye(read.shape[-1]) - W @ H)
+            P = rest @ joint.P @ np.swapaxes(rest, -1, -2) + (W * noise) @ np.swapaxes(W, -1, -2)
+            P = gaussian.symmetrise(P)
+        residual = np.where(used, y - outlook.expected, 0.0)
+        deviation = np.where(used, outlook.deviation, 0.0)
+        return Taken((estimate, P, W, residual, deviation), estimate, P)
+
+    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook:
+        """The outlook without what the last readings of some sensors put into it, faults of that size and doubt (B, N) or 0."""
+        rows = np.any(size != 0, axis=-1)
+        absorbed = np.zeros((*size.shape[:-1], *core[2].shape[-2:]))
+        absorbed[rows] = self._tangent(core, outlook, now, u, rows) @ core[2][rows]
+        prior, joint, readout, error = outlook.inner
+        spread = absorbed * doubt[..., None, :]
+        x, P = joint.x - np.sum(absorbed * size[..., None, :], axis=-1), joint.P + spread @ np.swapaxes(spread, -1, -2)
+        joint = self.moments.joint(self.plant, prior._replace(core=(x, P)), now.t, u)
+        expected = joint.y - self.lam * np.where(size != 0, 0.0, core[3])
+        ahead = self.lam * core[4] + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
+        return outlook._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout, error))
+
+    def _tangent(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> Array:
+        """F (R, n, n) of the runs chosen by `rows`, or (n, n) of all."""
+        tangent = outlook.inner.prior.tangent
+        if tangent is None:
+            return self.plant.step_jacobian_at(now.last, self.plant.guard(core[0][rows])[0], u[rows], now.dt)
+        chosen: Array = tangent[rows] if tangent.ndim > 2 else tangent
+        return chosen
+
+    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]:
+        """For the runs chosen by `rows` (B,), (R, N, N): how much more is expected of each reading for one more unit in each
+        reading of the last step, and how much less for one more in each residual of it.
+        """
+        readout = outlook.inner.readout
+        H = readout[rows] if readout.ndim > 2 else readout
+        from_readings = np.asarray(H @ (self._tangent(core, outlook, now, u, rows) @ core[2][rows]))
+        return from_readings, np.broadcast_to(self.lam * np.eye(H.shape[-2]), from_readings.shape)

@@ -1,0 +1,73 @@
+"""A network that changes between two steps: the same detector on the changed plant, with all it knew that is still so.
+
+Boem et al. 2018, sec. VI. Call it after the step at which areas join or leave, before the next: the last transition was still
+that of the old network. Models, weights and thresholds change of the states of those areas and of their neighbours, of these
+wherever they are shared; all other numbers keep their bits.
+
+    a tie that opens    its two copies are forgotten: they no longer count, and nothing is held against their sensors
+    a tie that closes   its two copies start as any do, from their first reading, and are judged from the next on
+    an area alone       goes on with its own readings
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.detector import State
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers
+from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
+
+Array = NDArray[Any]
+
+
+def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, State]:
+    """Return the detector on the changed plant, and its state; the given ones stay as they are, also where this fails.
+
+    ValueError where the plant has other states or sensors (an area that is away has them still, unread), or other areas than
+    the same in another network, and for a state of another detector.
+    """
+    now = detector.plant
+    if plant.sensor_names != now.sensor_names or [s.name for s in plant.states] != [s.name for s in now.states]:
+        raise ValueError(
+            f"plant {plant.name!r} has other states or sensors than {now.name!r}; declare all areas and ties once, and plug "
+            "them in and out"
+        )
+    detector._batch_of(state)
+    after = replace(detector, plant=plant)
+    if now.areas is None or plant.areas is None:
+        if now.areas is not plant.areas:
+            raise ValueError(f"one of the plants {now.name!r} and {plant.name!r} says no areas; give both with areas, or none")
+        return after, state
+    opened = opened_sides(now.areas, plant.areas)
+    assert isinstance(after.diagnosis, AreaDiagnosers)
+    gone = after.diagnosis.at_sides(opened)
+    head, memory, exclusion, inner = state[:4], state[4:7], state[7:12], state[12:]
+    memory = tuple(np.where(gone, fresh, a) for a, fresh in zip(memory, (np.nan, np.inf, 0.0), strict=True))
+    exclusion = tuple(np.where(gone, np.zeros((), a.dtype), a) for a in exclusion)
+    return after, (*head, *memory, *exclusion, *forgotten(Diagnosers(*inner), opened))
+
+
+def opened_sides(before: Areas, after: Areas) -> Array:
+    """(2E,): the sides whose tie is closed before and open after; ValueError for areas of another topology."""
+    old, new = before.network.topology, after.network.topology
+    if old is not new and (old.names != new.names or not np.array_equal(old.links, new.links)):
+        raise ValueError("the areas after have other names or ties than those before; declare all of them once")
+    opened: Array = before.network.closed & ~after.network.closed
+    return opened
+
+
+def forgotten(now: Diagnosers, sides: Array) -> Diagnosers:
+    """The diagnosers without what they knew at some sides (2E,); held values stay where they were, in doubt."""
+    return now._replace(
+        doubt_shared=np.where(sides, UNKNOWN, now.doubt_shared),
+        residual_shared=np.where(sides, 0.0, now.residual_shared),
+        deviation_shared=np.where(sides, 0.0, now.deviation_shared),
+    )

@@ -1,0 +1,107 @@
+"""How many standard deviations a residual may have: rules that turn a false-alarm probability into alpha, and back.
+
+For a residual of mean 0 and standard deviation at most s, alarming where |residual| > alpha s:
+
+    rule                 false alarms at most    for
+    chebyshev            1 / alpha^2             any distribution (Boem et al. 2018, (12))
+    cantelli             2 / (1 + alpha^2)       any distribution, at most half of them on either side
+    cantelli-one-sided   1 / (1 + alpha^2)       any distribution, of alarms on one side alone
+    gaussian             2 Phi(-alpha)           Gaussian residuals
+    conformal            calibrated              a residual that is exchangeable with those it was calibrated on
+    bound                0                       errors within bounds, which give s; alpha is 1
+
+Two sides of Cantelli's inequality are no sharper than Chebyshev's (2 / (1 + a^2) > 1 / a^2 for a > 1), but they bound
+the alarms of each side too. alpha of `conformal` is an order statistic: see `conformal_alpha`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from fusion_sfdia.core.arguments import floats, number, probability, shown
+
+Array = NDArray[Any]
+
+
+class Rule(NamedTuple):
+    """false_alarm(alpha), alpha(false_alarm); alpha must be larger than `least`, where the claim becomes empty."""
+
+    false_alarm: Callable[[Any], Any]
+    alpha: Callable[[Any], Any]
+    least: float
+
+
+RULES = {
+    "chebyshev": Rule(lambda a: 1 / a**2, lambda p: p**-0.5, 1.0),
+    "cantelli": Rule(lambda a: 2 / (1 + a**2), lambda p: (2 / p - 1) ** 0.5, 1.0),
+    "cantelli-one-sided": Rule(lambda a: 1 / (1 + a**2), lambda p: (1 / p - 1) ** 0.5, 0.0),
+    "gaussian": Rule(lambda a: 2 * ndtr(-a), lambda p: -ndtri(p / 2), 0.0),
+}
+CONFORMAL, BOUND = "conformal", "bound"
+
+
+def require_rule(rule: object) -> None:
+    """Raise ValueError for an unknown rule."""
+    if rule not in (*RULES, CONFORMAL, BOUND):
+        raise ValueError(f"rule is {shown(rule)}; known: {', '.join((*RULES, CONFORMAL, BOUND))}")
+
+
+def require_alpha(rule: str, alpha: object) -> float:
+    """Return alpha; ValueError where it is no number by which the rule claims anything (alpha <= 1 of Chebyshev)."""
+    value, least = number("alpha", alpha), RULES[rule].least if rule in RULES else 0.0
+    if not least < value < np.inf:
+        raise ValueError(
+            f"alpha is {value:g}; with the rule {rule!r} it must exceed {least:g} and be finite: below, it claims nothing"
+        )
+    return value
+
+
+def false_alarm_of(rule: str, alpha: float) -> float:
+    """The largest false-alarm probability of a component under alpha; ValueError for `conformal`, which alpha does not tell."""
+    require_rule(rule)
+    if rule == BOUND:
+        return 0.0
+    if rule == CONFORMAL:
+        raise ValueError("a conformal alpha does not tell its false-alarm probability; it is what it was calibrated for")
+    return float(RULES[rule].false_alarm(require_alpha(rule, alpha)))
+
+
+def alpha_for(rule: str, false_alarm: float, components: int = 1) -> float:
+    """The alpha by which a diagnoser of so many components alarms falsely with at most this probability in a step.
+
+    Bonferroni: each component has false_alarm / components, however they correlate. ValueError for a probability that is not
+    strictly between 0 and 1, and for `conformal`, which is calibrated.
+    """
+    require_rule(rule)
+    if rule == CONFORMAL:
+        raise ValueError("the rule 'conformal' needs healthy data; calibrate it, or give another rule")
+    if rule == BOUND:
+        raise ValueError("the rule 'bound' has no false alarms to allow for; leave false_alarm out, or give another rule")
+    if components < 1:
+        raise ValueError(f"a diagnoser has {components} components; wanted at least 1")
+    return float(RULES[rule].alpha(probability("false_alarm", false_alarm) / components))
+
+
+def conformal_alpha(scores: Array, false_alarm: float) -> Array:
+    """Return alpha (...) from healthy |residual| / s (M, ...): the ceil((M + 1)(1 - false_alarm))-th smallest of M.
+
+    A further score exceeds it with probability at most false_alarm, for any M and any distribution, if it is exchangeable with
+    the M; scores that follow each other in time are so only roughly: take them far apart, or from different runs. NaN scores
+    count as the largest. ValueError for less than 1 / false_alarm - 1 of them, from which nothing follows.
+    """
+    probability("false_alarm", false_alarm)
+    scores = floats("scores", scores)
+    count = len(scores) if scores.ndim else 0
+    rank = int(np.ceil((count + 1) * (1 - false_alarm) - 1e-9))
+    if rank > count:
+        raise ValueError(
+            f"{count} healthy scores cannot set a false-alarm probability of {false_alarm:g}; give at least "
+            f"{int(np.ceil(1 / false_alarm - 1 - 1e-9))} or ask for a larger one"
+        )
+    ordered = np.sort(np.where(np.isnan(scores), np.inf, scores), axis=0)
+    return np.asarray(ordered[rank - 1])
