@@ -174,7 +174,7 @@ SCENARIO = Scenario(
     about="All detectors see the same readings and faults. Their thresholds are scaled to one rate of false alarms; then they "
     "are told apart by what they find, name, restore and leave in peace, where the model is right and where it is not.",
     settings=SETTINGS,
-    seeds=6,
+    seeds=5,
     full_seeds=100,
     tasks=tasks,
     work=work,

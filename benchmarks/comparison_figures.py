@@ -206,7 +206,7 @@ def draw_cost(cells: Cells, score: Callable[[Cell], Estimate]) -> Drawing:
     """What is found against what a step costs: a panel a plant."""
     plants, detectors = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
     figure, axes = panels(plants, columns=2, width=10.0, height=3.2)
-    look = looks(detectors)
+    look, times = looks(detectors), [cell.step_seconds * 1e3 for cell in cells.values()]
     for axis, plant in zip(axes, plants, strict=True):
         for detector, cell in of_plant(cells, plant).items():
             e = score(cell)
@@ -220,5 +220,8 @@ def draw_cost(cells: Cells, score: Callable[[Cell], Estimate]) -> Drawing:
         axis.set(
             xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with the exact names"
         )
+        axis.set_xlim(min(times) / 2, max(times) * 2)
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
     legend_columns(figure)
     return figure

@@ -10,7 +10,7 @@ from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
-from fusion_sfdia.benchmarks.comparison_tables import Standings, glance, sizes, troubled
+from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings, glance, sizes, troubled
 from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.scenario import Settings
 
@@ -21,18 +21,23 @@ def highlights(settings: Settings, cells: Cells, standings: Standings) -> list[s
 
 
 def leaders(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
-    """Which detectors nothing beats beyond chance, by plant; those that find little of what is large are told apart."""
-    blind = {key for key, share in seen(cells, settings).items() if share < 0.5}
+    """Which detectors nothing beats beyond chance, by plant; those that find or name little of what is large are told."""
+    _, large = sizes(settings)
+    flaws = {
+        key: "which names none" for key, cell in cells.items() if not cell["named"][cell.rows_of(*cell.graded(large))].any()
+    }
+    flaws |= {key: "which finds little" for key, share in seen(cells, settings).items() if share < 0.5}
     found = []
     for plant, criteria in standings.items():
-        said = [f"{criterion}: {first(criteria[criterion], {d for p, d in blind if p == plant})}" for criterion in criteria]
+        of = {d: flaw for (p, d), flaw in flaws.items() if plant in (p, EVERY)}
+        said = [f"{criterion}: {first(criteria[criterion], of)}" for criterion in criteria]
         found.append(f"Not beaten beyond chance on {plant}: {'; '.join(said)}.")
     return found
 
 
-def first(standings: Mapping[str, Standing], blind: set[str]) -> str:
-    """The detectors of rank 1, or that all are; who finds little exonerates everyone."""
-    best = [f"{name} (which finds little)" if name in blind else name for name, s in standings.items() if s.rank == 1]
+def first(standings: Mapping[str, Standing], flaws: Mapping[str, str]) -> str:
+    """The detectors of rank 1, or that all are; who finds little or names none exonerates everyone."""
+    best = [f"{name} ({flaws[name]})" if name in flaws else name for name, s in standings.items() if s.rank == 1]
     return "no difference between any" if len(best) == len(standings) > 1 else ", ".join(best)
 
 

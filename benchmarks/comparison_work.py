@@ -46,7 +46,7 @@ from fusion_sfdia.evaluation.simulate import Recording
 
 Array = NDArray[Any]
 
-SWEPT = ("bias", "drift")  # of which receiver operating characteristics are drawn
+SWEPT = ("bias",)  # of which receiver operating characteristics are drawn
 TIMED_STEPS = 10
 
 
