@@ -64,7 +64,9 @@ def claim(name: str, detector: Any) -> float:
     if (alpha := getattr(detector, "alpha", None)) is not None:  # Chebyshev's inequality for each sensor
         bound = float(np.sum(np.broadcast_to(np.asarray(alpha, float), len(detector.plant.sensors)) ** -2.0))
         return bound if bound < 1 else np.nan
-    return CLAIMS.get(name, np.nan)
+    found = CLAIMS.get(name, np.nan)
+    stated = all(np.isfinite(s.noise_bound) for s in detector.plant.sensors)
+    return found if found > 0 or stated else np.nan  # from bounds that are taken from standard deviations nothing follows
 
 
 def silent(detector: Any) -> Any:
