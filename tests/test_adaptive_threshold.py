@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.algebraic_bounds import TOLERANCE
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.evaluation.simulate import Recording, simulate
@@ -179,6 +181,22 @@ def test_inclusion_and_set_inversion_enclose_the_corners() -> None:
     assert np.all(beyond[np.broadcast_to(known[..., others], beyond.shape)] <= 0.01 + 1e-9)
     width = {bounds: np.nanmean(np.diff(e, axis=0)[0], axis=(0, 1)) for bounds, e in ends.items()}
     assert np.all(width["inclusion"][[0, 1, 3]] > 1.05 * width["corners"][[0, 1, 3]])
+
+
+@pytest.mark.skipif(find_spec("codac") is None, reason="needs the optional package codac")
+def test_set_inversion_by_codac_lies_between() -> None:
+    """Ours contracts the readings' intervals with a narrow z too, which are constants to codac; inclusion is the widest."""
+    recording = healthy(300, 5)
+    y = recording.y[:1, :2].copy()
+    first = replace(recording_of(recording, 1), u=recording.u[:1])
+    ends = {}
+    for bounds in ("sivia", "codac", "inclusion"):
+        d = judge(replace(DETECTOR, bounds=bounds), y, first)
+        middle, radius = y - d.residual, d.threshold - BOUND
+        ends[bounds] = np.stack([-(middle - radius), middle + radius]) / BOUND
+    # a hull exceeds the solutions by a box that is not cut any more, TOLERANCE wide
+    assert np.all(ends["sivia"] <= ends["codac"] + TOLERANCE)
+    assert np.all(ends["codac"] <= ends["inclusion"] + TOLERANCE)
 
 
 def recording_of(recording: Recording, steps: int) -> Recording:

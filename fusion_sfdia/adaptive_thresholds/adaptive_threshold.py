@@ -56,7 +56,7 @@ class AdaptiveThreshold(BatchDetector):
     drift: {state: share of its nominal value by which it moves at most in one plant.dt}, for which the plant's modules have
     values at a steady load; of other states what the model and the readings allow.
     bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
-    inversion, K24 (11). These are wider and slow.
+    inversion, K24 (11), or "codac", the same by that library. These are wider and slow.
     margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired stays fired, (16).
     agents: whether the silence of all modules of a block clears its own sensors, (17), (18).
 

@@ -3,6 +3,7 @@
 "inclusion": the equation in interval arithmetic over the box that the readings leave (Kougiatsos 2022, (36)); wider where an
 argument occurs often. "sivia": the z with 0 in z - phi(z, box) by set inversion from an initial box (Kougiatsos 2024, (11));
 only z is bisected, yet contraction with a narrow z cuts off some of what inclusion adds. Plain array code, far slower.
+"codac": the same by codac, an optional dependency, one run after the other, slower still.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, into_envelope
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.core.modules import Modules
+from fusion_sfdia.intervals.codac_adapter import codac_sivia
 from fusion_sfdia.intervals.expression import Expression, record
 from fusion_sfdia.intervals.interval import Interval, select
 from fusion_sfdia.intervals.sivia import sivia
 
 Array = NDArray[Any]
 
-METHODS = ("corners", "inclusion", "sivia")
+METHODS = ("corners", "inclusion", "sivia", "codac")
 INITIAL = 5.0  # the initial box of a variable is its nominal value divided and multiplied by this; ours
 TOLERANCE = 0.01  # of set inversion, in noise bounds; ours
 
@@ -49,16 +51,27 @@ def enclosure(method: str, m: Modules, variable: str, low: Array, high: Array, s
     over = {v: Interval(low[:, j], high[:, j]) for j, v in enumerate(m.variables)}
     value = _recorded(m, variable, False)
     found = value.evaluate([over[a] for a in names])[value.outputs[0]]
-    if method == "sivia":
+    if method != "inclusion":
         nominal, bound = m.nominal[variable], s.bound[m.variables.index(variable)]
         start = Interval(*sorted((nominal / INITIAL, nominal * INITIAL)))
         others = [over[a] for a in names if a != variable]
-        paving = sivia(
-            _recorded(m, variable, True), Interval(0.0), Interval.stack([start]), TOLERANCE * bound, parameters=others
-        )
-        found = select(paving.is_empty, found, paving.hull[..., 0])
+        invert = codac_hulls if method == "codac" else _hulls
+        hull = invert(_recorded(m, variable, True), Interval.stack([start]), TOLERANCE * bound, others)
+        found = select(hull.is_empty, found, hull)
     shape = low.shape[:1]
     return Interval.unchecked(np.broadcast_to(found.lo, shape), np.broadcast_to(found.hi, shape))
+
+
+def _hulls(residual: Expression, start: Interval, tolerance: float, given: list[Interval]) -> Interval:
+    """Where the residual can be 0 (B,), from its first argument's box (1,) and the others' (B,)."""
+    return sivia(residual, Interval(0.0), start, tolerance, parameters=given).hull[..., 0]
+
+
+def codac_hulls(residual: Expression, start: Interval, tolerance: float, given: list[Interval]) -> Interval:
+    """The same by codac, one problem after the other."""
+    runs = range(max((g.lo.size for g in given), default=1))
+    at = [[g if g.shape == () else g[b] for g in given] for b in runs]
+    return Interval.stack([codac_sivia(residual, Interval(0.0), start, tolerance, parameters=g).hull[0] for g in at])
 
 
 @lru_cache(maxsize=256)
