@@ -6,6 +6,7 @@ Times are those of one machine in one run, the only numbers here that a second r
 from __future__ import annotations
 
 import logging
+import multiprocessing
 from functools import partial
 from importlib.util import find_spec
 from time import perf_counter, thread_time
@@ -111,6 +112,7 @@ def in_parts(areas: int, seconds: float) -> Arrays:
 
     whole = network_areas(network_of(areas), named=False)
     step, _ = stepping(whole)
+    multiprocessing.set_start_method("spawn", force=True)  # joblib's own, in its workers, is unknown to those of the cluster
     with (
         LocalCluster(
             n_workers=PARTS,
