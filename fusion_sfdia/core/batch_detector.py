@@ -91,9 +91,9 @@ class BatchDetector(ABC):
             decision = without_broken(decision, diverged)
         batched = (diverged, *after)
         if single:
-            batched = tuple(_only(a) for a in batched)
+            batched = tuple([a[0, ...] for a in batched])  # of one number too an array
             told = (getattr(decision, name) for name in FIELDS)
-            only: list[Any] = [None if a is None else _only(a) for a in told]
+            only: list[Any] = [None if a is None else a[0, ...] for a in told]
             decision = Decision(*only)
         return (state[0], np.array(now.k), np.array(now.t), *batched), decision
 
@@ -117,8 +117,3 @@ class BatchDetector(ABC):
             f"this is no state of {type(self).__name__} on plant {self.plant.name!r} with these settings; take it from "
             "its init, its last step or load_state"
         )
-
-
-def _only(a: Array) -> Array:
-    """The only element of a batch of one, as an array."""
-    return a[0] if a.ndim > 1 else a.reshape(())
