@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, of_each, plant_of
 from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.order_statistics import order_statistic
 
 Array = NDArray[Any]
 
@@ -48,8 +49,7 @@ def calibrated(plant: str, name: str, settle: int, steps: int, seeds: int, false
     detector: Any = registry.detector(name, plant_of(plant))
     recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + seeds)))
     scores = silent_scores(watch(silent(detector), recording.t, recording.y, recording.u))[settle:]
-    ranked = np.sort(scores, axis=None)
-    scale = float(ranked[min(int(np.ceil((ranked.size + 1) * (1 - false_alarm))), ranked.size) - 1])
+    scale = float(order_statistic(scores.ravel(), false_alarm))
     if not 0 < scale < np.inf:
         raise ValueError(
             f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"

@@ -106,7 +106,8 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
         "Receiver operating characteristics are those of silent detectors, which accuse and replace nothing; all else is of "
         "deployed ones. Several faults at once, replayed and negated readings are among the runs that rank detectors.",
         "Readings come from the finer twin of a plant where it has one; the power network is run in closed loop, and alone has "
-        "process noise.",
+        "process noise. What learns from healthy recordings (limits, pca, the fusing banks) learns from those of the model by "
+        "its usual inputs, without the network's controllers, whose angles drift.",
         *missed(cells, settings),
         *broken_down(cells),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -148,6 +149,6 @@ def build(name: str, plant: Plant) -> Detector:
 
 def watching(detector: Detector) -> Detector:
     """Return the detector without accommodation, so that a threshold may be swept over its residuals after the run."""
-    if isinstance(detector, FusingBank | LeaveOneOutBank):
-        return replace(detector, accommodate=False)
-    return detector
+    settings: Any = detector
+    watcher: Detector = replace(settings, accommodate=False) if hasattr(detector, "accommodate") else detector
+    return watcher

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
@@ -58,15 +59,10 @@ def healthy_readings(plant: Plant, y: Array) -> Array:
 
 
 def upper_limit(values: Array, rate: float) -> float:
-    """The order statistic of healthy values (M,) that a fresh one exceeds with a probability of at most `rate`, on average.
-
-    Of M exchangeable values and a fresh one, it is the k-th with k = ceil((M + 1) (1 - rate)), at most M; ValueError where
-    less than one of M is expected above it.
-    """
+    """The `order_statistic` of healthy values (M,); ValueError where less than one of them is expected above it."""
     if values.size * rate < 1:
         raise ValueError(
             f"{values.size} healthy samples cannot set a limit that one in {1 / rate:.0f} exceeds; give at least that many to "
             "set limits (every other one is used for that), or ask for a higher rate of false alarms"
         )
-    rank = min(int(np.ceil((values.size + 1) * (1 - rate))), values.size)
-    return float(np.partition(values, rank - 1)[rank - 1])
+    return float(order_statistic(values, rate))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, probability, whole
 from fusion_sfdia.core.detector import run
+from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 
 Array = NDArray[Any]
@@ -41,7 +42,5 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
     thresholds = np.empty(y.shape[-1])
     for members in groups.values():
         largest = np.nanmax(np.where(np.isfinite(residual[:, members]), residual[:, members], -np.inf), axis=1)
-        # the order statistic whose expected exceedance by a fresh sample is at most `share`
-        rank = min(int(np.ceil((largest.size + 1) * (1 - share))), largest.size)
-        thresholds[members] = np.partition(largest, rank - 1)[rank - 1]
+        thresholds[members] = order_statistic(largest, share)
     return replace(bank, thresholds=tuple(thresholds.tolist()))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.plant import Plant, diagonal
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Foretold, beginners, take
-from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN, foretell_areas
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Foretold, beginners, foretell, take
+from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, Taken
 
 Array = NDArray[Any]
@@ -68,7 +68,7 @@ class AreaDiagnosers:
 
     def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
         count = self.areas.size[0]
-        ahead = self._ahead(core, u[..., :count], u[..., count:])
+        ahead = foretell(self.areas, Diagnosers(*core), u[..., :count], u[..., count:], self.lam, self.mode)
         deviation = self._of_sensors(ahead.deviation, ahead.deviation_shared)
         deviation = np.where(deviation < UNKNOWN**0.5, np.abs(self._scale) * deviation, np.inf)
         expected = self._scale * self._of_sensors(ahead.estimate, ahead.estimate_shared)
@@ -85,15 +85,12 @@ class AreaDiagnosers:
         doubt, doubt_shared = (a[rows][:, None] for a in core[2:4])
         units = self._of_areas(np.eye(self._place.size), 0.0)
         nothing = np.zeros((len(doubt), self._place.size, self.areas.size[0]))
+        still, none = np.zeros_like(units[0]), np.zeros_like(units[1])
+        read = units[0] * (doubt == 0.0), units[1] * (doubt_shared == 0.0)
         found = []
-        for readings in (True, False):
-            own, shared = (np.broadcast_to(a, (doubt.shape[0], *a.shape)) for a in units)
-            still = tuple(np.zeros_like(a) for a in (own, shared))
-            first, second = ((own, shared), still) if readings else (still, (own, shared))
-            if readings:
-                first = own * (doubt == 0.0), shared * (doubt_shared == 0.0)
-            doubts = (np.broadcast_to(a, (*own.shape[:2], *a.shape[2:])) for a in (doubt, doubt_shared))
-            ahead = self._ahead((*first, *doubts, *second, *still), nothing, nothing)
+        for held, residual in ((read, (still, none)), ((still, none), units)):
+            one = Diagnosers(held[0], held[1], doubt, doubt_shared, residual[0], residual[1], still, none)
+            ahead = foretell(self.areas, one, nothing, nothing, self.lam, self.mode)
             change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
             found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
@@ -120,22 +117,6 @@ class AreaDiagnosers:
                 np.minimum(ahead.doubt_shared + wider_shared, UNKNOWN),
             ),
         )
-
-    def _ahead(self, core: tuple[Array, ...], reference: Array, load: Array) -> Foretold:
-        """`consensus.foretell`, compiled."""
-        areas, batch = self.areas, core[0].shape[:-2]
-        at = areas.network
-
-        def flat(a: Array) -> Array:
-            return np.ascontiguousarray(a.reshape(-1, *a.shape[len(batch) :]))
-
-        now = Diagnosers(*map(flat, core))
-        ahead = Foretold(*map(np.empty_like, (now.held, now.held_shared) * 3))
-        foretell_areas(
-            *now, flat(reference), flat(load), self.lam, self.mode == "paper", areas.matrices, areas.slope, at.closed,
-            areas.process_variance, areas.noise, areas.shared_noise, at.topology.start, areas.opposite, *ahead,
-        )  # fmt: skip
-        return Foretold(*(a.reshape(*batch, *a.shape[1:]) for a in ahead))
 
     def _of_sensors(self, own: Array, shared: Array) -> Array:
         flat = own.reshape(*own.shape[:-2], -1)

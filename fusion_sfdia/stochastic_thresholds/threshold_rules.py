@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from fusion_sfdia.core.arguments import floats, number, probability, shown
+from fusion_sfdia.core.order_statistics import exceedance_rank, order_statistic
 
 Array = NDArray[Any]
 
@@ -97,11 +98,9 @@ def conformal_alpha(scores: Array, false_alarm: float) -> Array:
     probability("false_alarm", false_alarm)
     scores = floats("scores", scores)
     count = len(scores) if scores.ndim else 0
-    rank = int(np.ceil((count + 1) * (1 - false_alarm) - 1e-9))
-    if rank > count:
+    if exceedance_rank(count, false_alarm) > count:
         raise ValueError(
             f"{count} healthy scores cannot set a false-alarm probability of {false_alarm:g}; give at least "
             f"{int(np.ceil(1 / false_alarm - 1 - 1e-9))} or ask for a larger one"
         )
-    ordered = np.sort(np.where(np.isnan(scores), np.inf, scores), axis=0)
-    return np.asarray(ordered[rank - 1])
+    return order_statistic(np.where(np.isnan(scores), np.inf, scores), false_alarm)

@@ -1,0 +1,24 @@
+"""Limits from healthy values: the order statistic that a fresh value exceeds at a stated rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+def exceedance_rank(count: int, rate: float) -> int:
+    """Return k: of `count` exchangeable values a fresh one exceeds the k-th smallest with a probability of at most `rate`.
+
+    k = ceil((count + 1) (1 - rate)); more than `count` where there are too few of them for any to be exceeded so seldom.
+    """
+    return int(np.ceil((count + 1) * (1 - rate) - 1e-9))  # rounding must not pass a whole number
+
+
+def order_statistic(values: Array, rate: float) -> Array:
+    """Return the value of that rank among values (M, ...), the largest where none has it."""
+    rank = min(exceedance_rank(len(values), rate), len(values))
+    return np.asarray(np.partition(values, rank - 1, axis=0)[rank - 1])
