@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks import registry
-from fusion_sfdia.benchmarks.comparison_recordings import healthy, of_each, plant_of
+from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.order_statistics import order_statistic
 
@@ -48,7 +48,7 @@ def calibrated(plant: str, name: str, settle: int, steps: int, seeds: int, false
     """
     detector: Any = registry.detector(name, plant_of(plant))
     recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + seeds)))
-    scores = silent_scores(watch(silent(detector), recording.t, recording.y, recording.u))[settle:]
+    scores = silent_scores(watch(silent(detector), recording.t, recording.y, recording.u_of_runs))[settle:]
     scale = float(order_statistic(scores.ravel(), false_alarm))
     if not 0 < scale < np.inf:
         raise ValueError(
@@ -85,9 +85,9 @@ def silent_scores(decision: Decision) -> Array:
 
 
 def watch(detector: Detector, t: Array, y: Array, u: Array) -> Decision:
-    """The decisions on readings y (K, B, N) at t (K,), from the start; u (K, m) or (K, B, m)."""
+    """The decisions on readings y (K, B, N) at t (K,), from the start; u (K, B, m)."""
     start = detector.init((y.shape[1],), float(t[0]) - detector.plant.dt)
-    return run(detector, start, t, y, of_each(u, y.shape[1]))[1]
+    return run(detector, start, t, y, u)[1]
 
 
 def seeds_of(task_seeds: Sequence[int]) -> tuple[int, ...]:

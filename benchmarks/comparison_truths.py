@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_recordings import NETWORK, network_recording, plant_of, simulated
+from fusion_sfdia.benchmarks.comparison_recordings import plant_of, simulated
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
@@ -24,13 +24,14 @@ from fusion_sfdia.models.gas_pipeline_physics import INLET_PRESSURE, INLET_TEMPE
 from fusion_sfdia.models.marine_engine import marine_engine
 from fusion_sfdia.models.marine_engine_faults import ProcessFault
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.models.power_network import power_network
 from fusion_sfdia.models.power_network_operation import AreaFault
-from fusion_sfdia.models.power_network_parameters import NetworkParameters, load_network
+from fusion_sfdia.models.power_network_parameters import NetworkParameters, load_network, load_steps
 from fusion_sfdia.models.two_tanks import Tanks, tank_physics, two_tanks
 
 Array = NDArray[Any]
 
-PIPELINE, ENGINE, TANKS = "gas-pipeline", "marine-engine", "two-tanks"
+PIPELINE, ENGINE, NETWORK, TANKS = "gas-pipeline", "marine-engine", "power-network", "two-tanks"
 
 
 class Departure(NamedTuple):
@@ -82,10 +83,6 @@ def _constants(column: int, factor: float) -> NetworkParameters:
 
 def _of(plant: str, truth: Callable[[], Plant]) -> Callable[..., Recording]:
     return lambda steps, seeds: simulated(plant, steps, seeds, truth=truth())
-
-
-def _areas(parameters: Callable[[], NetworkParameters]) -> Callable[..., Recording]:
-    return lambda steps, seeds: network_recording(steps, seeds, parameters=parameters())
 
 
 def _swinging_demand(t: float) -> Array:
@@ -145,19 +142,19 @@ DEPARTURES: dict[str, tuple[Departure, ...]] = {
         Departure(
             "slopes +10 %",
             "another flow over the ties: slopes are those of a sine where it works",
-            _areas(lambda: _slopes(1.1)),
+            _of(NETWORK, lambda: power_network(_slopes(1.1))),
         ),
         Departure(
             "inertias 10 % off",
             "which units of an area are running is not known exactly",
-            _areas(lambda: _constants(0, 1.1)),
+            _of(NETWORK, lambda: power_network(_constants(0, 1.1))),
         ),
         Departure(
             "droops 10 % off",
             "governors as set and as they act differ by dead bands and limits",
-            _areas(lambda: _constants(1, 1.1)),
+            _of(NETWORK, lambda: power_network(_constants(1, 1.1))),
         ),
-        Departure("other load steps", "those of B18, scenario 2", partial(network_recording, loads="2")),
+        Departure("other load steps", "those of B18, scenario 2", _of(NETWORK, lambda: power_network(loads=load_steps("2")))),
     ),
     TANKS: (
         Departure("outlets -5 %", "coefficients of discharge are known to some 5 %", _of(TANKS, lambda: _tanks(0.95))),
@@ -178,7 +175,10 @@ def _ailing(kind: str, severity: float) -> Callable[..., Recording]:
 
 
 def _area(kind: str, value: float) -> Callable[..., Recording]:
-    return lambda steps, seeds, onset: network_recording(steps, seeds, faults=[AreaFault(kind, "7", value, onset)])
+    def record(steps: int, seeds: tuple[int, ...], onset: float) -> Recording:
+        return simulated(NETWORK, steps, seeds, truth=power_network(faults=[AreaFault(kind, "7", value, onset)]))
+
+    return record
 
 
 PLANT_FAULTS: dict[str, tuple[PlantFault, ...]] = {

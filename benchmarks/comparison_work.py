@@ -34,7 +34,7 @@ from fusion_sfdia.benchmarks.comparison_protocol import (
     sensors_of,
     trunk_steps,
 )
-from fusion_sfdia.benchmarks.comparison_recordings import healthy, of_each, plant_of, until
+from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of, until
 from fusion_sfdia.benchmarks.comparison_records import Branch, join, labelled, record
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
@@ -98,7 +98,7 @@ _NOTHING = np.empty((0, 0, 0), np.float32)
 def follow(detector: Detector, recording: Recording, stops: set[int]) -> Trunk:
     """Run along a recording and keep the states before the samples `stops`."""
     runs = recording.y.shape[1]
-    u = of_each(recording.u, runs)
+    u = recording.u_of_runs
     state = detector.init((runs,), float(recording.t[0]) - detector.plant.dt)
     scores, states = [], {}
     for k, t in enumerate(recording.t):
@@ -127,7 +127,7 @@ def readings(task: Task, plant: Plant, recording: Recording, members: Sequence[C
     ]
     changed = apply(plant, recording.t[before], y, lists, seeds * len(members))
     now = slice(onset - before.start, None)
-    u = np.concatenate([of_each(r.u[onset : onset + window], len(seeds)) for r in shown], axis=1)
+    u = np.concatenate([r.u_of_runs[onset : onset + window] for r in shown], axis=1)
     return Branch(u, changed.y[now], y[now], signal[now], changed.active[now], changed.size[now])
 
 
@@ -172,7 +172,7 @@ def plant_fault(task: Task, group: int, name: str) -> Recording:
 def cost(detector: Detector, recording: Recording) -> Arrays:
     """Seconds of a step of one run, the least of some; bytes of its state, and largest in use in a step besides."""
     state: State = detector.init((), float(recording.t[0]) - detector.plant.dt)
-    best, u = np.inf, of_each(recording.u, 1)[:, 0]
+    best, u = np.inf, recording.u_of_runs[:, 0]
     for k in range(min(TIMED_STEPS, recording.t.size)):
         start = time.process_time()
         state, _ = detector.step(state, float(recording.t[k]), recording.y[k, 0], u[k])

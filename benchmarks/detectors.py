@@ -44,8 +44,7 @@ def calibrated(bank: FusingBank) -> FusingBank:
     wanted = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
     steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * wanted)))
     healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=bank.plant.disturbed)
-    u = np.broadcast_to(healthy.u[:, None], (*healthy.y.shape[:2], healthy.u.shape[-1]))
-    return calibrate(bank, healthy.t, healthy.y, u, FALSE_ALARM, WARM_UP)
+    return calibrate(bank, healthy.t, healthy.y, healthy.u_of_runs, FALSE_ALARM, WARM_UP)
 
 
 def healthy_data(plant: Plant) -> Array:

@@ -71,9 +71,8 @@ def decide(detector: Detector, data: Faulted, *, covariance: bool = False, seed:
     """Run a detector over the recordings as one batch."""
     recording = data.recording
     runs = data.y.shape[1]
-    u = np.broadcast_to(recording.u[:, None], (recording.t.size, runs, recording.u.shape[-1]))
     start = detector.init((runs,), float(recording.t[0]) - detector.plant.dt, seed)
-    return run(detector, start, recording.t, data.y, u, covariance=covariance)[1]
+    return run(detector, start, recording.t, data.y, recording.u_of_runs, covariance=covariance)[1]
 
 
 def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:

@@ -187,7 +187,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
     faults += draw_apart(named, model, chosen.steps, chosen.seed)
     recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)
     readings = apply(model, recording.t, recording.y, faults, chosen.seed, signal=recording.signal)
-    write_log(chosen.out, model, recording.t, readings.y[:, 0], recording.u)
+    write_log(chosen.out, model, recording.t, readings.y[:, 0], recording.u_of_runs[:, 0])
     if chosen.json:
         print(json.dumps([{k: _finite(v) for k, v in asdict(f).items()} for f in faults], indent=2))
         return 0

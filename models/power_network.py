@@ -17,7 +17,8 @@ What the paper leaves out or gets wrong, and what stands here instead:
 - Sec. VI-A sets to zero what an unplugged area sent. That is not enough: A_ii contains sum_j P_ij and loses its part with it.
 - An unplugged area runs on by itself.
 
-The angles have one common mode without restoring force, so an open loop drifts; power_network_control closes it.
+The angles have one common mode without restoring force, so an open loop drifts: the usual operation is in closed loop, the
+references by power_network_control.generation_control.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.physics import Block, Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.models.power_network_control import generation_control
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_equations import STATES, area_rates
 from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel, network_model
@@ -65,9 +67,9 @@ def power_network(
     """Return a network of at most 250 areas as a plant; larger ones are a `network_model`, without a name for each state.
 
     areas: 15 for those of B18, another number for a network generated from `seed`, or parameters. unplugged, dt, noise,
-    discretisation: of `network_model`. loads: steps of the loads in its usual operation, in which the references follow
-    them; None for those of B18's scenario 1 as far as the areas exist. faults, switches: as truth, for a detector on a healthy
-    network. Raises ValueError for settings that do not fit.
+    discretisation: of `network_model`. loads: steps of the loads in its usual operation; None for those of B18's scenario 1 as
+    far as the areas exist. faults, switches: as truth, for a detector on a healthy network. Raises ValueError for settings that
+    do not fit.
     """
     if isinstance(areas, NetworkParameters):
         c = areas
@@ -91,6 +93,11 @@ def power_network(
         after = condition(t).step(x.reshape(*x.shape[:-1], n, 4), u[..., :n], u[..., n:])
         return after.reshape(*after.shape[:-2], 4 * n)
 
+    def feedback(t: float, y: Array, u: Array) -> Array:
+        load = u[..., n:]
+        reference = generation_control(condition(t).known, y[..., : 4 * n].reshape(*y.shape[:-1], n, 4), load)
+        return np.concatenate([reference, np.broadcast_to(load, reference.shape)], axis=-1)
+
     def finer() -> tuple[Plant, Callable[[Array], Array]]:
         twin = power_network(
             c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults, switches=switches
@@ -112,6 +119,7 @@ def power_network(
         process_cov=np.tile(model.process_cov, n),
         finer=None if discretisation == "exact" else finer,
         operation=lambda t: np.tile(profile(t), 2),
+        feedback=feedback,
         blocks=network_blocks(model),
         fixed_dt=True,
         disturbed=True,

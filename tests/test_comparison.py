@@ -20,7 +20,7 @@ from fusion_sfdia.benchmarks.comparison_calibration import (
     watch,
 )
 from fusion_sfdia.benchmarks.comparison_numbers import confusion, gather
-from fusion_sfdia.benchmarks.comparison_recordings import healthy, network_recording, of_each, plant_of
+from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.comparison_work import work
 from fusion_sfdia.benchmarks.registry import PLANTS
@@ -104,7 +104,7 @@ def test_settings_that_do_not_fit(key: str, value: str, message: str) -> None:
 def test_scores_of_a_silent_detector_are_those_over_its_own_thresholds() -> None:
     found = calibrated("two-tanks", "kf-chi2", 20, 50, 3, 0.02)  # it accuses and latches nothing
     recording = healthy("two-tanks", 30, (0, 1))
-    arguments = recording.t, recording.y, recording.u
+    arguments = recording.t, recording.y, recording.u_of_runs
     nominal = watch(found.detector, *arguments).score
     np.testing.assert_allclose(silent_scores(watch(silent(found.detector), *arguments)), nominal)
     np.testing.assert_allclose(watch(deployed(found), *arguments).score * found.scale, nominal)
@@ -116,7 +116,7 @@ def test_thresholds_are_set_to_the_rate_on_healthy_data_and_keep_it_on_others() 
     assert (found.scores > found.scale).mean() <= rate
     assert (found.scores >= found.scale).mean() >= rate
     fresh = healthy("two-tanks", 20 + steps, tuple(range(50, 60)))
-    alarms = (watch(deployed(found), fresh.t, fresh.y, fresh.u).score[20:] > 1).sum()
+    alarms = (watch(deployed(found), fresh.t, fresh.y, fresh.u_of_runs).score[20:] > 1).sum()
     # the rate that an order statistic of n samples sets has mean `rate`, deviation sqrt(rate / n): samples nearly independent
     n, deviation = fresh.y[20:, :, 0].size, np.sqrt(rate / (steps * seeds))
     assert alarms <= binom.ppf(0.999, n, rate + 3 * deviation)
@@ -184,19 +184,6 @@ def test_faults_of_a_plant_begin_at_their_onset(plant: str) -> None:
         changed = fault.record(30, (3,), 20.5 * of.dt)  # the 20th reading is at 20 dt
         np.testing.assert_array_equal(changed.y[:20], usual.y[:20])
         assert np.any(changed.signal[21:] != usual.signal[21:]), fault.name
-
-
-def test_the_network_is_run_in_closed_loop_on_inputs_of_its_own() -> None:
-    plant = plant_of("power-network")
-    recording = network_recording(40, (0, 1))
-    assert recording.u.shape == (40, 2, len(plant.inputs))
-    assert of_each(recording.u, 2) is recording.u
-    # the exact model follows from what is recorded but for the process noise, of known variance: of 4680 draws none
-    # beyond 5.5 deviations (odds 2e-4)
-    exact, _ = plant.finer() if plant.finer else (plant, None)
-    assert recording.x is not None
-    foretold = exact.step(0.0, recording.x[:-1], recording.u[1:], plant.dt)
-    assert np.abs((recording.x[1:] - foretold) / np.sqrt(plant.process_cov)).max() < 5.5
 
 
 @pytest.mark.slow

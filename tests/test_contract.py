@@ -37,7 +37,7 @@ SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 # ensemble of 40 has no covariance of 60 states. Fixed limits are as wide as the operation moves the readings, on the pipeline
 # by 465 sigma of pressure and 60 of mass flow: what stays within them shows by its onset alone. Principal components divide by
 # the same movement: 30 sigma of pressure are 0.2 of a unit, less than what 24 components leave of the movement (34 find it).
-# The network's own disturbances move a reading by several sigma in a step and by hundreds in the end, since angles wander:
+# The network's own disturbances move a reading by several sigma in a step and by tens in the end, under its controllers too:
 # what learns its thresholds from such recordings, the printed unscented bank too, finds no bias of 30 sigma in most of them.
 MISSED = {
     ("gas-pipeline", "fusing-ekf"): {"pressure"},
@@ -48,7 +48,7 @@ MISSED = {
     ("power-network", "fusing-ukf"): {"angle", "speed", "mechanical power", "valve"},
     ("power-network", "fusing-enkf"): {"angle", "speed", "mechanical power", "valve"},
     ("power-network", "limits"): {"angle", "mechanical power", "valve"},
-    ("power-network", "pca"): {"speed", "mechanical power", "valve"},
+    ("power-network", "pca"): {"speed"},
     ("power-network", "kf-chi2"): {"speed"},
     ("gas-pipeline", "limits"): {"pressure", "mass flow"},
     ("gas-pipeline", "pca"): {"pressure"},
@@ -90,9 +90,8 @@ every_pair = pytest.mark.parametrize("pair", list(pairs()))
 def healthy(plant: str, steps: int, runs: int) -> tuple[Array, Array, Array]:
     """Times (K,), healthy readings (K, B, N), inputs (K, B, m); not to be written to."""
     recording = simulate(plant_of(plant), steps, range(50, 50 + runs))
-    u = np.broadcast_to(recording.u[:, None], (steps, runs, recording.u.shape[-1]))
     recording.y.flags.writeable = False
-    return recording.t, recording.y, u
+    return recording.t, recording.y, recording.u_of_runs
 
 
 def assert_same_bits(a: Decision, b: Decision) -> None:
@@ -171,7 +170,7 @@ def test_an_input_may_be_shared_by_the_batch(pair: tuple[str, str]) -> None:
     detector = detector_of(*pair)
     t, y, u = healthy(pair[0], 5, 3)
     _, shared = run(detector, detector.init((3,)), t, y, u[:, 0])
-    _, each = run(detector, detector.init((3,)), t, y, u)
+    _, each = run(detector, detector.init((3,)), t, y, np.repeat(u[:, :1], 3, axis=1))
     assert_same_bits(shared, each)
 
 

@@ -159,7 +159,7 @@ def test_the_gas_pipeline_is_a_plant_too() -> None:
 
     plant: Plant = gas_pipeline()
     recording = simulate(plant, 6, [0, 1])
-    u = np.broadcast_to(recording.u[:, None], (6, 2, recording.u.shape[-1])).copy()
+    u = recording.u_of_runs.copy()
     u[3:, 1, 0] = -1e9  # Pa, beyond physics
     for detector in (LeaveOneOutBank(plant), CentralFilter(plant, Ensemble())):
         _, d = run(detector, detector.init((2,)), recording.t, recording.y, u)

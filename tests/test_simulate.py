@@ -15,6 +15,7 @@ from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.gas_pipeline import coarse_state, gas_pipeline
+from fusion_sfdia.models.power_network import power_network
 
 
 def walk(sensor: Sensor | None = None, process_cov: float = 1.0, **changes) -> Plant:
@@ -34,13 +35,15 @@ def correlated() -> Plant:
 
 
 @pytest.mark.parametrize(
-    "plant", [chain(), tanks(), correlated(), gas_pipeline()], ids=["chain", "tanks", "correlated", "pipeline"]
+    "plant",
+    [chain(), tanks(), correlated(), gas_pipeline(), power_network()],
+    ids=["chain", "tanks", "correlated", "pipeline", "network"],
 )
 def test_a_seed_gives_the_same_bits_alone_and_in_any_batch(plant):
     options = {"process_noise": True, "start": "sampled"}
     batch = simulate(plant, 40, [5, 3, 11, 0, 8], **options)
     alone = simulate(plant, 40, [11], **options)
-    for name in ("y", "x", "signal"):
+    for name in ("y", "x", "signal", "u_of_runs"):
         np.testing.assert_array_equal(getattr(batch, name)[:, 2], getattr(alone, name)[:, 0])
     longer = simulate(plant, 50, [11], **options)
     np.testing.assert_array_equal(longer.y[:40], alone.y)
@@ -92,6 +95,22 @@ def test_inputs_as_function_and_array():
     assert np.all(doubled.x[..., 0] > simulate(plant, 5, [0]).x[..., 0])
     with pytest.raises(ValueError, match=r"inputs have shape \(4, 1\); wanted finite values \(5, 1\)"):
         simulate(plant, 5, [0], inputs=np.zeros((4, 1)))
+
+
+def test_feedback_acts_on_the_last_readings_of_each_run():
+    """u[k] is made of the operation and the readings at t[k] - dt, the first of the operation alone."""
+    open_loop = walk(step=lambda t, x, u, dt: x + u * dt, inputs=(Signal("rate"),), operation=lambda t: np.array([t]))
+    plant = replace(open_loop, feedback=lambda t, y, u: u - 0.5 * y + t)
+    found = simulate(plant, 4, [0, 1])
+    assert found.u.shape == (4, 2, 1) and found.u_of_runs is found.u
+    np.testing.assert_array_equal(found.u[0], 0.0)
+    before = found.t[:-1, None, None]
+    np.testing.assert_array_equal(found.u[1:], before - 0.5 * found.y[:-1] + before)
+    np.testing.assert_array_equal(found.x[1:], found.x[:-1] + found.u[1:])
+    assert simulate(plant, 4, [0, 1], inputs=np.ones((4, 1))).u.shape == (4, 1)  # what is given acts as it is
+    assert simulate(open_loop, 4, [0, 1], truth=plant).u.shape == (4, 2, 1)  # it is the truth that is controlled
+    in_other_units = simulate(plant.in_units({"s": ("m", 1000.0)}), 4, [0, 1])
+    np.testing.assert_allclose(in_other_units.u, found.u, rtol=1e-9)  # of noise by inversion of quantiles
 
 
 def test_tanks_stay_at_rest_without_disturbance():

@@ -23,6 +23,7 @@ from fusion_sfdia.core.signals import Sensor, Signal
 Array = NDArray[Any]
 StepFunction = Callable[[float, Array, Array, float], Array]
 OutputFunction = Callable[[float, Array, Array], Array]
+Feedback = Callable[[float, Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Plant:
     proportion to dt). Sensors are fixed for life: a missing reading is NaN, never another set of sensors.
 
     step_jacobian(t, x, u, dt) and output_jacobian(t, x, u) are optional; the complex step gives them otherwise.
-    operation(t) is the input that a simulation applies when it is given none.
+    operation(t) is the input that a simulation applies when it is given none; feedback(t, y, u) what controllers make of it at
+    t, from the readings y (..., N) of that time: the input (..., m) that acts from t on. None in open loop.
     finer(): a truer twin with the same sensors and inputs (a finer grid, say) and the map from its states to these, from
     which simulations take their readings unless told otherwise; None where there is none.
     fixed_dt: whether the model holds for its nominal dt only. disturbed: whether what happens is disturbed by the process
@@ -55,6 +57,7 @@ class Plant:
     process_cov: Array
     inputs: tuple[Signal, ...] = ()
     operation: Callable[[float], Array] | None = None
+    feedback: Feedback | None = None
     step_jacobian: StepFunction | None = None
     output_jacobian: OutputFunction | None = None
     process_bound: Array | None = None
@@ -195,13 +198,14 @@ class Plant:
             s = sensors[i]
             factor[i] = scale = number(f"scale of sensor {name!r}", scale)
             sensors[i] = replace(s, unit=unit, sigma=s.sigma and s.sigma * abs(scale), bound=s.bound and s.bound * abs(scale))
-        jacobian, finer = self.output_jacobian, self.finer
+        jacobian, finer, feedback = self.output_jacobian, self.finer, self.feedback
         return replace(
             self,
             sensors=tuple(sensors),
             output=lambda t, x, u: self.output(t, x, u) * factor,
             output_jacobian=None if jacobian is None else lambda t, x, u: jacobian(t, x, u) * factor[:, None],
             finer=None if finer is None else lambda: (finer()[0].in_units(units), finer()[1]),
+            feedback=None if feedback is None else lambda t, y, u: feedback(t, y / factor, u),
             sensor_scale=self.sensor_scale * factor,
         )
 

@@ -27,8 +27,9 @@ MOST_STEPS = 10**9  # more is a slip: a step takes at least a microsecond
 class Recording:
     """Healthy readings and the truth behind them, time first, one run a seed.
 
-    t (K,) s, of the readings; u (K, m) the input that acted until t; y (K, B, N) readings; signal (K, B, N) the same
-    without noise; x (K, B, n) true states, None where they are not those of the detector's plant. seeds (B,).
+    t (K,) s, of the readings; u the input that acted until t, (K, m), in closed loop (K, B, m); y (K, B, N) readings; signal
+    (K, B, N) the same without noise; x (K, B, n) true states, None where they are not those of the detector's plant. seeds
+    (B,).
     """
 
     t: Array
@@ -40,6 +41,13 @@ class Recording:
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     sensors: tuple[str, ...]
+
+    @property
+    def u_of_runs(self) -> Array:
+        """The input of each run (K, B, m)."""
+        if self.u.ndim == 3:
+            return self.u
+        return np.broadcast_to(self.u[:, None], (*self.y.shape[:2], self.u.shape[-1]))
 
 
 def simulate(
@@ -62,8 +70,9 @@ def simulate(
     whose dt divides plant.dt and whose sensors' noise is added. to_states: maps the states (K, B, n') of such a plant to
     those of `plant`; without it, and with states of other names, x is None. process_noise: whether the truth is disturbed
     by its process noise. start: "nominal" for the truth's x0, "sampled" from its initial covariance, or states (n',) or
-    (B, n'). inputs: u as a function of the time from which it acts, or as (K, m), or None for the plant's operation; it is
-    held from one reading to the next.
+    (B, n'). inputs: u as a function of the time from which it acts, or as (K, m); None for the truth's operation, in closed
+    loop where it has feedback, whose controllers get the readings as they are simulated here. It is held from one reading to
+    the next; until the first one the operation acts alone.
 
     Noise: Gaussian where a sigma is stated, uniform within the bound where only a bound is, Gaussian truncated to the
     bound where both are; the process noise likewise. Raises ValueError for arguments that do not fit, ArithmeticError
@@ -83,26 +92,32 @@ def simulate(
     if not np.isfinite(t0):
         raise ValueError(f"t0 is {t0}; wanted a finite time in s")
     t, dt = _times(plant, times, t0)
-    u = _inputs(plant, t - dt, inputs)
+    u = _inputs(plant, t - dt, truth.input_at if inputs is None else inputs)
+    feedback = truth.feedback if inputs is None else None
     x = _start(truth, start, seeds, t0)
     n, steps, count = x.shape[-1], t.size, len(truth.sensors)
     draws = _ProcessNoise(truth, seeds) if process_noise else None
     xs = np.empty((steps, len(seeds), n))
     signal = np.empty((steps, len(seeds), count))
+    noise = _sensor_noise(truth.sensors, seeds, steps)
     before = t - dt
+    if feedback is not None:
+        u = np.repeat(u[:, None], len(seeds), axis=1)
     for k in range(steps):
+        if feedback is not None and k > 0:
+            u[k] = feedback(float(before[k]), signal[k - 1] + noise[k - 1], u[k])
+        acting = u[k] if feedback is None else u[k][:, None]
         parts = 1 if truth.dt == plant.dt else int(np.ceil(float(dt[k]) / truth.dt - 1e-9))
         part = float(dt[k]) / parts
         truth.check_dt(part)
         for j in range(parts):
             with np.errstate(all="ignore"):
-                x = truth.step(float(before[k]) + j * part, x, u[k], part)
+                x = truth.step(float(before[k]) + j * part, x, acting, part)
             if draws is not None:
                 x = x + draws.over(part)
             _require_inside(truth, x, seeds, float(before[k]) + (j + 1) * part)
         xs[k] = x[:, 0]
-        signal[k] = truth.output(float(t[k]), x, u[k])[:, 0]
-    uniform = np.stack([_unit(stream(s, "measurement noise"), (steps, count)) for s in seeds], axis=1)
+        signal[k] = truth.output(float(t[k]), x, acting)[:, 0]
     names = tuple(s.name for s in plant.states)
     states: Array | None = xs if names == tuple(s.name for s in truth.states) else None
     if to_states is not None:
@@ -112,7 +127,7 @@ def simulate(
     return Recording(
         t=t,
         u=u,
-        y=signal + _sensor_noise(truth.sensors, uniform),
+        y=signal + noise,
         signal=signal,
         x=states,
         seeds=seeds,
@@ -152,8 +167,7 @@ def _times(plant: Plant, times: int | Array, t0: float) -> tuple[Array, Array]:
     return t, np.where(np.isclose(dt, plant.dt, rtol=1e-9), plant.dt, dt)
 
 
-def _inputs(plant: Plant, before: Array, inputs: Callable[[float], Array] | Array | None) -> Array:
-    given = plant.input_at if inputs is None else inputs
+def _inputs(plant: Plant, before: Array, given: Callable[[float], Array] | Array) -> Array:
     u = np.array([given(float(s)) for s in before], dtype=float) if callable(given) else np.asarray(given, dtype=float)
     wanted = (before.size, len(plant.inputs))
     if u.shape != wanted or not np.all(np.isfinite(u)):
@@ -202,7 +216,9 @@ def _quantile(uniform: Array, sigma: Array, bound: Array) -> Array:
     return np.asarray(np.where(gaussian, np.clip(truncated, -bound, bound), even))
 
 
-def _sensor_noise(sensors: tuple[Sensor, ...], uniform: Array) -> Array:
+def _sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int) -> Array:
+    """Noise (K, B, N) of the readings."""
+    uniform = np.stack([_unit(stream(s, "measurement noise"), (steps, len(sensors))) for s in seeds], axis=1)
     sigma = np.array([np.inf if s.sigma is None else s.sigma for s in sensors])
     return _quantile(uniform, sigma, np.array([s.noise_bound for s in sensors]))
 
