@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS, PaperFault
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.detectors import DETECTORS
 from fusion_sfdia.benchmarks.registry import PLANTS, require_known
@@ -23,7 +24,8 @@ GRADED = ("bias", "drift", "noise", "scale")  # kinds that have a size
 UNGRADED = ("freeze", "dropout")
 SEVERAL = ("two-faults", "three-faults")  # biases of SEVERAL_SIGMA at once
 ATTACKS = ("replay", "sign")  # on one reading: the samples before over again; its negative
-KINDS = (*GRADED, *UNGRADED, *SEVERAL, *ATTACKS)
+PUBLISHED = "published"  # those of the plant's papers, of their sizes
+KINDS = (*GRADED, *UNGRADED, *SEVERAL, *ATTACKS, PUBLISHED)
 SEVERAL_SIGMA = 10.0
 TROUBLED_SIGMA = 10.0  # of the bias that is to be found in spite of a departure
 HEALTHY = "none"
@@ -58,9 +60,12 @@ class Condition(NamedTuple):
 def conditions(settings: Settings, plant: str) -> list[Condition]:
     """All conditions with a right model, the healthy one first."""
     found = [Condition(HEALTHY, HEALTHY, np.nan, 0)]
-    for group, kind in enumerate(settings["faults"], start=1):
+    for kind in settings["faults"]:
+        group = found[-1].group + 1
         if kind in GRADED:
             found += [Condition(f"{kind}-{m:g}-sigma", kind, m, group) for m in settings["magnitudes"]]
+        elif kind == PUBLISHED:
+            found += [Condition(fault.name, kind, np.nan, group) for fault in PAPER_FAULTS.get(plant, ())]
         else:
             found.append(Condition(kind, kind, SEVERAL_SIGMA if kind in SEVERAL else np.nan, group))
     last = found[-1].group + 1
@@ -90,9 +95,17 @@ def failing_sensors(plant: Plant, *, everyone: bool = False) -> list[int]:
 
 def sensors_of(settings: Settings, plant: Plant, condition: Condition, seed: int) -> list[int]:
     """The sensors that fail in a run; another one for each seed and group, none where the plant itself fails."""
+    if condition.kind == PUBLISHED and (named := paper_fault(plant, condition).sensor) is not None:
+        return [plant.sensor_index(named)]
     count = {HEALTHY: 0, "plant": 0, "two-faults": 2, "three-faults": 3}.get(condition.kind, 1)
     order = failing_sensors(plant, everyone=settings["all_sensors"])
     return [order[(seed + condition.group + j) % len(order)] for j in range(min(count, len(order)))]
+
+
+def paper_fault(plant: Plant, condition: Condition) -> PaperFault:
+    """The fault of a paper that a condition is named after."""
+    (found,) = (fault for fault in PAPER_FAULTS[plant.name] if fault.name == condition.name)
+    return found
 
 
 def faults_of(settings: Settings, plant: Plant, condition: Condition, seed: int, onset: float, signal: Array) -> list[Fault]:
@@ -114,6 +127,8 @@ def faults_of(settings: Settings, plant: Plant, condition: Condition, seed: int,
                 found.append(Fault(name, "noise", onset, length, size))
             case "sign":
                 found.append(Fault(name, "scale", onset, length, -1.0))
+            case "published":
+                found.append(paper_fault(plant, condition).make(plant, name, seed, onset, length))
             case kind:
                 found.append(Fault(name, kind, onset, length))
     return found

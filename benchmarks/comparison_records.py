@@ -36,7 +36,8 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
     alarms: samples with an alarm. first: samples until the first, inf for none. right, named, faulty: sensor-samples that are
     named and faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a
     healthy sensor is. told (B, Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is
-    faulty; where several are named, each has its share of the sample. size_error: mean |size / true size - 1| where
+    faulty; where several are named, each has its share of the sample. judged: whether the sensor that is named most is faulty.
+    size_error: mean |size / true size - 1| where
     named. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty sensors measured,
     raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
     """
@@ -55,6 +56,7 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
         "exact": ((isolated == active).all(axis=-1) & active.any(axis=-1)).sum(axis=0),
         "blamed": (isolated & ~active).any(axis=-1).sum(axis=0),
         "told": told(plant, isolated, active),
+        "judged": judged(isolated, active),
         "size_error": _mean(np.abs(ratio - 1), sized),
         "measured": _error(plant, decision.measured, branch, active),
         "raw": _error(plant, branch.y, branch, active),
@@ -72,6 +74,15 @@ def told(plant: Plant, isolated: Array, active: Array) -> Array:
     wrong = np.where(active, 0.0, share)
     columns = [count[..., 0] == 0, *(wrong[..., members].sum(axis=-1) for members in plant.quantities.values())]
     return np.stack([*(c.sum(axis=0) for c in columns), np.where(active, share, 0.0).sum(axis=(0, 2))], axis=-1)
+
+
+def judged(isolated: Array, active: Array) -> Array:
+    """Runs (B,) in which the sensor that is named most is faulty at some time; isolated, active (W, B, N)."""
+    times = isolated.sum(axis=0)
+    most = np.argmax(times, axis=-1)
+    runs = np.arange(most.size)
+    faulty = np.asarray(active.any(axis=0))
+    return np.asarray((times[runs, most] > 0) & faulty[runs, most])
 
 
 def _error(plant: Plant, readings: Array, branch: Branch, where: Array) -> Array:

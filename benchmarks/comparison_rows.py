@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
-from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, PUBLISHED
+from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
+from fusion_sfdia.benchmarks.results import Published, Row
 from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
 
 Array = NDArray[Any]
@@ -75,6 +76,8 @@ def rows_of_cell(cell: Cell) -> list[Row]:
     for name, kind in cell.kinds.items():
         innocent = kind in (HEALTHY, "plant")
         add_all(name, "all", INNOCENT if innocent else DROPOUT if kind == "dropout" else SINGLE, cell.rows_of(name))
+        if kind in (PUBLISHED, "plant"):
+            found += paper_rows(cell, name, kind)
     for size in cell.settings["magnitudes"]:
         if members := cell.graded(size):
             add_all(f"{POOLED}-{size:g}-sigma", "all", SEVERAL, cell.rows_of(*members))
@@ -88,4 +91,23 @@ def rows_of_cell(cell: Cell) -> list[Row]:
         for named, hits in zip(("none", *(f"another {n}" for n in quantities), "the right one"), samples.T, strict=True):
             if hits.any():
                 add("large", f"{quantity}: {named}", "named_share", rate_over_runs(hits, samples.sum(axis=-1)))
+    return found
+
+
+def paper_rows(cell: Cell, name: str, kind: str) -> list[Row]:
+    """Runs judged right by quantity, and delays, beside what is published of them."""
+    found = []
+
+    def add(quantity: str, metric: str, e: Estimate, published: Published | None) -> None:
+        value, source = (published.value, published.source) if published else (None, "")
+        found.append(Row(SCENARIO, cell.plant, cell.detector, name, quantity, metric, *e, value, source))
+
+    rows = cell.rows_of(name)
+    for quantity, members in cell.model.quantities.items() if kind == PUBLISHED else ():
+        if (of := np.isin(cell["sensor"][rows], members)).any():
+            right = cell["judged"][rows][of]
+            stated = published_accuracy(cell.plant, cell.detector, name, quantity)
+            add(quantity, "accuracy", proportion(int(right.sum()), right.size), stated)
+    if (delay := published_delay(cell.plant, cell.detector, name)) is not None:
+        add("first alarm", "detection_delay", cell.delay(rows), delay)
     return found

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.comparison_recordings import plant_of, simulated
+from fusion_sfdia.benchmarks.network_published import GOVERNOR as B18_GOVERNOR
+from fusion_sfdia.benchmarks.network_published import SIGN_FLIP as B18_SIGN_FLIP
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
@@ -31,6 +33,7 @@ from fusion_sfdia.models.two_tanks import Tanks, tank_physics, two_tanks
 
 Array = NDArray[Any]
 
+LOAD_LOSS = AreaFault("load-loss", "7", 0.05)
 PIPELINE, ENGINE, NETWORK, TANKS = "gas-pipeline", "marine-engine", "power-network", "two-tanks"
 
 
@@ -174,9 +177,9 @@ def _ailing(kind: str, severity: float) -> Callable[..., Recording]:
     return record
 
 
-def _area(kind: str, value: float) -> Callable[..., Recording]:
+def _area(fault: AreaFault) -> Callable[..., Recording]:
     def record(steps: int, seeds: tuple[int, ...], onset: float) -> Recording:
-        return simulated(NETWORK, steps, seeds, truth=power_network(faults=[AreaFault(kind, "7", value, onset)]))
+        return simulated(NETWORK, steps, seeds, truth=power_network(faults=[replace(fault, onset=onset)]))
 
     return record
 
@@ -189,9 +192,13 @@ PLANT_FAULTS: dict[str, tuple[PlantFault, ...]] = {
         PlantFault("heavy-propeller", "a tenth more load, of a line or of weather", _ailing("heavy-propeller", 0.1)),
     ),
     NETWORK: (
-        PlantFault("governor", "a governor that follows 10 times as slowly", _area("governor", 1.0)),
-        PlantFault("input-gain", "the reference arrives with its sign reversed (B18, scenario 2)", _area("input-gain", -1.0)),
-        PlantFault("load-loss", "a twentieth of the base power is lost at once", _area("load-loss", 0.05)),
+        PlantFault(
+            "governor", "the governor of area 4 with a time constant of 1000 s (B18, scenario 1)", _area(B18_GOVERNOR.fault)
+        ),
+        PlantFault(
+            "input-gain", "the reference of area 5 arrives with its sign reversed (B18, scenario 2)", _area(B18_SIGN_FLIP.fault)
+        ),
+        PlantFault("load-loss", "a twentieth of the base power is lost at once in area 7", _area(LOAD_LOSS)),
     ),
     TANKS: (PlantFault("leak", "a tenth of the inflow is lost before the upper tank", _leak(TANKS, 0.9)),),
 }

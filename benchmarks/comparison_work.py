@@ -69,7 +69,7 @@ def work(task: Task) -> Arrays:
     settings = {k: task[k] for k in ("settle", "calibration_steps", "calibration_seeds", "false_alarm")}
     try:
         calibration = calibrated(task["plant"], task["detector"], *settings.values())
-    except ValueError as problem:
+    except (ValueError, ModuleNotFoundError) as problem:  # not for this plant, or without an optional package
         return {"reason": np.array(str(problem))}
     found = conditions(task, task["plant"])
     recording = healthy(task["plant"], trunk_steps(task, task["plant"]), seeds_of(task["seeds"]))
@@ -125,7 +125,7 @@ def readings(task: Task, plant: Plant, recording: Recording, members: Sequence[C
         for c in members
         for b, seed in enumerate(seeds)
     ]
-    changed = apply(plant, recording.t[before], y, lists, seeds * len(members))
+    changed = apply(plant, recording.t[before], y, lists, seeds * len(members), signal=signal)
     now = slice(onset - before.start, None)
     u = np.concatenate([r.u_of_runs[onset : onset + window] for r in shown], axis=1)
     return Branch(u, changed.y[now], y[now], signal[now], changed.active[now], changed.size[now])

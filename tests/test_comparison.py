@@ -20,12 +20,13 @@ from fusion_sfdia.benchmarks.comparison_calibration import (
     watch,
 )
 from fusion_sfdia.benchmarks.comparison_numbers import confusion, gather
+from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.comparison_work import work
 from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.benchmarks.runner import run_scenarios
-from fusion_sfdia.benchmarks.scenario import adjust
+from fusion_sfdia.benchmarks.scenario import Published, adjust
 from fusion_sfdia.cli import main, parser
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
@@ -232,3 +233,37 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path)
     _, err = capsys.readouterr()
     assert code == 2
     assert "did you mean 'two-tanks'" in err
+
+
+def test_faults_of_the_papers_have_their_sizes() -> None:
+    pipeline, engine = plant_of("gas-pipeline"), plant_of("marine-engine")
+    settings = dict(protocol.SETTINGS)
+    signal = np.ones((30, len(pipeline.sensors)))
+    for condition in protocol.conditions(settings, "gas-pipeline"):
+        if condition.kind == protocol.PUBLISHED:
+            low, high = (0.6, 0.9) if condition.name.startswith("strong") else (0.2, 0.4)
+            faults = [protocol.faults_of(settings, pipeline, condition, s, 60.0, signal)[0] for s in range(20)]
+            assert {f.sensor for f in faults} >= {pipeline.sensors[i].name for i in protocol.failing_sensors(pipeline)}
+            assert all(f.relative and low <= abs(f.magnitude) <= high and f.length == 30 * pipeline.dt for f in faults)
+            assert {np.sign(f.magnitude) for f in faults} == {-1, 1}
+    offsets = [c for c in protocol.conditions(settings, "marine-engine") if c.kind == protocol.PUBLISHED]
+    made = [protocol.faults_of(settings, engine, c, 5, 1.0, signal)[0] for c in offsets]
+    assert [(f.sensor, f.magnitude) for f in made] == [("S(2){3}", -3.8e4), ("S(3){1}", 5e4), ("S(4){2}", 8.0)]
+    assert [c for c in protocol.conditions(settings, "two-tanks") if c.kind == protocol.PUBLISHED] == []
+
+
+def test_what_is_published_stands_beside_ours() -> None:
+    settings = tiny(plants="marine-engine", detectors="adaptive-threshold,limits", faults="published", departures="no")
+    found = [r for r in summarise(settings, results(settings)).rows if r.published is not None]
+    assert {r.detector for r in found} == {"adaptive-threshold"}
+    assert [(r.fault, round(float(r.published or 0), 9)) for r in found] == [
+        ("torque-offset", 0.0),
+        ("receiver-pressure-offset", 0.06),
+        ("charge-temperature-offset", 0.01),
+    ]
+    assert published_accuracy("gas-pipeline", "fusing-ekf", "weak-bias", "pressure") == Published(
+        0.45, "Shaheen 2024, Table VI"
+    )
+    assert published_accuracy("gas-pipeline", "loo-glr", "weak-bias", "pressure") is None
+    assert (delay := published_delay("power-network", "chebyshev:paper", "governor")) is not None and delay.value == 8.0
+    assert published_delay("power-network", "chebyshev", "governor") is None
