@@ -21,7 +21,7 @@ from fusion_sfdia.evaluation.metrics import Estimate
 Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], Cell]
 
-FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca")
+FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural")
 
 
 def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:

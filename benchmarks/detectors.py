@@ -10,18 +10,19 @@ import numpy as np
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
-from fusion_sfdia.core.arguments import Array
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.pca import PrincipalComponents
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
 from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
+from fusion_sfdia.structural_residuals.structure import modules_of
 
 FALSE_ALARM = 1e-3  # per step over all sensors, of every detector here
 CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign
@@ -47,15 +48,22 @@ def calibrated(bank: FusingBank) -> FusingBank:
     return calibrate(bank, healthy.t, healthy.y, healthy.u_of_runs, FALSE_ALARM, WARM_UP)
 
 
-def healthy_data(plant: Plant) -> Array:
-    """Healthy readings (K, B, N) by the plant's own model, runs enough for the limits of each quantity at FALSE_ALARM.
+def healthy_data(plant: Plant) -> Recording:
+    """Healthy readings y (K, B, N) by the plant's own model, runs enough for the limits of each quantity at FALSE_ALARM.
 
     Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
     """
     wanted = 1.5 * 4 * len(plant.quantities) / FALSE_ALARM  # two checks of each, set on every other sample
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(wanted / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
-    return simulate(plant, CALIBRATION_STEPS, seeds, truth="model", process_noise=plant.disturbed).y
+    return simulate(plant, CALIBRATION_STEPS, seeds, truth="model", process_noise=plant.disturbed)
+
+
+def structural_residuals(plant: Plant) -> StructuralResiduals:
+    """ValueError for a plant without scalar equations, ModuleNotFoundError without faultdiagnosistoolbox."""
+    modules_of(plant)  # before anything is simulated
+    healthy = healthy_data(plant)
+    return StructuralResiduals.fit(plant, healthy.y, healthy.u_of_runs, FALSE_ALARM)
 
 
 def bounded(plant: Plant) -> Detector:
@@ -99,11 +107,16 @@ DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
     ),
     "limits": (
         "fixed limits of each reading and of its change since the last, learnt from healthy data",
-        lambda plant: FixedLimits.fit(plant, healthy_data(plant), FALSE_ALARM),
+        lambda plant: FixedLimits.fit(plant, healthy_data(plant).y, FALSE_ALARM),
     ),
     "pca": (
         "principal components of healthy data: T2 and SPE, isolation by reconstruction-based contributions",
-        lambda plant: PrincipalComponents.fit(plant, healthy_data(plant), FALSE_ALARM),
+        lambda plant: PrincipalComponents.fit(plant, healthy_data(plant).y, FALSE_ALARM),
+    ),
+    "structural-residuals": (
+        "residuals of structural analysis (faultdiagnosistoolbox), computed from the equations in their own direction, limits "
+        "from healthy data, minimal diagnoses; on a plant with scalar equations",
+        structural_residuals,
     ),
     "adaptive-threshold": (
         "observers and algebraic residuals with thresholds that bounded noise cannot cross, and diagnosis sets "

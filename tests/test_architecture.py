@@ -18,6 +18,7 @@ FOLDERS: dict[str, set[str]] = {
     "adaptive_thresholds": {"core", "intervals"},
     "stochastic_thresholds": {"core", "filters"},
     "data_driven": {"core"},
+    "structural_residuals": {"core"},
     "evaluation": {"core"},
 }
 COMMAND_LINE = {"cli", "cli_runs"}
