@@ -237,6 +237,17 @@ def test_a_bias_has_a_name_where_the_structure_tells_it_from_all_others(name: st
         assert np.all(np.abs(error) < 5) and np.all(np.abs(np.diagonal(error)) < 1e-9)
 
 
+def test_readings_at_which_the_equations_have_no_value_contradict_them() -> None:
+    detector, plant = detector_of("marine-engine"), plant_of("marine-engine")
+    torque = plant.sensor_index("S(2){3}")
+    recording = simulate(plant, 20, [7])
+    y = recording.y[:, 0].copy()
+    y[10:, torque] *= -2
+    state, d = run(detector, detector.init(), recording.t, y, recording.u)
+    assert d.isolated[10:, torque].all() and d.isolated.sum() == 10 and np.all(np.isfinite(d.residual))
+    assert all(np.all(np.isfinite(a)) for a in state)
+
+
 def test_the_diagnosis_is_the_only_smallest_hitting_set() -> None:
     detector = detector_of("marine-engine")
     signatures = reads(detector.plant, detector.residuals)

@@ -26,14 +26,16 @@ from fusion_sfdia.structural_residuals.structure import Residual, modules_of
 
 Array = NDArray[Any]
 
+CONTRADICTION = 1e6  # standard deviations: the residual of readings at which the equations have no value
+
 
 @dataclass(frozen=True, eq=False)
 class StructuralResiduals(BatchDetector):
     """Residuals of a plant that says its scalar equations, each with a limit, in standard deviations of its target's noise.
 
-    limits: (R,), as of `fit`. A residual is computed when all readings it takes are there and its equations have values at
-    them; its states are integrated with the last readings in place of missing ones. What is shown of a sensor is the residual
-    of the largest ratio to its limit among those that read it, for another target in units of this sensor by their noise.
+    limits: (R,), as of `fit`. A residual is computed when all readings it takes are there, and is CONTRADICTION where its
+    equations have no value at them; its states are integrated with the last readings in place of missing ones. What is shown
+    of a sensor is the residual of the largest ratio to its limit among those that read it, as so many deviations of its own.
 
     isolated: the smallest diagnosis of the residuals beyond their limits, of at most max_faults sensors, where there is one
     alone; none where several are as small. A silent residual exonerates nobody: how much of a fault it shows depends on the
@@ -155,7 +157,7 @@ class StructuralResiduals(BatchDetector):
         )
         missing = (np.isnan(y)[:, None] & self._reads).any(axis=-1)
         residual = (now[:, self._target] - computed) / self.plant.sensor_sigma[self._target]
-        residual = np.where(missing | ~np.isfinite(residual), np.nan, residual)
+        residual = np.where(missing, np.nan, np.where(np.isfinite(residual), residual, CONTRADICTION))
         return (np.moveaxis(states, -1, 0).copy(), y.copy(), now, good), residual, computed
 
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
