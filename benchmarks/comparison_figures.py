@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import matplotlib
 import numpy as np
@@ -20,6 +20,7 @@ from fusion_sfdia.evaluation.metrics import Estimate
 
 Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], Cell]
+T = TypeVar("T")
 
 FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural")
 
@@ -45,9 +46,9 @@ def _family(detector: str) -> str:
     return detector.partition(":")[0].partition("-")[0]
 
 
-def of_plant(cells: Cells, plant: str) -> dict[str, Cell]:
-    """The detectors of a plant."""
-    return {detector: cell for (where, detector), cell in cells.items() if where == plant}
+def of_plant(found: Mapping[tuple[str, str], T], plant: str) -> dict[str, T]:
+    """Of what is known by plant and detector that of a plant, by detector."""
+    return {detector: one for (where, detector), one in found.items() if where == plant}
 
 
 def heat(
@@ -202,26 +203,20 @@ def other_panels(cell: Cell) -> list[Panel]:
     return [panel for panel in found if panel.columns]
 
 
-def draw_cost(cells: Cells, score: Callable[[Cell], Estimate]) -> Drawing:
-    """What is found against what a step costs: a panel a plant."""
-    plants, detectors = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
-    figure, axes = panels(plants, columns=2, width=10.0, height=3.2)
-    look, times = looks(detectors), [cell.step_seconds * 1e3 for cell in cells.values()]
-    for axis, plant in zip(axes, plants, strict=True):
-        for detector, cell in of_plant(cells, plant).items():
-            e = score(cell)
-            style = {"color": look[detector]["color"], "marker": look[detector]["marker"]}
-            spread = [[max(e.value - e.low, 0.0)], [max(e.high - e.value, 0.0)]]
-            filled = look[detector]["linestyle"] == "-"
-            axis.errorbar(
-                cell.step_seconds * 1e3, e.value, spread, linestyle="none", markersize=6, elinewidth=0.8, capsize=2,
-                mfc=style["color"] if filled else "white", label=detector, **style,
-            )  # fmt: skip
-        axis.set(
-            xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with the exact names"
-        )
-        axis.set_xlim(min(times) / 2, max(times) * 2)
-        axis.xaxis.set_major_formatter("{x:g}")
-        axis.xaxis.set_minor_formatter(NullFormatter())
+def draw_cost(cells: Mapping[str, Cell], score: Mapping[str, Estimate]) -> Drawing:
+    """What is found against what a step costs."""
+    figure, (axis,) = panels([""], width=10.5, height=3.8)
+    look = looks(list(cells))
+    for detector, e in score.items():
+        style = {"color": look[detector]["color"], "marker": look[detector]["marker"]}
+        spread = [[max(e.value - e.low, 0.0)], [max(e.high - e.value, 0.0)]]
+        filled = look[detector]["linestyle"] == "-"
+        axis.errorbar(
+            cells[detector].step_seconds * 1e3, e.value, spread, linestyle="none", markersize=6, elinewidth=0.8, capsize=2,
+            mfc=style["color"] if filled else "white", label=detector, **style,
+        )  # fmt: skip
+    axis.set(xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with the exact names")
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
     legend_columns(figure)
     return figure

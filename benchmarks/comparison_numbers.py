@@ -22,6 +22,7 @@ from fusion_sfdia.evaluation.metrics import LEVEL, NOTHING, Estimate, proportion
 
 Array = NDArray[Any]
 
+LEAST_ERROR = 1e-3  # sigma of the noise: less is as good as none
 PER_SEED = {"trunk": 1, "swept": 2}  # the axis of seeds; of the rest it is 1 where there are two axes
 
 
@@ -90,7 +91,7 @@ class Cell:
     def delay(self, rows: Array) -> Estimate:
         """Mean seconds to the first alarm, of the runs that have one."""
         first = self["first"][rows].ravel()
-        return mean(first[np.isfinite(first)] * self.model.dt)
+        return within(mean(first[np.isfinite(first)] * self.model.dt), 0.0, np.inf)
 
     def false_flags(self, rows: Array) -> Estimate:
         """Share of healthy sensor-samples that are named."""
@@ -99,17 +100,25 @@ class Cell:
 
     def size_error(self, rows: Array) -> Estimate:
         """Mean error of the sizes of faults in percent, where named."""
-        e = mean(self["size_error"][rows].ravel())
+        e = within(mean(self["size_error"][rows].ravel()), 0.0, np.inf)
         return Estimate(100 * e.value, 100 * e.low, 100 * e.high, e.n)
 
     def rms(self, what: str, rows: Array) -> Estimate:
         """Root mean square over runs, in standard deviations of the noise."""
         return root(mean(self[what][rows].ravel()))
 
+    @cached_property
+    def log_gain(self) -> Array:
+        """Logarithm of the error of `measured` over that of the readings as they came, of the faulty sensors; NaN for none.
+
+        An error of less than LEAST_ERROR counts as that: where the truth is the model, one may be right to rounding.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.log(np.maximum(self["measured"], LEAST_ERROR**2) / self["raw"]) / 2)
+
     def gain(self, rows: Array) -> Estimate:
         """Error of `measured` over that of the readings as they came, of the faulty sensors: geometric mean over runs."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.log(self["measured"][rows] / self["raw"][rows]).ravel() / 2
+        ratio = self.log_gain[rows].ravel()
         e = mean(ratio[np.isfinite(ratio)])
         return Estimate(float(np.exp(e.value)), float(np.exp(e.low)), float(np.exp(e.high)), e.n)
 
@@ -151,6 +160,12 @@ def mean(values: Array) -> Estimate:
         return Estimate(middle, np.nan, np.nan, 1)
     half = float(stats.t.ppf((1 + LEVEL) / 2, known.size - 1) * known.std(ddof=1) / np.sqrt(known.size))
     return Estimate(middle, middle - half, middle + half, known.size)
+
+
+def within(e: Estimate, least: float, most: float) -> Estimate:
+    """The interval as far as a quantity can be; it covers as often."""
+    low, high = np.clip([e.low, e.high], least, most)
+    return Estimate(e.value, float(low), float(high), e.n)
 
 
 def root(e: Estimate) -> Estimate:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, mean
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, mean, within
 from fusion_sfdia.benchmarks.comparison_protocol import UNGRADED
 from fusion_sfdia.evaluation.metrics import LEVEL, Estimate
 
@@ -42,8 +42,7 @@ def isolation(cell: Cell) -> dict[str, Array]:
 
 def accommodation(cell: Cell) -> dict[str, Array]:
     """Error of `measured` over that of the readings, of the faulty sensors: tenfold less is 1."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        better = -np.log10(cell["measured"] / cell["raw"]) / 2
+    better = -cell.log_gain / np.log(10)
     return _by_group(cell, np.where(np.isfinite(better), better, 0.0), faulty=True)
 
 
@@ -58,6 +57,9 @@ CRITERIA: dict[str, Callable[[Cell], dict[str, Array]]] = {
     "accommodation": accommodation,
     "exoneration": exoneration,
 }
+
+
+SHARES = ("detection", "isolation", "exoneration")
 
 
 def _by_group(cell: Cell, values: Array, *, faulty: bool) -> dict[str, Array]:
@@ -80,8 +82,8 @@ def clusters(cells: Mapping[str, Cell], criterion: str) -> dict[str, Array]:
     }
 
 
-def ranking(values: Mapping[str, Array]) -> dict[str, Standing]:
-    """Standing of detectors by their values on the same clusters (C,), larger being better."""
+def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, Standing]:
+    """Standing of detectors by their values on the same clusters (C,), larger being better; shares lie from 0 to 1."""
     names = list(values)
     pairs = list(combinations(names, 2))
     p = holm([paired_p(values[a] - values[b]) for a, b in pairs])
@@ -92,7 +94,7 @@ def ranking(values: Mapping[str, Array]) -> dict[str, Standing]:
             better[second].add(first)
     return {
         name: Standing(
-            mean(values[name]),
+            within(mean(values[name]), 0.0, 1.0) if shares else mean(values[name]),
             1 + len(better[name]),
             tuple(o for o in names if o != name and o not in better[name] and name not in better[o]),
         )

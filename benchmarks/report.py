@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -32,11 +33,10 @@ class Section:
     figures: dict[str, str]
     failures: list[str]
 
-    @property
-    def drawn(self) -> list[tuple[Figure, Markup]]:
-        """Figures that could be drawn, with their SVG for the page."""
-        names = {f"{self.scenario.name.replace('/', '-')}-{f.name}": f for f in self.summary.figures}
-        return [(names[name], inline(svg, name, names[name].alt)) for name, svg in self.figures.items()]
+    def drawn(self, figures: Iterable[Figure]) -> list[tuple[Figure, Markup]]:
+        """Those of the figures that could be drawn, with their SVG for the page."""
+        names = {f"{self.scenario.name.replace('/', '-')}-{f.name}": f for f in figures}
+        return [(f, inline(self.figures[name], name, f.alt)) for name, f in names.items() if name in self.figures]
 
     @property
     def comparison(self) -> str:
@@ -71,7 +71,9 @@ def write_report(path: Path, command: Command, sections: list[Section], manifest
 
 
 def number(value: Any) -> str:
-    """Return a number with 4 digits, "undefined" for NaN; anything else as text."""
+    """Return a number with 4 digits, "undefined" for NaN, with its interval where it has one; anything else as text."""
+    if isinstance(value, tuple):
+        return estimate(*value)
     if isinstance(value, bool) or not isinstance(value, float):
         return str(value)
     if math.isnan(value):
@@ -81,6 +83,17 @@ def number(value: Any) -> str:
     return f"{mantissa}e{int(exponent)}" if exponent else text
 
 
+def estimate(value: float, low: float, high: float, n: int) -> str:
+    """Return "0.93 [0.88, 0.96]" with as many digits as tell the interval from its value, at least 2."""
+    if math.isnan(value) or math.isnan(low) or math.isnan(high):
+        return "none" if math.isnan(value) else f"{value:.3g}"
+    width = max(high - low, abs(value) * 1e-3)
+    digits = max(0, 1 - math.floor(math.log10(width))) if 0 < width < math.inf else 2
+    if digits > 6 or max(abs(value), abs(high)) >= 1e6:
+        return f"{value:.2g} [{low:.2g}, {high:.2g}]"
+    return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
 def interval(row: Row) -> str:
     """Return the 95 % interval of a row as text; empty where none is stated."""
     if math.isnan(row.low) or math.isnan(row.high):
@@ -88,8 +101,10 @@ def interval(row: Row) -> str:
     return f"{number(float(row.low))} to {number(float(row.high))}"
 
 
-def _sort_key(value: float) -> str:
+def _sort_key(value: float | tuple[float, ...]) -> str:
     """What a number is sorted by: with all its digits, empty for NaN."""
+    if isinstance(value, tuple):
+        value = value[0]
     return "" if math.isnan(value) else repr(float(value))
 
 

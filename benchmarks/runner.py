@@ -202,7 +202,7 @@ def _summarise(plan: _Plan, out: Path) -> Section:
         failures.append(f"{name}, summary: {type(problem).__name__}: {problem}")
     rows = list(summary.rows)
     figures: dict[str, str] = {}
-    for figure in summary.figures:
+    for figure in summary.every_figure:
         slug = f"{name.replace('/', '-')}-{figure.name}"
         try:
             figures[slug] = write_figure(out / "figures", slug, figure.draw)

@@ -15,7 +15,20 @@ from fusion_sfdia.benchmarks.results import Published, Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
-__all__ = ["Arrays", "Figure", "Published", "Row", "Scenario", "Settings", "Summary", "Table", "Task", "adjust", "seed_blocks"]
+__all__ = [
+    "Arrays",
+    "Chapter",
+    "Figure",
+    "Published",
+    "Row",
+    "Scenario",
+    "Settings",
+    "Summary",
+    "Table",
+    "Task",
+    "adjust",
+    "seed_blocks",
+]
 
 Array = NDArray[Any]
 Arrays = dict[str, Array]
@@ -41,25 +54,48 @@ class Figure:
         require_name("figure", self.name, NAME)
 
 
+Interval = tuple[float, float, float, int]  # a value, its 95 % interval, and the n runs or trials behind it
+
+
 @dataclass(frozen=True)
 class Table:
-    """A table laid out as in a paper; cells are text or numbers (shown with 4 digits)."""
+    """A table laid out as in a paper; cells are text, numbers (shown with 4 digits) or numbers with their interval."""
 
     title: str
     header: tuple[str, ...]
-    rows: tuple[tuple[str | float, ...], ...]
+    rows: tuple[tuple[str | float | Interval, ...], ...]
     caption: str = ""
 
 
 @dataclass(frozen=True)
+class Chapter:
+    """A part of a scenario's section in the report, with an entry in its contents. name: letters, digits, hyphens."""
+
+    name: str
+    title: str
+    text: Sequence[str] = ()
+    figures: Sequence[Figure] = ()
+    tables: Sequence[Table] = ()
+
+    def __post_init__(self) -> None:
+        require_name("chapter", self.name, NAME)
+
+
+@dataclass(frozen=True)
 class Summary:
-    """What a scenario says: rows of metrics.csv, figures, tables, a few sentences for the top of the report, remarks."""
+    """What a scenario says: rows of metrics.csv, figures, tables, sentences for the top of the report, remarks, chapters."""
 
     rows: Sequence[Row]
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
     highlights: Sequence[str] = ()
     remarks: Sequence[str] = ()
+    chapters: Sequence[Chapter] = ()
+
+    @property
+    def every_figure(self) -> list[Figure]:
+        """The figures, those of chapters too."""
+        return [*self.figures, *(figure for chapter in self.chapters for figure in chapter.figures)]
 
 
 @dataclass(frozen=True)

@@ -204,11 +204,10 @@ def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
         f"comparison-{name}.png"
         for name in (
             "overview",
-            "cost",
             *(
                 f"{p}-{f}"
                 for p in ("two-tanks", "marine-engine")
-                for f in ("roc", "magnitudes", "confusion", "others", "departures")
+                for f in ("roc", "magnitudes", "confusion", "others", "departures", "cost")
             ),
         )
     }

@@ -88,6 +88,27 @@ def test_what_a_reader_looks_for(page: str) -> None:
         assert wanted in page
 
 
+def test_a_chapter_has_its_place_and_an_entry_in_the_contents(page: str) -> None:
+    read = Page(page)
+    assert "#s1-toys" in read.links and "s1-toys" in read.ids
+    chapter = page[page.index('id="s1-toys"') :]
+    assert page.count("<svg") == 2 and chapter.count("<svg") == 1
+    assert re.search(r"<td class=\"n\" data-sort=\"[\d.]+\">[\d.]+ \[-?[\d.]+, [\d.]+\]</td>", chapter)
+
+
+def test_estimates_show_what_their_interval_can_tell() -> None:
+    wanted = {
+        (0.93123, 0.8812, 0.9634, 60): "0.931 [0.881, 0.963]",
+        (0.5, 0.1, 0.9, 3): "0.50 [0.10, 0.90]",
+        (123.4, 100.0, 150.0, 3): "123 [100, 150]",
+        (0.0, 0.0, 0.0, 3): "0.00 [0.00, 0.00]",
+        (1e-9, 0.0, 2e-9, 3): "1e-09 [0, 2e-09]",
+        (math.nan, math.nan, math.nan, 0): "none",
+        (2.5, math.nan, math.nan, 1): "2.5",
+    }
+    assert [number(e) for e in wanted] == list(wanted.values())
+
+
 def test_numbers() -> None:
     wanted = {0.123456: "0.1235", 1e-7: "1e-7", 123456.0: "1.235e5", 2.0: "2", math.nan: "undefined", math.inf: "inf"}
     assert [number(v) for v in wanted] == list(wanted.values())

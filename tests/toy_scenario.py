@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.plots import panels, time_series
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task, seed_blocks
+from fusion_sfdia.benchmarks.scenario import Arrays, Chapter, Figure, Row, Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.core.random_streams import stream
 
 NASTY = '<script>alert(1)</script> & "quotes" -->'
@@ -73,12 +73,19 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
         time_series(axes, np.arange(len(by_detector["a"])), by_detector, ylabel="mean", spans=[(0, 1)], levels={"one": 1.0})
         return figure
 
+    def figures(name: str) -> list[Figure]:
+        return [Figure(name, f"Means {NASTY}", NASTY, draw, NASTY)] if settings["figure"] else []
+
+    with_intervals = tuple((r.detector, (r.value, r.low, r.high, r.n)) for r in rows)
     return Summary(
         rows,
-        figures=[Figure("means", f"Means {NASTY}", NASTY, draw, NASTY)] if settings["figure"] else [],
+        figures=figures("means"),
         tables=[Table("As printed", ("detector", "mean"), tuple((r.detector, r.value) for r in rows))],
         highlights=[f"{len(rows)} rows."],
         remarks=[f"Nothing is published. {NASTY}"],
+        chapters=[
+            Chapter("toys", f"Toys {NASTY}", [NASTY], figures("again"), [Table("Means", ("detector", "mean"), with_intervals)])
+        ],
     )
 
 
