@@ -15,6 +15,7 @@ from toy_plants import Array, chain
 
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.detectors import CALIBRATION_SEEDS, CALIBRATION_STEPS, DETECTORS, FALSE_ALARM, WARM_UP, build
+from fusion_sfdia.core.batch_detector import CLOCK
 from fusion_sfdia.core.detector import Decision, Detector, State, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.storage import load_state, save_state
@@ -215,6 +216,21 @@ def test_thresholds_scale(pair: tuple[str, str]) -> None:
     np.testing.assert_allclose(b.threshold[:, quiet], 2 * a.threshold[:, quiet], rtol=1e-12)
     with pytest.raises(ValueError, match="threshold_scale is 0"):
         replace(detector, threshold_scale=0)
+
+
+@every_pair
+def test_a_state_knows_no_threshold_until_the_first_alarm(pair: tuple[str, str]) -> None:
+    """So that a run may be watched without thresholds and go on with them."""
+    detector = detector_of(*pair)
+    runs = 6
+    t, y, u = healthy(pair[0], 30, runs)
+    end, decisions = run(detector, detector.init((runs,)), t, y, u)
+    silent = replace(detector, threshold_scale=1e6 * detector.threshold_scale)
+    unseen, _ = run(silent, silent.init((runs,)), t, y, u)
+    quiet = ~decisions.alarm.any(axis=0)
+    assert quiet.any() or pair[1] in NAMELESS or isinstance(detector, FusingBank)  # whose filters settle with alarms
+    for one, other in zip(end[CLOCK:], unseen[CLOCK:], strict=True):
+        np.testing.assert_array_equal(one[quiet], other[quiet])
 
 
 @every_pair

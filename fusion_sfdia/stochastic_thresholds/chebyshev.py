@@ -143,7 +143,7 @@ class Chebyshev(BatchDetector):
         return self.threshold_scale * self.alphas
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Last residual and threshold (N,), steps for which each residual has exceeded its threshold (N,), the exclusions, and
+        """Last residual and its standard deviation (N,), steps for which each residual has exceeded its threshold (N,), the exclusions, and
         the core of the diagnosers.
         """
         count = len(self.plant.sensors)
@@ -184,7 +184,7 @@ class Chebyshev(BatchDetector):
             covariance=taken.covariance,
         )
         seen = np.where(exclusion.out, np.nan, residual)
-        return (seen, threshold, exceeded, *exclusion, *taken.core), decision
+        return (seen, deviation, exceeded, *exclusion, *taken.core), decision
 
     def _explained(
         self,
@@ -205,7 +205,7 @@ class Chebyshev(BatchDetector):
         flat = np.flatnonzero(rows)
         for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
             few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
-            earlier = Evidence(core[0][few], core[1][few] / self.limits, core[1][few])
+            earlier = Evidence(core[0][few], core[1][few], self.limits * core[1][few])
             said = np.where(trusted[few], residual[few], np.nan)
             present = Evidence(said, threshold[few] / self.limits, threshold[few])
             found = explain(earlier, present, *self.diagnosis.effects(core[8:], outlook, now, u, few), trusted[few])
