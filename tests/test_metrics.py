@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
+from scipy.special import expit, logit
+from scipy.stats import binom, binomtest, norm
+from scipy.stats import t as student
 from sklearn.metrics import roc_auc_score
 from toy_plants import chain, tanks
 
@@ -13,7 +15,6 @@ from fusion_sfdia.evaluation import estimation_metrics as estimation
 from fusion_sfdia.evaluation import isolation_metrics as isolation
 from fusion_sfdia.evaluation.metrics import (
     NOTHING,
-    bootstrap_over_runs,
     mean_over_runs,
     proportion,
     rate_over_runs,
@@ -130,18 +131,32 @@ def test_auc_is_the_chance_that_a_faulty_sample_scores_higher():
     )
 
 
-def test_auc_interval_is_that_of_auc_recomputed_on_resampled_runs():
+def test_auc_interval_is_that_of_auc_recomputed_without_each_run():
     rng = np.random.default_rng(4)
     active = np.zeros((20, 12, 1), bool)
     active[8:15] = True
     scores = rng.standard_normal((20, 12, 1)) + active * rng.uniform(0, 2, (12, 1))
+    without = [np.delete(np.arange(12), run) for run in range(12)]
+    logits = logit([roc_auc_score(active[:, rest].ravel(), scores[:, rest].ravel()) for rest in without])
+    error = np.sqrt(11 / 12 * np.sum((logits - logits.mean()) ** 2))
+    found = detection.auc(scores, active)
+    limits = expit(logit(found.value) + np.array([-1, 1]) * student.ppf(0.975, 11) * error)
+    np.testing.assert_allclose([found.low, found.high], limits, rtol=1e-12)
+    assert found.n == 12
 
-    def slow(sample):
-        flat = sample.reshape(-1, sample.shape[-1])
-        values = [roc_auc_score(active[:, runs].ravel(), scores[:, runs].ravel()) for runs in flat]
-        return np.reshape(values, sample.shape[:-1])
 
-    np.testing.assert_allclose(detection.auc(scores, active, rng=5), bootstrap_over_runs(slow, 12, 5), rtol=1e-12)
+@pytest.mark.parametrize("runs", [3, 5, 20])
+def test_auc_interval_covers_where_runs_are_few_and_differ(runs: int) -> None:
+    """Healthy scores N(0, 1), faulty ones N(d, 1) with d ~ N(1.2, 0.7^2) in each run: the area is Phi(1.2 / sqrt(2.49))."""
+    rng, truth, trials = np.random.default_rng(1), norm.cdf(1.2 / np.sqrt(2.49)), 300
+    active = np.zeros((90, runs, 1), bool)
+    active[60:] = True
+    covered = 0
+    for _ in range(trials):
+        scores = rng.standard_normal((90, runs)) + active[..., 0] * rng.normal(1.2, 0.7, runs)
+        _, low, high, _ = detection.auc(scores, active)
+        covered += low <= truth <= high
+    assert covered >= binom.ppf(0.001, trials, 0.95)
 
 
 def test_roc_follows_its_definition_and_its_area_is_the_auc():

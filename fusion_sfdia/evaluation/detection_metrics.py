@@ -15,7 +15,7 @@ from sklearn.metrics import roc_curve
 from fusion_sfdia.evaluation.metrics import (
     NOTHING,
     Estimate,
-    bootstrap_over_runs,
+    jackknife_over_runs,
     mean_over_runs,
     proportion,
     rate_over_runs,
@@ -84,10 +84,10 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
     return Roc(*roc_curve(truth, score))
 
 
-def auc(scores: Array, active: Array, where: Array | None = None, rng: np.random.Generator | int = 0) -> Estimate:
-    """Area under the ROC, P(score of a faulty sample > of a healthy one) + P(equal) / 2, with a bootstrap over runs.
+def auc(scores: Array, active: Array, where: Array | None = None) -> Estimate:
+    """Area under the ROC, P(score of a faulty sample > of a healthy one) + P(equal) / 2, with a jackknife over runs.
 
-    Where every resample of B runs separates wholly (1) or not at all (0), the limits are those of B hits in B trials.
+    Where all of B runs are separated wholly (1) or not at all (0), the limits are those of B hits in B trials.
     """
     score, truth, run = _labelled(scores, active, where)
     runs = scores.shape[1]
@@ -97,20 +97,15 @@ def auc(scores: Array, active: Array, where: Array | None = None, rng: np.random
     wins = np.stack([_wins(score[truth], run[truth], score[~truth & (run == b)], runs) for b in range(runs)], axis=-1)
     overall = float(wins.sum() / (positives.sum() * negatives.sum()))
 
-    def area(sample: Array) -> Array:
+    def area(w: Array) -> Array:
         """Return w' wins w / (w' positives w' negatives), w the weights of the runs; overall where one kind is absent."""
-        rows = np.arange(sample.size // sample.shape[-1])[:, None] * runs
-        drawn = np.bincount((rows + sample.reshape(-1, sample.shape[-1])).ravel(), minlength=rows.size * runs)
-        w = drawn.reshape(*sample.shape[:-1], runs).astype(float)
         pairs = (w @ positives) * (w @ negatives)
         won = ((w @ wins) * w).sum(axis=-1)
         return np.asarray(np.where(pairs > 0, won / np.where(pairs > 0, pairs, 1.0), overall))
 
-    found = bootstrap_over_runs(area, runs, rng)
-    if found.low == found.high and found.value in (0.0, 1.0):
-        _, low, high, _ = proportion(int(found.value) * runs, runs)
-        return Estimate(found.value, low, high, runs)
-    return found
+    if overall in (0.0, 1.0):
+        return proportion(int(overall) * runs, runs)
+    return jackknife_over_runs(area, runs, least=0.5 / float(positives.sum() * negatives.sum()))
 
 
 def false_alarms(alarm: Array, active: Array, where: Array | None = None) -> int:

@@ -143,8 +143,8 @@ class Chebyshev(BatchDetector):
         return self.threshold_scale * self.alphas
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Last residual and its standard deviation (N,), steps for which each residual has exceeded its threshold (N,), the exclusions, and
-        the core of the diagnosers.
+        """Last residual and its standard deviation (N,), steps for which each residual has exceeded its threshold (N,), the
+        exclusions, and the core of the diagnosers.
         """
         count = len(self.plant.sensors)
         shape = (*batch, count)
