@@ -13,6 +13,7 @@ from fusion_sfdia.benchmarks.comparison_ranking import Standing
 from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings, glance, sizes, troubled
 from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.scenario import Settings
+from fusion_sfdia.core.order_statistics import exceedance_rank
 
 RARELY = 0.005  # of samples: told as hardly any
 
@@ -32,7 +33,7 @@ def plant_findings(settings: Settings, cells: Mapping[str, Cell], criteria: Mapp
     """What is to be said of one plant."""
     plant, known = next(iter(cells.values())).plant, list(cells.values())
     return [
-        leaders(settings, plant, known, criteria),
+        *([leaders(settings, plant, known, criteria)] if criteria else []),
         *missed(settings, known),
         *blamers(plant, cells),
         *broken_claims(known),
@@ -113,19 +114,28 @@ def missed(settings: Settings, cells: Sequence[Cell]) -> list[str]:
 def remarks(settings: Settings, cells: Cells) -> list[str]:
     """How to read the numbers."""
     rate, samples = settings["false_alarm"], settings["calibration_seeds"] * settings["calibration_steps"]
+    spent = max(samples - exceedance_rank(samples, rate), 0)
     measured = span(cell.matched.value for cell in cells.values())
+    deployed = span(cell.deployed.value for cell in cells.values())
+    chance = span(cell.chance for cell in cells.values())
     scales = span(cell.scale for cell in cells.values())
     return [
         f"Every detector's thresholds are multiplied by one number ({scales}) so that {rate:g} of healthy samples alarm: the "
-        f"order statistic of {samples} samples of other seeds, of which {rate * samples:.3g} may exceed it. On the healthy "
-        f"trunks of the runs {measured} do. A fault lasts {settings['window']} samples, in which "
-        f"{1 - (1 - rate) ** settings['window']:.1%} of runs would have an alarm by chance.",
+        f"order statistic of {samples} samples of other seeds that {spent} of them exceed. On the healthy trunks of the runs "
+        f"{measured} do, as long as nothing has been accused; as deployed, where some alarms last, {deployed} have an alarm. A "
+        f"fault lasts {settings['window']} samples; {chance} of healthy windows as long have one by chance.",
         "Receiver operating characteristics are those of silent detectors, which accuse and replace nothing; all else is of "
         "deployed ones. Several faults at once, replayed and negated readings are among the runs that rank detectors.",
         "Readings come from the finer twin of a plant where it has one; the power network alone is run in closed loop and has "
         "process noise. What learns from healthy recordings (limits, pca, structural residuals, the fusing banks) learns from "
         "such runs of the model, at the rate of false alarms that it claims.",
     ]
+
+
+def left_out(cells: Cells, whole: Cells) -> list[str]:
+    """Which cells are not ranked."""
+    told = [f"{detector} on {plant}" for plant, detector in cells if (plant, detector) not in whole]
+    return [f"Left out of the ranks, since a piece of their work failed: {', '.join(told)}."] if told else []
 
 
 def broken_down(cells: Sequence[Cell]) -> list[str]:

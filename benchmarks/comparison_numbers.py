@@ -6,7 +6,7 @@ which the estimator broke down counts as one without alarm and without name; its
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -23,14 +23,14 @@ from fusion_sfdia.evaluation.metrics import LEVEL, NOTHING, Estimate, proportion
 Array = NDArray[Any]
 
 LEAST_ERROR = 1e-3  # sigma of the noise: less is as good as none
-PER_SEED = {"trunk": 1, "swept": 2}  # the axis of seeds; of the rest it is 1 where there are two axes
+PER_SEED = {"trunk": 1, "swept": 2, "deployed_alarms": 0}  # the axis of seeds; of the rest it is 1 where there are two axes
 
 
 class Cell:
     """What one detector did on one plant: the arrays of `comparison_work`, the seeds of all tasks side by side."""
 
-    def __init__(self, plant: str, detector: str, settings: Settings, parts: Sequence[Arrays]) -> None:
-        self.plant, self.detector, self.settings = plant, detector, settings
+    def __init__(self, plant: str, detector: str, settings: Settings, parts: Sequence[Arrays], seeds: Sequence[int]) -> None:
+        self.plant, self.detector, self.settings, self.seeds = plant, detector, settings, tuple(seeds)
         self.window = int(settings["window"])
         self.model = plant_of(plant)
         self.arrays = {
@@ -99,8 +99,9 @@ class Cell:
         return rate_over_runs(wrong.ravel(), (sensors - self["faulty"][rows]).ravel())
 
     def size_error(self, rows: Array) -> Estimate:
-        """Mean error of the sizes of faults in percent, where named."""
-        e = within(mean(self["size_error"][rows].ravel()), 0.0, np.inf)
+        """Mean error of the sizes of faults in percent, where named; not of noise, whose size goes through 0."""
+        steady = [j for j in rows if self.kinds.get(str(self["condition"][j])) != "noise"]
+        e = within(mean(self["size_error"][steady].ravel()), 0.0, np.inf)
         return Estimate(100 * e.value, 100 * e.low, 100 * e.high, e.n)
 
     def rms(self, what: str, rows: Array) -> Estimate:
@@ -144,6 +145,18 @@ class Cell:
         return rate_over_runs(self["nominal_alarms"], np.full(self["nominal_alarms"].size, self.settings["calibration_steps"]))
 
     @property
+    def deployed(self) -> Estimate:
+        """Healthy samples at which the deployed detector alarms."""
+        return rate_over_runs(self["deployed_alarms"], np.full(len(self.seeds), self["trunk"].shape[0]))
+
+    @property
+    def chance(self) -> float:
+        """Share of healthy windows, each as long as a fault, in which a sample is above the common threshold."""
+        trunk = self["trunk"]
+        windows = trunk[: trunk.shape[0] // self.window * self.window].reshape(-1, self.window, trunk.shape[1])
+        return float(np.mean(np.any(windows > self.scale, axis=1)))
+
+    @property
     def matched(self) -> Estimate:
         """Healthy samples above the common threshold, of other seeds than set it."""
         alarms = (self["trunk"] > self.scale).sum(axis=0)
@@ -176,6 +189,7 @@ def root(e: Estimate) -> Estimate:
 def gather(settings: Settings, results: Iterable[tuple[Task, Arrays]]) -> tuple[dict[tuple[str, str], Cell], dict[Any, str]]:
     """The cells by plant and detector, and the reasons of those that cannot run."""
     parts: dict[tuple[str, str], list[Arrays]] = {}
+    seeds: dict[tuple[str, str], list[int]] = {}
     reasons: dict[tuple[str, str], str] = {}
     for task, arrays in results:
         key = task["plant"], task["detector"]
@@ -183,19 +197,31 @@ def gather(settings: Settings, results: Iterable[tuple[Task, Arrays]]) -> tuple[
             reasons[key] = str(arrays["reason"])
         else:
             parts.setdefault(key, []).append(arrays)
-    return {key: Cell(*key, settings, found) for key, found in parts.items()}, reasons
+            seeds.setdefault(key, []).extend(task["seeds"])
+    return {key: Cell(*key, settings, found, seeds[key]) for key, found in parts.items()}, reasons
+
+
+def complete(cells: Mapping[tuple[str, str], Cell]) -> dict[tuple[str, str], Cell]:
+    """The cells that have all seeds, which alone can be paired: a piece of work of the others has failed."""
+    everyone = {seed for cell in cells.values() for seed in cell.seeds}
+    return {key: cell for key, cell in cells.items() if len(cell.seeds) == len(everyone)}
 
 
 def confusion(cell: Cell) -> Array:
     """What is named where a sensor of each quantity is faulty (Q, runs, Q + 2): none, another of each quantity, the right one.
 
-    Samples of single faults of all kinds but dropouts, at their two largest sizes; where several are named, each has its share
-    of the sample. Runs in which a sensor of another quantity is faulty have none.
+    Samples of single faults of all kinds but dropouts, at their two largest sizes, which share noise and sensor and count as
+    one run; where several are named, each has its share of the sample. Runs in which a sensor of another quantity is faulty
+    have none.
     """
     large = sorted(cell.settings["magnitudes"])[-2:]
     single = [n for n, kind in cell.kinds.items() if (kind in GRADED and cell.sigmas[n] in large) or kind in ("sign", "replay")]
-    rows = cell.rows_of(*single)
-    sensor, told = cell["sensor"][rows].ravel(), cell["told"][rows].reshape(-1, cell["told"].shape[-1])
+    kinds = [
+        cell.rows_of(*(n for n in single if cell.kinds[n] == kind)) for kind in dict.fromkeys(cell.kinds[n] for n in single)
+    ]
+    width, count = cell["told"].shape[-1], len(cell.seeds)
+    sensor = np.array([cell["sensor"][rows[0]] for rows in kinds]).reshape(len(kinds) * count)
+    told = np.array([cell["told"][rows].sum(axis=0) for rows in kinds]).reshape(len(kinds) * count, width)
     return np.stack([np.where(np.isin(sensor, q)[:, None], told, 0.0) for q in cell.model.quantities.values()])
 
 

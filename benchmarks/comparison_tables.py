@@ -79,6 +79,7 @@ def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
         f"size of the fault off (%), {large:g} sigma": pooled(Cell.size_error, large),
         f"error after over before, {large:g} sigma": pooled(Cell.gain, large),
         "false alarms at its own threshold": lambda cell: cell.nominal,
+        "healthy samples with an alarm as deployed": lambda cell: cell.deployed,
         "blame, worst departure": blame,
     }
     found = {d: [measure(cell) for measure in columns.values()] for d, cell in cells.items()}
@@ -91,7 +92,9 @@ def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
         "In brackets 95 % intervals, n: runs. Faults are bias, drift, noise and scale; thresholds those of the common rate of "
         "false alarms, but for the column of its own. Exact names: share of samples at which exactly the faulty sensor is "
         "named; named at all: among others, perhaps; healthy sensors named: share of healthy sensor-samples. Claims are per "
-        "step over all sensors. Blame: share of healthy samples at which a sensor is named. All other numbers: metrics.csv.",
+        "step over all sensors. As deployed: with what an alarm does to those that follow, as where decisions are latched. "
+        "Delays: of the runs that have an alarm. Sizes: of faults other than noise. Blame: share of healthy samples at which a "
+        "sensor is named. All other numbers: metrics.csv.",
     )
 
 
@@ -132,9 +135,9 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, Standing]]) -> T
         f"Ranks, {plant}",
         ("detector", *criteria),
         tuple((d, *(text(criteria[c][d]) for c in criteria)) for d in order),
-        "1 + the number of detectors that are better beyond chance (Wilcoxon's signed ranks over clusters, Holm's correction "
-        "over all pairs, 5 %); a shared rank is no difference that this many runs show. In brackets the mean over "
-        f"{count} clusters (first column) and its 95 % interval: of runs with an alarm, of samples with the exact names, of "
+        "1 + the number of detectors whose mean is larger beyond chance (random signs of paired differences over clusters, "
+        "Holm's correction over all pairs, 5 %); a shared rank is no difference that this many runs show. In brackets the mean "
+        f"over {count} clusters (first column) and its 95 % interval: of runs with an alarm, of samples with exact names, of "
         "-log10(error after over before), of samples without a healthy sensor blamed where a departure, a fault of the plant "
         "or missing readings give cause to.",
     )

@@ -1,7 +1,7 @@
 """The work of a comparison: one detector on one plant, calibrated to the common rate of false alarms and put through all.
 
-Until the first alarm the deployed and the silent detector are the same, so a branch of the deployed one begins with the state
-of the silent trunk.
+Until the first alarm the deployed and the silent detector have the same state, so a branch of the deployed one begins with that
+of the silent trunk: as one that has not alarmed yet. What it does on healthy readings, where some alarms last, is told apart.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def work(task: Task) -> Arrays:
 
     Of the conditions (J, S): the arrays of `comparison_records`, condition, truth ("" for the plant's own). Of the silent
     detector: trunk (K, S), its scores at nominal thresholds after settling, and swept (J', W, S) in swept_condition (J',).
-    scale, claim, nominal_alarms (R,) of calibration runs of calibration_steps; step_seconds, batch_seconds (of a run in a
+    deployed_alarms (S,): its samples with an alarm of the deployed one. scale, claim, nominal_alarms (R,) of calibration runs
+    of calibration_steps; step_seconds, batch_seconds (of a run in a
     batch), state_bytes, step_bytes. Seconds differ from one call to the next; all else has the same bits for the same task.
     """
     settings = {k: task[k] for k in ("settle", "calibration_steps", "calibration_seeds", "false_alarm")}
@@ -87,6 +88,7 @@ def work(task: Task) -> Arrays:
         "scale": np.array(calibration.scale),
         "claim": np.array(calibration.claim),
         "nominal_alarms": (calibration.scores > 1).sum(axis=0),
+        "deployed_alarms": deployed_alarms(task, calibration, trunk),
         "batch_seconds": np.array(seconds),
         **cost(calibration.detector, recording),
     }
@@ -165,8 +167,16 @@ def mistaken(task: Task, calibration: Calibrated, name: str) -> Arrays:
 def plant_fault(task: Task, group: int, name: str) -> Recording:
     """Readings of a run whose plant fails where the segment of the group begins."""
     (fault,) = (f for f in PLANT_FAULTS[task["plant"]] if f.name == name)
-    onset = (onset_step(task, group) + 0.5) * plant_of(task["plant"]).dt  # after the last healthy reading
+    onset = (onset_step(task, group) - 1e-6) * plant_of(task["plant"]).dt  # with the last healthy reading, but for rounding
     return fault.record(trunk_steps(task, task["plant"]), seeds_of(task["seeds"]), onset)
+
+
+def deployed_alarms(task: Task, calibration: Calibrated, trunk: Trunk) -> Array:
+    """Samples with an alarm (S,) of the deployed detector on the healthy trunk after settling, latched ones too."""
+    recording, settle = trunk.recording, task["settle"]
+    y, u = recording.y[settle:], recording.u_of_runs[settle:]
+    _, decision = run(deployed(calibration), trunk.states[settle], recording.t[settle:], y, u)
+    return np.asarray(decision.alarm.sum(axis=0))
 
 
 def cost(detector: Detector, recording: Recording) -> Arrays:

@@ -152,6 +152,7 @@ def test_large_faults_are_found_named_and_replaced() -> None:
     assert cell.detected(cell.rows_of("none")).value <= 1.0
     np.testing.assert_allclose(cell["raw"][rows], 900, rtol=0.3)  # (30 +- 4)^2 at most: noise is bounded by 4 sigma
     samples = confusion(cell)
+    assert samples.shape[1] == 3 * (4 + 2)  # runs: seeds, four kinds whose sizes share noise and sensor, replay and sign
     assert samples.sum() == pytest.approx(6 * 3 * (2 * 4 + 2))  # window, seeds, two sizes of four kinds, replay and sign
     assert cell["right"][cell.rows_of("dropout")].sum() == 0  # what is missing is not named
 
@@ -182,9 +183,9 @@ def test_departures_change_what_is_read_from_the_start(plant: str) -> None:
 def test_faults_of_a_plant_begin_at_their_onset(plant: str) -> None:
     of, usual = plant_of(plant), healthy(plant, 30, (3,))
     for fault in PLANT_FAULTS[plant]:
-        changed = fault.record(30, (3,), 20.5 * of.dt)  # the 20th reading is at 20 dt
-        np.testing.assert_array_equal(changed.y[:20], usual.y[:20])
-        assert np.any(changed.signal[21:] != usual.signal[21:]), fault.name
+        changed = fault.record(30, (3,), (20 - 1e-6) * of.dt)  # the 20th reading is at 20 dt: what is algebraic shows there
+        np.testing.assert_array_equal(changed.y[:19], usual.y[:19])
+        assert np.any(changed.signal[20] != usual.signal[20]), fault.name
 
 
 @pytest.mark.slow
@@ -266,3 +267,22 @@ def test_what_is_published_stands_beside_ours() -> None:
     assert published_accuracy("gas-pipeline", "loo-glr", "weak-bias", "pressure") is None
     assert (delay := published_delay("power-network", "chebyshev:paper", "governor")) is not None and delay.value == 8.0
     assert published_delay("power-network", "chebyshev", "governor") is None
+
+
+def test_what_latches_is_told_by_what_it_does_on_healthy_readings() -> None:
+    settings = tiny(detectors="limits,adaptive-threshold", faults="bias", departures="no", plant_faults="no", false_alarm="0.1")
+    cells, _ = gather(settings, results(settings))
+    limits, latching = cells["two-tanks", "limits"], cells["two-tanks", "adaptive-threshold"]
+    assert limits.deployed.value == limits.matched.value  # it forgets
+    assert latching.deployed.value > latching.matched.value > 0
+    silent = latching["trunk"] > latching.scale
+    assert latching.deployed.value == pytest.approx(np.maximum.accumulate(silent, axis=0).mean())  # it does not
+
+
+def test_a_piece_that_failed_costs_its_detector_the_ranks_and_no_other() -> None:
+    settings = tiny(detectors="limits,kf-chi2", faults="bias", departures="no", plant_faults="no")
+    done = [(task | {"seeds": [s]}, work(task | {"seeds": [s]})) for task in protocol.tasks(settings, 1) for s in (0, 1)]
+    summary = summarise(settings, done[:-1])
+    assert {r.detector for r in summary.rows if r.metric == "auc"} == {"limits", "kf-chi2"}
+    assert {r.detector for r in summary.rows if r.metric == "rank"} == {"limits"}
+    assert any("Left out of the ranks" in remark and "kf-chi2 on two-tanks" in remark for remark in summary.remarks)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks.comparison_ranking import holm, paired_p, ranking
+from fusion_sfdia.benchmarks.comparison_ranking import holm, ranking, sign_flips
 
 
 def test_holm_is_step_down_and_keeps_the_order() -> None:
     # by hand: 0.01 x 3, max(0.03, 0.02 x 2), max(0.04, 0.5)
-    np.testing.assert_allclose(holm([0.5, 0.01, 0.02]), [0.5, 0.03, 0.04])
-    assert holm([]).size == 0
-    assert holm([0.9, 0.8]).max() <= 1.0
+    np.testing.assert_allclose(holm(np.array([0.5, 0.01, 0.02])), [0.5, 0.03, 0.04])
+    assert holm(np.empty(0)).size == 0
+    assert holm(np.array([0.9, 0.8])).max() <= 1.0
 
 
 def test_equal_values_do_not_differ() -> None:
@@ -20,7 +22,27 @@ def test_equal_values_do_not_differ() -> None:
     found = ranking({"a": values, "b": values.copy(), "c": values.copy()})
     assert {s.rank for s in found.values()} == {1}
     assert found["a"].alike == ("b", "c")
-    assert paired_p(np.zeros(5)) == 1.0
+    np.testing.assert_array_equal(sign_flips(np.zeros((2, 5))), 1.0)
+
+
+def test_random_signs_are_counted_exactly() -> None:
+    """All signs of few differences: of 2^8, two have a sum as large as eight equal ones."""
+    rng = np.random.default_rng(3)
+    differences = np.stack([np.ones(8), rng.standard_normal(8)])
+    signs = np.array(list(product((-1.0, 1.0), repeat=8)))
+    exact = np.mean(np.abs(signs @ differences.T) >= np.abs(differences.sum(axis=1)) - 1e-12, axis=0)
+    # 20 000 draws: four standard errors
+    np.testing.assert_allclose(sign_flips(differences), exact, atol=4 * np.sqrt(0.25 / 20_000))
+
+
+def test_ranks_follow_the_means_that_are_shown() -> None:
+    """One is a little better in most clusters and much worse in the others: signed ranks would say the contrary."""
+    rng = np.random.default_rng(4)
+    base = rng.uniform(size=60)
+    change = np.where(np.arange(60) % 3 == 0, -0.5, 0.02)
+    found = ranking({"often": base + change, "mean": base})
+    assert found["mean"].rank == 1 and found["often"].rank == 2
+    assert found["mean"].mean.value > found["often"].mean.value
 
 
 def test_a_shift_of_every_pair_decides_and_ranks() -> None:
