@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import expit, logit
 from scipy.stats import binom, binomtest, norm
 from scipy.stats import t as student
 from sklearn.metrics import roc_auc_score
@@ -137,11 +136,15 @@ def test_auc_interval_is_that_of_auc_recomputed_without_each_run():
     active[8:15] = True
     scores = rng.standard_normal((20, 12, 1)) + active * rng.uniform(0, 2, (12, 1))
     without = [np.delete(np.arange(12), run) for run in range(12)]
-    logits = logit([roc_auc_score(active[:, rest].ravel(), scores[:, rest].ravel()) for rest in without])
-    error = np.sqrt(11 / 12 * np.sum((logits - logits.mean()) ** 2))
+    areas = np.array([roc_auc_score(active[:, rest].ravel(), scores[:, rest].ravel()) for rest in without])
+    variance = 11 / 12 * np.sum((areas - areas.mean()) ** 2)
     found = detection.auc(scores, active)
-    limits = expit(logit(found.value) + np.array([-1, 1]) * student.ppf(0.975, 11) * error)
-    np.testing.assert_allclose([found.low, found.high], limits, rtol=1e-12)
+    z = norm.ppf(0.975)
+    n = found.value * (1 - found.value) / variance * (z / student.ppf(0.975, 11)) ** 2
+    limits = (
+        found.value + z**2 / (2 * n) + np.array([-z, z]) * np.sqrt(found.value * (1 - found.value) / n + (z / n / 2) ** 2)
+    ) / (1 + z**2 / n)
+    np.testing.assert_allclose([found.low, found.high], limits, rtol=1e-9)
     assert found.n == 12
 
 

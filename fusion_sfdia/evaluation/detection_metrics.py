@@ -85,10 +85,7 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
 
 
 def auc(scores: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Area under the ROC, P(score of a faulty sample > of a healthy one) + P(equal) / 2, with a jackknife over runs.
-
-    Where all of B runs are separated wholly (1) or not at all (0), the limits are those of B hits in B trials.
-    """
+    """Area under the ROC, P(score of a faulty sample > of a healthy one) + P(equal) / 2, with a jackknife over runs."""
     score, truth, run = _labelled(scores, active, where)
     runs = scores.shape[1]
     positives, negatives = (np.bincount(run[truth == kind], minlength=runs).astype(float) for kind in (True, False))
@@ -103,9 +100,7 @@ def auc(scores: Array, active: Array, where: Array | None = None) -> Estimate:
         won = ((w @ wins) * w).sum(axis=-1)
         return np.asarray(np.where(pairs > 0, won / np.where(pairs > 0, pairs, 1.0), overall))
 
-    if overall in (0.0, 1.0):
-        return proportion(int(overall) * runs, runs)
-    return jackknife_over_runs(area, runs, least=0.5 / float(positives.sum() * negatives.sum()))
+    return jackknife_over_runs(area, runs)
 
 
 def false_alarms(alarm: Array, active: Array, where: Array | None = None) -> int:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.special import expit, logit
 
 Array = NDArray[Any]
 
@@ -66,10 +65,15 @@ def rate_over_runs(hits: Array, samples: Array) -> Estimate:
         return NOTHING
     p, total = float(h.sum() / m.sum()), float(m.sum())
     between = float(((h - p * m) ** 2).sum() / total**2 * runs / max(runs - 1, 1))
+    return _wilson(p, between, runs, most=total)
+
+
+def _wilson(p: float, variance: float, runs: int, most: float = np.inf) -> Estimate:
+    """The share p with Wilson's interval for the number of independent samples that has this variance between runs."""
     z = float(stats.norm.ppf((1 + LEVEL) / 2))
     n = float(runs)
-    if runs > 1 and between > 0:
-        n = min(p * (1 - p) / between, total) * (z / float(stats.t.ppf((1 + LEVEL) / 2, runs - 1))) ** 2
+    if runs > 1 and variance > 0:
+        n = min(p * (1 - p) / variance, most) * (z / float(stats.t.ppf((1 + LEVEL) / 2, runs - 1))) ** 2
     centre, half = (p + z**2 / (2 * n)) / (1 + z**2 / n), z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     return Estimate(p, float(min(max(centre - half, 0.0), p)), float(max(min(centre + half, 1.0), p)), runs)
 
@@ -114,24 +118,17 @@ def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int, rng: np.
     return Estimate(value, low, high, runs)
 
 
-def jackknife_over_runs(statistic: Callable[[Array], Array], runs: int, least: float) -> Estimate:
-    """Return a share of all runs with the interval of the jackknife that leaves out a run, on its logit, with Student's
-    quantile for runs - 1 degrees of freedom (Miller 1974); NaN limits for fewer than two runs.
+def jackknife_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estimate:
+    """Return a share of all runs with the interval of `rate_over_runs` for the variance that leaving out a run shows.
 
-    statistic maps weights of runs (..., R) to shares (...). least: shares are taken for at least that and at most 1 - least.
-    Of few runs it covers where a bootstrap does not: the area under a ROC of 3, 5 and 20 runs that differ, 0.95 of the time,
-    BCa 0.70, 0.80 and 0.94.
+    statistic maps weights of runs (..., R) to shares (...). V = (R - 1)/R sum (s_r - mean s)^2, s_r without run r (Tukey
+    1958). For the area under a ROC of 3, 5, 8 and 20 runs that differ it covers 0.94 to 0.97 of the time at 0.78 and 0.85 to
+    0.94 at 0.94, where BCa covers 0.70 to 0.94; near 1 less, where one run in many decides.
     """
     if runs == 0:
         return NOTHING
-    value = float(statistic(np.ones(runs)))
-    if runs < 2:
-        return Estimate(value, float("nan"), float("nan"), runs)
-    parts = logit(np.clip(statistic(1.0 - np.eye(runs)), least, 1 - least))
-    error = np.sqrt((runs - 1) / runs * np.sum((parts - parts.mean()) ** 2))
-    half = float(stats.t.ppf((1 + LEVEL) / 2, runs - 1)) * error
-    low, high = expit(logit(np.clip(value, least, 1 - least)) + np.array([-half, half]))
-    return Estimate(value, float(min(low, value)), float(max(high, value)), runs)
+    value, parts = float(statistic(np.ones(runs))), statistic(1.0 - np.eye(runs)) if runs > 1 else np.zeros(1)
+    return _wilson(value, float((runs - 1) / runs * np.sum((parts - parts.mean()) ** 2)), runs)
 
 
 def require_shapes(**arrays: tuple[Array, tuple[int, ...]]) -> None:
