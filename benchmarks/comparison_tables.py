@@ -42,18 +42,18 @@ def glance(settings: Settings) -> dict[str, Callable[[Cell], float]]:
         return lambda cell: float(measure(cell, cell.rows_of(*cell.graded(size))).value)
 
     return {
-        f"runs with an alarm, {small:g} sigma": pooled(Cell.detected, small),
+        f"area under the ROC, {bias.replace('-', ' ')}": lambda c: c.areas[bias].value if bias in c.areas else np.nan,
         f"runs with an alarm, {large:g} sigma": pooled(Cell.detected, large),
         f"exact names, {large:g} sigma": pooled(Cell.exact, large),
         f"named at all, {large:g} sigma": pooled(Cell.recall, large),
-        f"area under the ROC, {bias.replace('-', ' ')}": lambda c: c.areas[bias].value if bias in c.areas else np.nan,
-        "false alarms at its own threshold": lambda cell: cell.nominal.value,
         f"error after over before, {large:g} sigma": pooled(Cell.gain, large),
+        "false alarms at its own threshold": lambda cell: cell.nominal.value,
+        "healthy samples with an alarm as deployed": lambda cell: cell.deployed.value,
         "blame, worst departure": troubled,
     }
 
 
-LOGARITHMIC = ("false alarms at its own threshold", "error after over before")
+LOGARITHMIC = ("false alarms at its own threshold", "healthy samples", "error after over before")
 
 
 def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
