@@ -24,12 +24,14 @@ from fusion_sfdia.benchmarks.comparison_published import published_accuracy, pub
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.comparison_work import work
+from fusion_sfdia.benchmarks.detectors import DETECTORS
 from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.benchmarks.scenario import Published, adjust
 from fusion_sfdia.cli import main, parser
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 
 TINY = {
     "plants": "two-tanks",
@@ -286,3 +288,17 @@ def test_a_piece_that_failed_costs_its_detector_the_ranks_and_no_other() -> None
     assert {r.detector for r in summary.rows if r.metric == "auc"} == {"limits", "kf-chi2"}
     assert {r.detector for r in summary.rows if r.metric == "rank"} == {"limits"}
     assert any("Left out of the ranks" in remark and "kf-chi2 on two-tanks" in remark for remark in summary.remarks)
+
+
+def test_a_plant_and_a_detector_join_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PLANTS, "chain", ("tanks in a row", "toy_plants:chain"))
+    monkeypatch.setitem(DETECTORS, "mine", ("one filter", lambda plant: CentralFilter(plant, false_alarm=0.01)))
+    settings = tiny(plants="chain", detectors="mine,limits", faults="bias,dropout,published")
+    found = summarise(settings, results(settings))
+    assert {(r.plant, r.detector) for r in found.rows} == {("chain", "mine"), ("chain", "limits")}
+    (chapter,) = found.chapters
+    assert chapter.title == "chain" and chapter.text[0].startswith("Tanks in a row; 12 states, 12 sensors")
+    for figure in found.every_figure:
+        assert figure.draw().axes, figure.name
+    nominal = [r for r in found.rows if r.metric == "claimed_false_alarm_probability" and r.detector == "mine"]
+    assert [r.value for r in nominal] == [0.01]
