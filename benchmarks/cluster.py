@@ -6,47 +6,93 @@ one thread for linear algebra, so that its bits are those of a run on one machin
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 from fusion_sfdia.benchmarks.parts import decisive, write_part
+from fusion_sfdia.benchmarks.scenario import Arrays, Task
 from fusion_sfdia.benchmarks.workers import Done, Piece, timed
 
-REACHED = 10.0  # seconds to wait for the scheduler
+PATIENCE = 15.0  # seconds to wait for the scheduler, and for its first worker
 
 
-def work_off_on_cluster(pieces: Sequence[Piece], address: str) -> Iterator[Done]:
-    """Do the pieces on the workers of the scheduler at `address` and tell of each when it is done, in any order.
+@contextmanager
+def connected(address: str) -> Iterator[Callable[[Sequence[Piece]], Iterator[Done]]]:
+    """Give what does pieces on the workers of the scheduler at `address` and tells of each when it is done, in any order.
 
-    Raises ModuleNotFoundError without the package `distributed`, OSError where nothing answers, ValueError where workers run
-    other code or libraries than this process.
+    Raises ModuleNotFoundError without the package `distributed`, ValueError for what is no address and where workers run other
+    code or libraries than this process, OSError where nothing answers or no worker comes, RuntimeError where the scheduler goes
+    away on the way.
     """
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
+        from distributed.comm import get_address_host_port
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             "a dask cluster needs the package distributed, which is not installed: pip install 'fusion-sfdia[dask]'"
         ) from error
     try:
-        client = Client(address, timeout=REACHED, set_as_default=False)
-    except ValueError as error:
+        get_address_host_port(address)  # a Client would take its time and print a traceback
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
+    except (TypeError, ValueError) as error:  # TypeError: tls:// without certificates
         raise ValueError(
             f"{address!r} is no address of a dask scheduler ({error}); wanted one such as tcp://host:8786"
         ) from error
     except OSError as error:
         raise OSError(f"no dask scheduler answers at {address}; start it or correct the address") from error
     with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError as error:
+            raise OSError(
+                f"the dask scheduler at {address} has no worker after {PATIENCE:g} s; start at least one: dask worker {address}"
+            ) from error
         here = decisive()
-        for worker, there in client.run(decisive).items():
-            if differing := [name for name in here if here[name] != there[name]]:
-                raise ValueError(f"worker {worker} has other {', '.join(differing)} than this process; install the same there")
-        waiting = {client.submit(timed, piece.work, piece.task, pure=False): piece.path for piece in pieces}
-        for future in as_completed(list(waiting), loop=client.loop):
-            path = waiting.pop(future)
-            if future.status == "finished":
-                arrays, seconds, error_text = future.result()
-            else:  # lost: a worker died of it, too often for the scheduler
-                arrays, seconds, error_text = {}, 0.0, f"{type(future.exception()).__name__}: {future.exception()}"
-            future.release()
-            if error_text is None:
-                write_part(path, arrays)
-            yield Done(path, seconds, error_text)
+        for worker, problem in client.run(_require_same, here, on_error="return").items():
+            if problem is not None:
+                raise ValueError(f"worker {worker} cannot do the work: {problem}; install the same there") from problem
+        yield partial(_work_off, client, here)
+
+
+def _work_off(client: Any, here: Mapping[str, Any], pieces: Sequence[Piece]) -> Iterator[Done]:
+    from distributed import as_completed
+
+    waiting = {client.submit(_done_alike, here, piece.work, piece.task, pure=False): piece.path for piece in pieces}
+    for future in as_completed(list(waiting), loop=client.loop):
+        path = waiting.pop(future)
+        arrays: Arrays = {}
+        seconds = 0.0
+        if future.status == "cancelled":
+            raise RuntimeError(
+                "the dask scheduler went away, or dropped the work; what was finished is kept: start the cluster again, "
+                "and the same command goes on where it stood"
+            )
+        if future.status == "finished":
+            arrays, seconds, error_text = future.result()
+        elif isinstance(problem := future.exception(), OtherCodeError):  # a worker that joined after the others
+            raise ValueError(f"a worker cannot do the work: {problem}; install the same there") from problem
+        else:  # lost: a worker died of it, too often for the scheduler
+            error_text = f"{type(problem).__name__}: {problem}"
+        future.release()
+        if error_text is None:
+            write_part(path, arrays)
+        yield Done(path, seconds, error_text)
+
+
+class OtherCodeError(Exception):
+    """A worker's code or libraries are not those of the process that asks."""
+
+
+def _require_same(wanted: Mapping[str, Any]) -> None:
+    """On a worker: raise OtherCodeError where it has other code or libraries than wanted."""
+    there = decisive()
+    if differing := [name for name in wanted if wanted[name] != there.get(name)]:
+        raise OtherCodeError(f"it has other {', '.join(differing)} than this process")
+
+
+def _done_alike(wanted: Mapping[str, Any], work: Callable[[Task], Arrays], task: Task) -> tuple[Arrays, float, str | None]:
+    """On a worker: a piece of work, with the code and libraries that are wanted or not at all."""
+    _require_same(wanted)
+    return timed(work, task)

@@ -51,15 +51,19 @@ def open_output(out: Path, command: Command, *, force: bool = False) -> None:
     """Make the folder ready for a run, or raise ValueError where it is in use for something else.
 
     Free to use: an absent or empty folder, and one of an earlier or interrupted run of the same command. force: also one
-    of another run, whose files are removed, and one of anything else, whose files stay unless they have our names.
+    of another run, whose files are removed but for finished parts that both runs need, and one of anything else, whose files
+    stay unless they have our names.
     """
     require_free(out, force=True)
     found = [p.name for p in out.iterdir() if not p.name.startswith(f".{MANIFEST}.")] if out.exists() else []
     earlier = read_manifest(out)
     same = earlier is not None and earlier.get("command") == command.text
     if found and not same and not force:
-        what = "files that are no run of fusion-sfdia" if earlier is None else f"another run ({earlier.get('command')})"
-        raise ValueError(f"{out} is already used: it holds {what}; name another folder with --out, or overwrite with --force")
+        what, cure = "files that are no run of fusion-sfdia", "write into it with --force"
+        if earlier is not None:
+            what = f"another run ({earlier.get('command')})"
+            cure = "replace that run with --force, which takes up those of its finished parts that this run needs too"
+        raise ValueError(f"{out} is already used: it holds {what}; name another folder with --out, or {cure}")
     if earlier is not None and not same:
         remove(out, own_files(earlier))
     try:

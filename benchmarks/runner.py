@@ -9,7 +9,7 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
-from fusion_sfdia.benchmarks.cluster import work_off_on_cluster
+from fusion_sfdia.benchmarks.cluster import connected
 from fusion_sfdia.benchmarks.output import (
     Command,
     open_output,
@@ -78,8 +78,8 @@ def run_scenarios(
 
     seeds: runs of each scenario (None: its default, or with full the paper's size). changes: settings as text, each known
     to at least one of the scenarios. workers: processes, None for one a core. scheduler: address of a dask
-    cluster that does the work instead. force: see open_output. Raises ValueError for arguments that do not fit; a piece of
-    work that fails is told in the outcome and does not stop the others.
+    cluster that does the work instead, whose errors are those of `connected`. force: see open_output. Raises ValueError for
+    arguments that do not fit; a piece of work that fails is told in the outcome and does not stop the others.
     """
     if workers is not None and workers < 1:
         raise ValueError(f"{workers} workers; wanted at least 1")
@@ -88,11 +88,14 @@ def run_scenarios(
     out, changes = Path(out), dict(changes or {})
     plans = _plans(scenarios, seeds, full, changes)
     command = Command(tuple(s.name for s in scenarios), seeds, full, tuple(sorted(changes.items())))
-    open_output(out, command, force=force)
-    earlier = own_files(read_manifest(out) or {})
     begun = time.time()
     workers = workers or cores()
-    _work_off(plans, out, partial(work_off_on_cluster, address=scheduler) if scheduler else partial(work_off, workers=workers))
+    local = partial(work_off, workers=workers)
+    working: AbstractContextManager[WorkOff] = nullcontext(local) if scheduler is None else connected(scheduler)
+    with working as work_off_pieces:  # a cluster that is not there is told before the folder is touched
+        open_output(out, command, force=force)
+        earlier = own_files(read_manifest(out) or {})
+        _work_off(plans, out, work_off_pieces)
     rows: list[Row] = []
     sections: list[Section] = []
     files: list[str] = []

@@ -140,8 +140,8 @@ def _run(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.benchmarks.results import as_json
     from fusion_sfdia.benchmarks.runner import run_scenarios
 
+    changes = _settings(chosen.set)
     names = match_scenarios(chosen.scenario)
-    changes = dict(_setting(text) for text in chosen.set)
     out = chosen.out or Path("results") / "-".join(chosen.scenario).replace("/", "-").replace("*", "all")
     outcome = run_scenarios(
         [scenario(name) for name in names],
@@ -164,11 +164,16 @@ def _run(chosen: argparse.Namespace) -> int:
     return 1 if outcome.failures else 0
 
 
-def _setting(text: str) -> tuple[str, str]:
-    key, equals, value = text.partition("=")
-    if not (key and equals):
-        raise ValueError(f"--set {text}: wanted KEY=VALUE")
-    return key, value
+def _settings(texts: Sequence[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ValueError(f"--set {text}: wanted KEY=VALUE")
+        if key in found:
+            raise ValueError(f"setting {key} is given twice, as {found[key]!r} and {value!r}; give it once")
+        found[key] = value
+    return found
 
 
 def _simulate(chosen: argparse.Namespace) -> int:

@@ -36,6 +36,12 @@ def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: 
     one.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
     one.add_argument("--scheduler", metavar="ADDRESS", help="work on a running dask cluster instead, such as tcp://host:8786")
     one.add_argument("--out", type=Path, metavar="DIR", help=f"folder of the results (default: {folder})")
-    one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the scenarios")
-    one.add_argument("--force", action="store_true", help="write into a folder that is in use for something else")
+    one.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the scenarios; each once"
+    )
+    one.add_argument(
+        "--force",
+        action="store_true",
+        help="write into a folder that is in use for something else; finished parts of another run that fit are taken up",
+    )
     one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")

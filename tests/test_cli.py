@@ -86,6 +86,15 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
         (("run", "nothing/*"), "unknown scenario 'nothing/*'; known: toy/mean"),
         (("run", "toy/mean", "--set", "size"), "--set size: wanted KEY=VALUE"),
         (("run", "toy/mean", "--set", "sise=1"), "no setting 'sise'"),
+        (
+            ("run", "toy/mean", "--set", "size=1", "--set", "size=2"),
+            "setting size is given twice, as '1' and '2'; give it once",
+        ),
+        (
+            ("compare", "--plants", "two-tanks", "--set", "plants=gas-pipeline"),
+            "setting plants is given twice, as 'two-tanks' and",
+        ),
+        (("compare", "--faults", "bias", "--faults", "drift"), "setting faults is given twice, as 'bias' and 'drift'"),
         (("run", "toy/mean", "--seeds", "0"), "0 seeds; wanted at least 1"),
         (("run", "toy/mean", "--seeds", "9" * 30), "a number is too large"),
         (("run", "toy/mean", "--out", "file/deeper"), "file/deeper"),

@@ -116,10 +116,11 @@ def test_folders(tmp_path: Path) -> None:
     run(empty)  # the same command: taken up, nothing changes
     assert manifest(empty)["scenarios"][0]["resumed"] == 2
     assert (empty / "metrics.csv").read_bytes() == before
-    with pytest.raises(ValueError, match=r"already used: it holds another run .*--seeds 2.*--force"):
+    with pytest.raises(ValueError, match=r"already used: it holds another run .*--seeds 2.*--force, which takes up .*parts"):
         run(empty, seeds=4)
     assert (empty / "metrics.csv").read_bytes() == before
     run(empty, seeds=4, force=True)
+    assert manifest(empty)["scenarios"][0]["resumed"] == 2  # what both need
     assert len(list((empty / "parts").iterdir())) == 4  # those of the other run are gone
     assert (empty / "metrics.csv").read_bytes() != before
     mine = tmp_path / "mine"
