@@ -6,6 +6,7 @@ one thread for linear algebra, so that its bits are those of a run on one machin
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -65,6 +66,7 @@ def _work_off(client: Any, here: Mapping[str, Any], pieces: Sequence[Piece]) -> 
         arrays: Arrays = {}
         seconds = 0.0
         if future.status == "cancelled":
+            logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no traceback of a connection that is given up
             raise RuntimeError(
                 "the dask scheduler went away, or dropped the work; what was finished is kept: start the cluster again, "
                 "and the same command goes on where it stood"

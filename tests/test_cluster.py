@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 from collections.abc import Iterator
@@ -92,7 +93,7 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_machine(
 
 
 def test_a_scheduler_that_goes_away_is_told_once_and_the_run_goes_on_elsewhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     changes = {"figure": "no"}
     whole = run_scenarios([TOY], tmp_path / "whole", changes=changes, workers=1)
@@ -105,6 +106,7 @@ def test_a_scheduler_that_goes_away_is_told_once_and_the_run_goes_on_elsewhere(
     monkeypatch.setattr(on_cluster, "write_part", write_then_close)
     with pytest.raises(RuntimeError, match=r"scheduler went away.*what was finished is kept.*the same command goes on"):
         run_scenarios([TOY], tmp_path / "out", changes=changes, scheduler=passing.scheduler_address)
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]  # no traceback of the connection
     kept = len(parts_of(tmp_path / "out"))
     assert 1 <= kept
     again = run_scenarios([TOY], tmp_path / "out", changes=changes, workers=1)
