@@ -64,8 +64,8 @@ def work(task: Task) -> Arrays:
     Of the conditions (J, S): the arrays of `comparison_records`, condition, truth ("" for the plant's own). Of the silent
     detector: trunk (K, S), its scores at nominal thresholds after settling, and swept (J', W, S) in swept_condition (J',).
     deployed_alarms (S,): its samples with an alarm of the deployed one. scale, claim, nominal_alarms (R,) of calibration runs
-    of calibration_steps; step_seconds, batch_seconds (of a run in a
-    batch), state_bytes, step_bytes. Seconds differ from one call to the next; all else has the same bits for the same task.
+    of calibration_steps; step_seconds, batch_seconds (of a run in a batch), state_bytes, step_bytes. Seconds and step_bytes
+    differ from one call to the next; all else has the same bits for the same task.
     """
     settings = {k: task[k] for k in ("settle", "calibration_steps", "calibration_seeds", "false_alarm")}
     try:
