@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_chapters import plant_chapter
 from fusion_sfdia.benchmarks.comparison_figures import Cells, draw_overview, of_plant
-from fusion_sfdia.benchmarks.comparison_findings import highlights, left_out, overview_caption, remarks
+from fusion_sfdia.benchmarks.comparison_findings import absent, highlights, left_out, overview_caption, remarks
 from fusion_sfdia.benchmarks.comparison_numbers import complete, gather
 from fusion_sfdia.benchmarks.comparison_protocol import SETTINGS, tasks
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, SHARES, clusters, ranking
@@ -24,7 +24,8 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
     """Rows, the matrix at a glance, and a chapter for each plant."""
     cells, reasons = gather(settings, results)
     if not cells:
-        return Summary((), remarks=[f"Nothing could run: {'; '.join(reasons.values())}."])
+        why = "; ".join(reasons.values()) or "every piece of work failed"
+        return Summary((), remarks=[f"Nothing could run: {why}."])
     whole = complete(cells)
     standings = standings_of(whole)
     rows = [row for cell in cells.values() for row in rows_of_cell(cell)]
@@ -37,7 +38,7 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
         figures=[overview(settings, cells)],
         tables=[ranks_table(EVERY, standings[EVERY])] if EVERY in standings else [],
         highlights=highlights(settings, cells, standings),
-        remarks=[*remarks(settings, cells), *left_out(cells, whole)],
+        remarks=[*remarks(settings, cells), *left_out(cells, whole), *absent(settings, cells, reasons)],
         chapters=[
             plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), stated)
             for plant in dict.fromkeys(p for p, _ in cells)

@@ -7,7 +7,6 @@ common rate and does all that it does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -40,19 +39,26 @@ class Calibrated(NamedTuple):
     claim: float  # NaN for none
 
 
+class CannotRunError(ValueError):
+    """A detector that a plant cannot have, and why."""
+
+
 @lru_cache(maxsize=2)
 def calibrated(plant: str, name: str, settle: int, steps: int, seeds: int, false_alarm: float) -> Calibrated:
     """A registered detector and the scale at which it alarms at that rate, on healthy runs of `steps` samples after settling.
 
-    The order statistic whose expected exceedance by a fresh sample is at most `false_alarm`. ValueError for a detector that
-    the plant cannot have, or whose scores cannot set a threshold.
+    The order statistic whose expected exceedance by a fresh sample is at most `false_alarm`. CannotRunError for a detector
+    that the plant cannot have, that needs a package which is not installed, or whose scores cannot set a threshold.
     """
-    detector: Any = registry.detector(name, plant_of(plant))
+    try:
+        detector: Any = registry.detector(name, plant_of(plant))
+    except (ValueError, ModuleNotFoundError) as problem:
+        raise CannotRunError(str(problem)) from problem
     recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + seeds)))
     scores = silent_scores(watch(silent(detector), recording.t, recording.y, recording.u_of_runs))[settle:]
     scale = float(order_statistic(scores.ravel(), false_alarm))
     if not 0 < scale < np.inf:
-        raise ValueError(
+        raise CannotRunError(
             f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"
         )
     return Calibrated(detector, scale, scores, claim(name, detector))
@@ -89,8 +95,3 @@ def watch(detector: Detector, t: Array, y: Array, u: Array) -> Decision:
     """The decisions on readings y (K, B, N) at t (K,), from the start; u (K, B, m)."""
     start = detector.init((y.shape[1],), float(t[0]) - detector.plant.dt)
     return run(detector, start, t, y, u)[1]
-
-
-def seeds_of(task_seeds: Sequence[int]) -> tuple[int, ...]:
-    """Seeds as they are told to caches."""
-    return tuple(int(s) for s in task_seeds)

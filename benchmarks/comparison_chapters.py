@@ -130,11 +130,11 @@ def others_figure(cells: Cells) -> Figure | None:
         return None
     return Figure(
         f"{some.plant}-others",
-        f"Several faults, missing readings, attacks, the papers' faults, faults of the plant, {some.plant}",
+        f"Other faults of sensors, and faults of the plant, {some.plant}",
         "At the common rate of false alarms; a fault of the plant is no sensor's fault. Samples with a healthy sensor "
         "named: " + others_told(cells, [name for name, _, _ in shown[0].columns]) + ".",
         partial(draw_panels, cells, shown),
-        f"Three tables of numbers on colours, detectors of {some.plant} down and conditions across",
+        f"{len(shown)} tables of numbers on colours, detectors of {some.plant} down and conditions across",
     )
 
 

@@ -71,12 +71,12 @@ def heat(
     axes.grid(visible=False)
 
 
-def draw_overview(cells: Cells, numbers: Mapping[str, Callable[[Cell], float]], logarithmic: Sequence[str]) -> Drawing:
+def draw_overview(cells: Cells, measures: Mapping[str, Callable[[Cell], Estimate]], logarithmic: Sequence[str]) -> Drawing:
     """A panel a number, detectors down, plants across."""
     plants, detectors = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
-    figure, axes = panels(list(numbers), columns=4, width=14.0, height=1.2 + 0.22 * len(detectors))
-    for axis, (title, number) in zip(axes, numbers.items(), strict=True):
-        values = np.array([[number(cells[p, d]) if (p, d) in cells else np.nan for p in plants] for d in detectors])
+    figure, axes = panels(list(measures), columns=4, width=14.0, height=1.2 + 0.22 * len(detectors))
+    for axis, (title, measure) in zip(axes, measures.items(), strict=True):
+        values = np.array([[measure(cells[p, d]).value if (p, d) in cells else np.nan for p in plants] for d in detectors])
         log = title in logarithmic
         heat(axis, values, detectors, plants, form="{:.2g}" if log else "{:.2f}", log=log)
     for i, axis in enumerate(axes):
@@ -149,7 +149,7 @@ def draw_magnitudes(cells: Mapping[str, Cell]) -> Drawing:
 
 
 def draw_confusion(cells: Mapping[str, Cell]) -> Drawing:
-    """A panel a detector: the quantity of the faulty sensor against what was named most."""
+    """A panel a detector: the quantity of the faulty sensor against shares of what was named."""
     some = next(iter(cells.values()))
     quantities = list(some.model.quantities)
     columns = ["none", *(f"other {q}" for q in quantities), "the right one"]

@@ -49,9 +49,16 @@ def of_all(cells: Cells, plant: str) -> list[Cell]:
 def leaders(settings: Settings, plant: str, cells: Sequence[Cell], criteria: Mapping[str, Mapping[str, Standing]]) -> str:
     """Which detectors nothing beats beyond chance on a plant; those that find or name little of what is large are told."""
     _, large = sizes(settings)
-    flaws = {c.detector: "which names none" for c in cells if not c["named"][c.rows_of(*c.graded(large))].any()}
-    flaws |= {c.detector: "which finds little" for c in cells if seen(settings, c) < 0.5}
-    said = [f"{criterion}: {first(found, flaws)}" for criterion, found in criteria.items()]
+    flaws: dict[str, list[str]] = {}
+    for cell in cells:
+        rows = cell.rows_of(*cell.graded(large))
+        names_none = rows.size > 0 and not cell["named"][rows].any()
+        flaw = "finds little" if seen(settings, cell) < 0.5 else "names none" if names_none else ""
+        flaws.setdefault(cell.detector, []).append(flaw and (f"{flaw} on {cell.plant}" if plant == EVERY else flaw))
+    told = {d: f"which {'; '.join(f for f in found if f)}" for d, found in flaws.items() if any(found)}
+    said = [
+        f"{criterion}: {first(found, told)}" for criterion, found in criteria.items() if any(s.mean.n for s in found.values())
+    ]
     return f"Not beaten beyond chance on {plant}: {'; '.join(said)}."
 
 
@@ -79,7 +86,7 @@ def broken_claims(cells: Sequence[Cell]) -> list[str]:
 
 def blamers(plant: str, cells: Mapping[str, Cell]) -> list[str]:
     """Who blames healthy sensors where the plant departs from its model, and who does not."""
-    shares = {d: troubled(c) for d, c in cells.items() if c.truths}
+    shares = {d: troubled(c).value for d, c in cells.items() if c.truths}
     told = {
         "in most samples": [d for d, v in shares.items() if v > 0.5],
         "in some": [f"{d} {v:.0%}" for d, v in shares.items() if RARELY < v <= 0.5],
@@ -125,10 +132,11 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
         f"{measured} do, as long as nothing has been accused; as deployed, where some alarms last, {deployed} have an alarm. A "
         f"fault lasts {settings['window']} samples; {chance} of healthy windows as long have one by chance.",
         "Receiver operating characteristics are those of silent detectors, which accuse and replace nothing; all else is of "
-        "deployed ones. Several faults at once, replayed and negated readings are among the runs that rank detectors.",
-        "Readings come from the finer twin of a plant where it has one; the power network alone is run in closed loop and has "
-        "process noise. What learns from healthy recordings (limits, pca, structural residuals, the fusing banks) learns from "
-        "such runs of the model, at the rate of false alarms that it claims.",
+        "deployed ones, which have not alarmed yet when a fault begins. All faults of sensors are among the runs that rank "
+        "detectors.",
+        "Readings come from the finer twin of a plant where it has one, and else from its model, so that a simulation alone "
+        "foretells them exactly: see how detectors stand where the plant is not as believed. A plant with controllers is run "
+        "in closed loop. What learns from healthy recordings learns from such runs of the model.",
     ]
 
 
@@ -136,6 +144,13 @@ def left_out(cells: Cells, whole: Cells) -> list[str]:
     """Which cells are not ranked."""
     told = [f"{detector} on {plant}" for plant, detector in cells if (plant, detector) not in whole]
     return [f"Left out of the ranks, since a piece of their work failed: {', '.join(told)}."] if told else []
+
+
+def absent(settings: Settings, cells: Cells, reasons: Mapping[tuple[str, str], str]) -> list[str]:
+    """Plants on which no detector ran, and why."""
+    there = {plant for plant, _ in cells}
+    told = {plant: "; ".join(dict.fromkeys(of_plant(reasons, plant).values())) for plant in settings["plants"]}
+    return [f"No detector ran on {p}: {why.rstrip('.') or 'all work failed'}." for p, why in told.items() if p not in there]
 
 
 def broken_down(cells: Sequence[Cell]) -> list[str]:
@@ -146,7 +161,7 @@ def broken_down(cells: Sequence[Cell]) -> list[str]:
 
 def overview_caption(settings: Settings, cells: Cells) -> str:
     """Spans of the numbers of the matrix."""
-    told = [f"{title} {span(number(cell) for cell in cells.values())}" for title, number in glance(settings).items()]
+    told = [f"{title} {span(measure(cell).value for cell in cells.values())}" for title, measure in glance(settings).items()]
     return f"At the common rate of false alarms; grey: cannot run. From least to most: {'; '.join(told)}."
 
 

@@ -1,7 +1,7 @@
 """Numbers of a comparison: cells of one detector on one plant.
 
-A run is an alarm's or a name's chance once: shares of runs have Wilson's interval, means that of Student over runs. A run in
-which the estimator broke down counts as one without alarm and without name; its errors are left out, see `diverged`.
+A run is an alarm's or a name's chance once: shares of runs have Wilson's interval, means that of Student over runs. From the
+sample on at which an estimator breaks down it neither alarms nor names; its errors are left out from there, see `diverged`.
 """
 
 from __future__ import annotations
@@ -88,10 +88,14 @@ class Cell:
         """Share of samples at which a healthy sensor is named."""
         return self.rate("blamed", rows, self.window)
 
-    def delay(self, rows: Array) -> Estimate:
-        """Mean seconds to the first alarm, of the runs that have one."""
-        first = self["first"][rows].ravel()
-        return within(mean(first[np.isfinite(first)] * self.model.dt), 0.0, np.inf)
+    def delay(self, rows: Array, until: str = "first") -> Estimate:
+        """Mean seconds from the onset to the first alarm, of the runs that have one; until: as in `comparison_records`.
+
+        A faulty sensor is read at the onset, a plant that fails shows it a sample later.
+        """
+        plant = [self.kinds.get(str(self["condition"][j])) == "plant" for j in rows]
+        samples = (self[until][rows] + np.array(plant, float).reshape(-1, 1)).ravel()
+        return within(mean(samples[np.isfinite(samples)] * self.model.dt), 0.0, np.inf)
 
     def false_flags(self, rows: Array) -> Estimate:
         """Share of healthy sensor-samples that are named."""
@@ -210,9 +214,9 @@ def complete(cells: Mapping[tuple[str, str], Cell]) -> dict[tuple[str, str], Cel
 def confusion(cell: Cell) -> Array:
     """What is named where a sensor of each quantity is faulty (Q, runs, Q + 2): none, another of each quantity, the right one.
 
-    Samples of single faults of all kinds but dropouts, at their two largest sizes, which share noise and sensor and count as
-    one run; where several are named, each has its share of the sample. Runs in which a sensor of another quantity is faulty
-    have none.
+    Samples of bias, drift, noise and scale at their two largest sizes, of replays and negated readings; sizes share noise and
+    sensor and count as one run; where several are named, each has its share of the sample. Runs in which a sensor of another
+    quantity is faulty have none.
     """
     large = sorted(cell.settings["magnitudes"])[-2:]
     single = [n for n, kind in cell.kinds.items() if (kind in GRADED and cell.sigmas[n] in large) or kind in ("sign", "replay")]

@@ -42,22 +42,29 @@ def _offset(offset: Offset, plant: Plant, sensor: str, seed: int, onset: float, 
     return Fault(sensor, "bias", onset, length, offset.magnitude)
 
 
+# name, module, unit of the offset, where it is found; in the order of THREE_FAULTS
+_ENGINE = (
+    ("torque-offset", "M(2,3)", "N m", "K24, Fig. 4"),
+    ("receiver-pressure-offset", "M(3,1)", "Pa", "K24, Fig. 4; K22, Fig. 3"),
+    ("charge-temperature-offset", "M(4,2)", "K", "K24, Fig. 4; K22, Fig. 3"),
+)
+_NETWORK = {"governor": GOVERNOR, "input-gain": SIGN_FLIP}
+
 PAPER_FAULTS: Mapping[str, tuple[PaperFault, ...]] = {
     PIPELINE: tuple(PaperFault(name, PRESETS[name].description, partial(_drawn, name)) for name in pipeline_published.FAULTS),
     ENGINE: tuple(
         PaperFault(name, f"an offset of {offset.magnitude:g} {unit} ({sources})", partial(_offset, offset), offset.sensor)
-        for name, unit, sources, offset in zip(
-            ("torque-offset", "receiver-pressure-offset", "charge-temperature-offset"),
-            ("N m", "Pa", "K"),
-            ("K24, Fig. 4", "K24, Fig. 4; K22, Fig. 3", "K24, Fig. 4; K22, Fig. 3"),
-            THREE_FAULTS.faults,
-            strict=True,
-        )
+        for (name, _, unit, sources), offset in zip(_ENGINE, THREE_FAULTS.faults, strict=True)
     ),
 }
 
-_NETWORK_DELAYS = {"governor": GOVERNOR, "input-gain": SIGN_FLIP}
-_OF_SCHOOL = {PIPELINE: "fusing-", ENGINE: "adaptive-threshold", NETWORK: "chebyshev:"}
+
+class PublishedDelay(NamedTuple):
+    """A delay as a paper takes it: until which alarm (see comparison_records), in words, and the number (s)."""
+
+    until: str
+    what: str
+    value: Published
 
 
 def published_accuracy(plant: str, detector: str, fault: str, quantity: str) -> Published | None:
@@ -67,17 +74,14 @@ def published_accuracy(plant: str, detector: str, fault: str, quantity: str) -> 
     return pipeline_published.accuracy("moderate", detector, quantity, fault)
 
 
-def published_delay(plant: str, detector: str, fault: str) -> Published | None:
-    """Delay of the detection (s) of the paper's school in the one run that the paper tells of."""
-    if not detector.startswith(_OF_SCHOOL.get(plant, "none")):
-        return None
-    if plant == ENGINE:
-        for known, offset in zip(PAPER_FAULTS[ENGINE], THREE_FAULTS.faults, strict=True):
-            if fault == known.name:
-                fired = THREE_FAULTS.first_alarm(offset.sensor.replace("S(", "M(").replace("){", ",").replace("}", ")"))
-                return None if fired is None else Published(fired.value - offset.onset, f"{fired.source}, its own module")
-    if plant == NETWORK and fault in _NETWORK_DELAYS:
-        told = _NETWORK_DELAYS[fault]
-        delay = told.delay(told.detected)
-        return None if delay is None else Published(delay.value, f"{delay.source}, confirmed by 3 alarms in a row")
+def published_delay(plant: str, detector: str, fault: str) -> PublishedDelay | None:
+    """Delay of the detection by the paper's school in the one run that the paper tells of."""
+    if plant == ENGINE and detector.startswith("adaptive-threshold"):
+        for (name, module, _, _), offset in zip(_ENGINE, THREE_FAULTS.faults, strict=True):
+            if fault == name and (fired := THREE_FAULTS.first_alarm(module)) is not None:
+                return PublishedDelay("own", f"first alarm of {module}", Published(fired.value - offset.onset, fired.source))
+    if plant == NETWORK and detector.startswith("chebyshev:") and fault in _NETWORK:
+        told = _NETWORK[fault]
+        if (delay := told.delay(told.detected)) is not None:
+            return PublishedDelay("confirmed", "third alarm in a row", delay)
     return None

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, mean, within
-from fusion_sfdia.benchmarks.comparison_protocol import UNGRADED
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.metrics import LEVEL, Estimate
 
@@ -26,11 +25,10 @@ FLIPS = 20_000  # so that a hundred pairs may each be told apart at the family-w
 
 
 class Standing(NamedTuple):
-    """A detector's mean over clusters, its rank, and those from which it does not differ."""
+    """A detector's mean over clusters, and its rank."""
 
     mean: Estimate
     rank: int
-    alike: tuple[str, ...]
 
 
 def detection(cell: Cell) -> dict[str, Array]:
@@ -66,15 +64,15 @@ SHARES = ("detection", "isolation", "exoneration")
 
 
 def _by_group(cell: Cell, values: Array, *, faulty: bool) -> dict[str, Array]:
-    """Means (S,) over the conditions of a kind, or of a departure."""
+    """Means (S,) over the conditions of a kind, or over all departures, which share noise and sensor."""
     found: dict[str, list[int]] = {}
     for j, (name, truth) in enumerate(zip(cell["condition"].tolist(), cell["truth"].tolist(), strict=True)):
         kind = cell.kinds.get(name, "bias")
-        sensor_fault = not truth and kind not in ("none", "plant", UNGRADED[1])
+        sensor_fault = not truth and kind not in ("none", "plant", "dropout")
         if sensor_fault and faulty:
             found.setdefault(kind, []).append(j)
-        elif not faulty and (truth or kind in ("plant", UNGRADED[1])):
-            found.setdefault(truth or name, []).append(j)
+        elif not faulty and (truth or kind in ("plant", "dropout")):
+            found.setdefault("departure" if truth else kind, []).append(j)
     return {group: values[rows].mean(axis=0) for group, rows in found.items()}
 
 
@@ -100,7 +98,6 @@ def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, S
         name: Standing(
             within(mean(values[name]), 0.0, 1.0) if shares else mean(values[name]),
             1 + len(better[name]),
-            tuple(o for o in names if o != name and o not in better[name] and name not in better[o]),
         )
         for name in names
     }

@@ -49,7 +49,10 @@ def simulated(
     """
     of = plant_of(plant)
     model = of if truth is None else truth
+    if lost is not None and model.feedback is not None:
+        raise ValueError(f"plant {model.name!r} has controllers, which would see what is lost; give it a fault of its own")
     finest, to_states = (model, None) if model.finer is None else model.finer()
+    finest = replace(finest, sensors=of.sensors)  # whose noise may be a share of what they usually show
     run = partial(simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.disturbed)
     if lost is None:
         return run(inputs=inputs)
@@ -61,6 +64,5 @@ def simulated(
 
 def until(recording: Recording, steps: int) -> Recording:
     """The first samples of a recording."""
-    return replace(
-        recording, t=recording.t[:steps], u=recording.u[:steps], y=recording.y[:steps], signal=recording.signal[:steps]
-    )
+    names = ("t", "u", "y", "signal", "x")
+    return replace(recording, **{n: a[:steps] for n in names if (a := getattr(recording, n)) is not None})

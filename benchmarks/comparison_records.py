@@ -15,6 +15,8 @@ from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 
+CONFIRMATIONS = 3  # alarms in a row that Boem 2018 waits for
+
 
 class Branch(NamedTuple):
     """Readings of a branch (W, B, N): as the detector gets them, without the sensors' faults, without noise; active, size.
@@ -33,7 +35,8 @@ class Branch(NamedTuple):
 def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
     """Arrays (B,) of the runs of a branch of W samples.
 
-    alarms: samples with an alarm. first: samples until the first, inf for none. right, named, faulty: sensor-samples that are
+    alarms: samples with an alarm. first, confirmed, own: samples until the first, until the third in a row, and until the
+    first of a faulty sensor's own residual, inf for none. right, named, faulty: sensor-samples that are
     named and faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a
     healthy sensor is. told (B, Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is
     faulty; where several are named, each has its share of the sample. judged: whether the sensor that is named most is faulty.
@@ -49,7 +52,9 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
     ratio = np.where(sized, decision.fault_size[..., :count], 1.0) / np.where(sized, branch.size, 1.0)
     return {
         "alarms": alarm.sum(axis=0),
-        "first": np.where(alarm.any(axis=0), np.argmax(alarm, axis=0), np.inf),
+        "first": until(alarm),
+        "confirmed": until(in_a_row(alarm, CONFIRMATIONS)),
+        "own": until(np.any(active & (decision.scores > 1), axis=-1)),
         "right": right.sum(axis=(0, 2)),
         "named": isolated.sum(axis=(0, 2)),
         "faulty": active.sum(axis=(0, 2)),
@@ -63,7 +68,7 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
         "noise": _error(plant, branch.unfaulted, branch, active),
         "all_measured": _error(plant, decision.measured, branch, np.ones_like(active)),
         "all_raw": _error(plant, branch.y, branch, np.ones_like(active)),
-        "diverged": decision.diverged.any(axis=0),
+        "diverged": np.any(decision.diverged, axis=0),
     }
 
 
@@ -74,6 +79,20 @@ def told(plant: Plant, isolated: Array, active: Array) -> Array:
     wrong = np.where(active, 0.0, share)
     columns = [count[..., 0] == 0, *(wrong[..., members].sum(axis=-1) for members in plant.quantities.values())]
     return np.stack([*(c.sum(axis=0) for c in columns), np.where(active, share, 0.0).sum(axis=(0, 2))], axis=-1)
+
+
+def until(seen: Array) -> Array:
+    """Samples (B,) until the first that is seen (W, B), inf for none."""
+    return np.where(np.any(seen, axis=0), np.argmax(seen, axis=0), np.inf)
+
+
+def in_a_row(alarm: Array, count: int) -> Array:
+    """Whether an alarm (W, B) is at least the count-th in a row."""
+    found = alarm.copy()
+    for earlier in range(1, count):
+        found[earlier:] &= alarm[:-earlier]
+        found[:earlier] = False
+    return found
 
 
 def judged(isolated: Array, active: Array) -> Array:

@@ -107,8 +107,9 @@ def paper_rows(cell: Cell, name: str, kind: str) -> list[Row]:
     for quantity, members in cell.model.quantities.items() if kind == PUBLISHED else ():
         if (of := np.isin(cell["sensor"][rows], members)).any():
             right = cell["judged"][rows][of]
-            stated = published_accuracy(cell.plant, cell.detector, name, quantity)
-            add(quantity, "accuracy", proportion(int(right.sum()), right.size), stated)
-    if (delay := published_delay(cell.plant, cell.detector, name)) is not None:
-        add("first alarm", "detection_delay", cell.delay(rows), delay)
+            accuracy = published_accuracy(cell.plant, cell.detector, name, quantity)
+            add(quantity, "accuracy", proportion(int(right.sum()), right.size), accuracy)
+    if (stated := published_delay(cell.plant, cell.detector, name)) is not None:
+        until, what, delay = stated
+        add(what, "detection_delay", cell.delay(rows, until), delay)
     return found

@@ -13,9 +13,10 @@ from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, Standing
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.results import Row
-from fusion_sfdia.benchmarks.scenario import Settings, Table
+from fusion_sfdia.benchmarks.scenario import Interval, Settings, Table
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate
 
+Measure = Callable[[Cell], Estimate]
 Standings = Mapping[str, Mapping[str, Mapping[str, Standing]]]  # plant, criterion, detector
 EVERY = "all plants"
 
@@ -27,61 +28,48 @@ def sizes(settings: Settings) -> tuple[float, float]:
     return small, 10.0 if 10.0 in known else known[-1]
 
 
-def troubled(cell: Cell) -> float:
-    """Largest share of healthy samples at which a sensor is blamed, over the departures; NaN for none."""
-    shares = [cell.blame(cell.rows_of(HEALTHY, truth=t)).value for t in cell.truths]
-    return max(shares, default=float("nan"))
+def troubled(cell: Cell) -> Estimate:
+    """Largest share of healthy samples at which a sensor is blamed, over the departures."""
+    shares = [cell.blame(cell.rows_of(HEALTHY, truth=t)) for t in cell.truths]
+    return max(shares, key=lambda e: e.value, default=NOTHING)
 
 
-def glance(settings: Settings) -> dict[str, Callable[[Cell], float]]:
-    """The numbers of the matrix at a glance, NaN where there are none."""
+def measures(settings: Settings) -> dict[str, Measure]:
+    """What a detector is told by, in the order of the report."""
     small, large = sizes(settings)
     bias = f"bias-{small:g}-sigma"
 
-    def pooled(measure: Callable[[Cell, Any], Any], size: float) -> Callable[[Cell], float]:
-        return lambda cell: float(measure(cell, cell.rows_of(*cell.graded(size))).value)
+    def pooled(measure: Callable[[Cell, Any], Estimate], size: float) -> Measure:
+        return lambda cell: measure(cell, cell.rows_of(*cell.graded(size)))
 
     return {
-        f"area under the ROC, {bias.replace('-', ' ')}": lambda c: c.areas[bias].value if bias in c.areas else np.nan,
+        f"area under the ROC, {bias.replace('-', ' ')}": lambda cell: cell.areas.get(bias, NOTHING),
         f"runs with an alarm, {large:g} sigma": pooled(Cell.detected, large),
         f"exact names, {large:g} sigma": pooled(Cell.exact, large),
         f"named at all, {large:g} sigma": pooled(Cell.recall, large),
         f"error after over before, {large:g} sigma": pooled(Cell.gain, large),
-        "false alarms at its own threshold": lambda cell: cell.nominal.value,
-        "healthy samples with an alarm as deployed": lambda cell: cell.deployed.value,
+        "false alarms at its own threshold": lambda cell: cell.nominal,
+        "healthy samples with an alarm as deployed": lambda cell: cell.deployed,
         "blame, worst departure": troubled,
+        f"runs with an alarm, {small:g} sigma": pooled(Cell.detected, small),
+        f"delay (s), {large:g} sigma": pooled(Cell.delay, large),
+        f"healthy sensors named, {large:g} sigma": pooled(Cell.false_flags, large),
+        f"size of the fault off (%), {large:g} sigma": pooled(Cell.size_error, large),
     }
 
 
+GLANCE = 8  # the first of them are shown at a glance
 LOGARITHMIC = ("false alarms at its own threshold", "healthy samples", "error after over before")
+
+
+def glance(settings: Settings) -> dict[str, Measure]:
+    """The measures of the matrix at a glance."""
+    return dict(list(measures(settings).items())[:GLANCE])
 
 
 def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
     """The detectors of a plant in numbers with intervals."""
-    small, large = sizes(settings)
-    bias = f"bias-{small:g}-sigma"
-
-    def pooled(measure: Callable[[Cell, Any], Estimate], size: float) -> Callable[[Cell], Estimate]:
-        return lambda cell: measure(cell, cell.rows_of(*cell.graded(size)))
-
-    def blame(cell: Cell) -> Estimate:
-        shares = [cell.blame(cell.rows_of(HEALTHY, truth=t)) for t in cell.truths]
-        return max(shares, key=lambda e: e.value, default=NOTHING)
-
-    columns: dict[str, Callable[[Cell], Estimate]] = {
-        f"area under the ROC, {bias.replace('-', ' ')}": lambda cell: cell.areas.get(bias, NOTHING),
-        f"runs with an alarm, {small:g} sigma": pooled(Cell.detected, small),
-        f"runs with an alarm, {large:g} sigma": pooled(Cell.detected, large),
-        f"delay (s), {large:g} sigma": pooled(Cell.delay, large),
-        f"exact names, {large:g} sigma": pooled(Cell.exact, large),
-        f"named at all, {large:g} sigma": pooled(Cell.recall, large),
-        f"healthy sensors named, {large:g} sigma": pooled(Cell.false_flags, large),
-        f"size of the fault off (%), {large:g} sigma": pooled(Cell.size_error, large),
-        f"error after over before, {large:g} sigma": pooled(Cell.gain, large),
-        "false alarms at its own threshold": lambda cell: cell.nominal,
-        "healthy samples with an alarm as deployed": lambda cell: cell.deployed,
-        "blame, worst departure": blame,
-    }
+    columns = measures(settings)
     found = {d: [measure(cell) for measure in columns.values()] for d, cell in cells.items()}
     counts = [sorted({line[i].n for line in found.values() if line[i].n}) for i in range(len(columns))]
     told = [f"n {n[0]}" if len(n) == 1 else f"n {n[0]} to {n[-1]}" if n else "" for n in counts]
@@ -123,23 +111,26 @@ def paper_table(stated: Sequence[Row]) -> Table:
 
 def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, Standing]]) -> Table:
     """Ranks of all detectors, shared where nothing differs, and the means behind them."""
-    detectors = next(iter(criteria.values()), {})
-
-    def text(standing: Standing) -> str:
-        e = standing.mean
-        return f"{standing.rank}  ({e.value:.2f}, {e.low:.2f} to {e.high:.2f})"
-
-    order = sorted(detectors, key=lambda d: (sum(criteria[c][d].rank for c in criteria), list(detectors).index(d)))
-    count = next(iter(next(iter(criteria.values())).values())).mean.n if detectors else 0
+    told = {criterion: found for criterion, found in criteria.items() if any(s.mean.n for s in found.values())}
+    detectors = list(next(iter(told.values()), {}))
+    order = sorted(detectors, key=lambda d: sum(found[d].rank for found in told.values()))
+    counts = ", ".join(f"{next(iter(found.values())).mean.n} of {criterion}" for criterion, found in told.items())
+    header = ["detector"]
+    rows: list[list[str | float | Interval]] = [[d] for d in order]
+    for criterion, found in told.items():
+        header += [f"{criterion}: rank", "mean"]
+        for row in rows:
+            standing = found[str(row[0])]
+            row += [standing.rank, standing.mean]
     return Table(
         f"Ranks, {plant}",
-        ("detector", *criteria),
-        tuple((d, *(text(criteria[c][d]) for c in criteria)) for d in order),
+        tuple(header),
+        tuple(map(tuple, rows)),
         "1 + the number of detectors whose mean is larger beyond chance (random signs of paired differences over clusters, "
-        "Holm's correction over all pairs, 5 %); a shared rank is no difference that this many runs show. In brackets the mean "
-        f"over {count} clusters (first column) and its 95 % interval: of runs with an alarm, of samples with exact names, of "
-        "-log10(error after over before), of samples without a healthy sensor blamed where a departure, a fault of the plant "
-        "or missing readings give cause to.",
+        "Holm's correction over all pairs, 5 %); a shared rank is no difference that this many runs show. Mean over clusters "
+        f"({counts}) and its 95 % interval: of runs with an alarm, of samples with exact names, of -log10(error after over "
+        "before), of samples without a healthy sensor blamed where a departure, a fault of the plant or missing readings give "
+        "cause to.",
     )
 
 
@@ -173,7 +164,7 @@ def changes_table(settings: Settings, plant: str) -> Table:
         "What was changed, and why so",
         ("what", "name", "why"),
         tuple(rows),
-        "Amounts are ours unless a paper is named. Departures last from the start and are known to no detector; each is tried "
+        "Amounts are ours unless a paper is named. Departures are known to no detector; each is tried "
         f"healthy and with a bias of {TROUBLED_SIGMA:g} sigma.",
     )
 

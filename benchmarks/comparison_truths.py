@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,7 +38,7 @@ PIPELINE, ENGINE, NETWORK, TANKS = "gas-pipeline", "marine-engine", "power-netwo
 
 
 class Departure(NamedTuple):
-    """Healthy runs that differ from the start: record(steps, seeds)."""
+    """Healthy runs of another plant, or in another operation: record(steps, seeds)."""
 
     name: str
     why: str
@@ -59,8 +59,7 @@ def _pipe(**changes: float) -> Plant:
 
 def _engine(**factors: float) -> Plant:
     c = engine_parameters()
-    changed = marine_engine(parameters=c._replace(**{k: f * getattr(c, k) for k, f in factors.items()}))
-    return replace(changed, sensors=plant_of(ENGINE).sensors)  # whose noise is a share of the usual values
+    return marine_engine(parameters=c._replace(**{k: f * getattr(c, k) for k, f in factors.items()}))
 
 
 def _tanks(outlet: float) -> Plant:
@@ -137,7 +136,7 @@ DEPARTURES: dict[str, tuple[Departure, ...]] = {
         ),
         Departure(
             "fuel 100 to 95 %",
-            "a step of the fuel setting 0.1 s before readings are judged",
+            "a step of the fuel setting after 0.5 s",
             partial(simulated, ENGINE, inputs=_less_fuel),
         ),
     ),
@@ -202,3 +201,17 @@ PLANT_FAULTS: dict[str, tuple[PlantFault, ...]] = {
     ),
     TANKS: (PlantFault("leak", "a tenth of the inflow is lost before the upper tank", _leak(TANKS, 0.9)),),
 }
+
+
+@lru_cache(maxsize=8)
+def departed(plant: str, name: str, steps: int, seeds: tuple[int, ...]) -> Recording:
+    """Readings of a departure by name, the same for all detectors."""
+    (found,) = (d for d in DEPARTURES[plant] if d.name == name)
+    return found.record(steps, seeds)
+
+
+@lru_cache(maxsize=8)
+def failing(plant: str, name: str, steps: int, seeds: tuple[int, ...], onset: float) -> Recording:
+    """Readings of a plant that fails at the onset (s), the same for all detectors."""
+    (found,) = (f for f in PLANT_FAULTS[plant] if f.name == name)
+    return found.record(steps, seeds, onset)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.comparison_calibration import (
     Calibrated,
+    CannotRunError,
     calibrated,
     deployed,
-    seeds_of,
     silent,
     silent_scores,
 )
@@ -36,7 +36,7 @@ from fusion_sfdia.benchmarks.comparison_protocol import (
 )
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of, until
 from fusion_sfdia.benchmarks.comparison_records import Branch, join, labelled, record
-from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
+from fusion_sfdia.benchmarks.comparison_truths import departed, failing
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
 from fusion_sfdia.core.batch_detector import CLOCK
 from fusion_sfdia.core.detector import Decision, Detector, State, run
@@ -67,13 +67,15 @@ def work(task: Task) -> Arrays:
     of calibration_steps; step_seconds, batch_seconds (of a run in a batch), state_bytes, step_bytes. Seconds and step_bytes
     differ from one call to the next; all else has the same bits for the same task.
     """
-    settings = {k: task[k] for k in ("settle", "calibration_steps", "calibration_seeds", "false_alarm")}
     try:
-        calibration = calibrated(task["plant"], task["detector"], *settings.values())
-    except (ValueError, ModuleNotFoundError) as problem:  # not for this plant, or without an optional package
+        calibration = calibrated(
+            task["plant"], task["detector"], task["settle"], task["calibration_steps"], task["calibration_seeds"],
+            task["false_alarm"],
+        )  # fmt: skip
+    except CannotRunError as problem:
         return {"reason": np.array(str(problem))}
     found = conditions(task, task["plant"])
-    recording = healthy(task["plant"], trunk_steps(task, task["plant"]), seeds_of(task["seeds"]))
+    recording = healthy(task["plant"], trunk_steps(task, task["plant"]), tuple(task["seeds"]))
     start = time.process_time()
     trunk = follow(silent(calibration.detector), recording, {onset_step(task, c.group) for c in found})
     seconds = (time.process_time() - start) / trunk.scores.size
@@ -118,7 +120,7 @@ def branched(state: State, copies: int) -> State:
 
 def readings(task: Task, plant: Plant, recording: Recording, members: Sequence[Condition]) -> Branch:
     """The readings of the segment that the conditions share, one condition after the other along the batch."""
-    onset, window, seeds = onset_step(task, members[0].group), task["window"], seeds_of(task["seeds"])
+    onset, window, seeds = onset_step(task, members[0].group), task["window"], tuple(task["seeds"])
     before = slice(max(0, onset - window), onset + window)  # what a replay repeats
     shown = [plant_fault(task, c.group, c.name) if c.kind == "plant" else recording for c in members]
     y, signal = (np.concatenate([getattr(r, what)[before] for r in shown], axis=1) for what in ("y", "signal"))
@@ -157,18 +159,16 @@ def swept_scores(task: Task, calibration: Calibrated, trunk: Trunk, members: Seq
 
 def mistaken(task: Task, calibration: Calibrated, name: str) -> Arrays:
     """Healthy and with a bias, where the truth departs from what the detector was made for."""
-    (departure,) = (d for d in DEPARTURES[task["plant"]] if d.name == name)
     members = [Condition(HEALTHY, HEALTHY, np.nan, 0), Condition(f"bias-{TROUBLED_SIGMA:g}-sigma", "bias", TROUBLED_SIGMA, 0)]
-    recording = departure.record(task["settle"] + task["window"], seeds_of(task["seeds"]))
+    recording = departed(task["plant"], name, task["settle"] + task["window"], tuple(task["seeds"]))
     trunk = follow(silent(calibration.detector), until(recording, task["settle"] + 1), {task["settle"]})
     return branch_out(task, calibration, trunk._replace(recording=recording), members, name)
 
 
 def plant_fault(task: Task, group: int, name: str) -> Recording:
     """Readings of a run whose plant fails where the segment of the group begins."""
-    (fault,) = (f for f in PLANT_FAULTS[task["plant"]] if f.name == name)
     onset = (onset_step(task, group) - 1e-6) * plant_of(task["plant"]).dt  # with the last healthy reading, but for rounding
-    return fault.record(trunk_steps(task, task["plant"]), seeds_of(task["seeds"]), onset)
+    return failing(task["plant"], name, trunk_steps(task, task["plant"]), tuple(task["seeds"]), onset)
 
 
 def deployed_alarms(task: Task, calibration: Calibrated, trunk: Trunk) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fusion_sfdia
-from fusion_sfdia.benchmarks.provenance import sources_digest, versions
+from fusion_sfdia.benchmarks.provenance import OPTIONAL, sources_digest, versions
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
 from fusion_sfdia.core.storage import atomic_write
 
@@ -42,7 +42,7 @@ def decisive() -> dict[str, Any]:
     return {
         "version": fusion_sfdia.__version__,
         "sources": sources_digest(),
-        "libraries": {name: found[name] for name in ("python", *DECISIVE)},
+        "libraries": {name: found[name] for name in ("python", *DECISIVE, *OPTIONAL)},
         "machine": platform.machine(),
     }
 

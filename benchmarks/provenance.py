@@ -13,13 +13,20 @@ from pathlib import Path
 import fusion_sfdia
 from fusion_sfdia import benchmarks, models
 
+OPTIONAL = ("codac", "faultdiagnosistoolbox", "osqp")  # what can be done depends on them
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "numba", "filterpy", "joblib", "matplotlib")
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of Python and of the main libraries."""
-    return {"python": platform.python_version(), **{name: importlib.metadata.version(name) for name in LIBRARIES}}
+    """Return the versions of Python, of the main libraries and of optional ones, "absent" where they are not installed."""
+    found = {"python": platform.python_version()} | {name: importlib.metadata.version(name) for name in LIBRARIES}
+    for name in OPTIONAL:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "absent"
+    return found
 
 
 @cache

@@ -22,6 +22,7 @@ from fusion_sfdia.benchmarks.comparison_calibration import (
 from fusion_sfdia.benchmarks.comparison_numbers import confusion, gather
 from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
+from fusion_sfdia.benchmarks.comparison_records import in_a_row, until
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.comparison_work import work
 from fusion_sfdia.benchmarks.detectors import DETECTORS
@@ -171,12 +172,14 @@ def test_a_cell_that_cannot_run_says_why(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("plant", list(DEPARTURES))
-def test_departures_change_what_is_read_from_the_start(plant: str) -> None:
+def test_departures_change_what_is_read_and_not_its_noise(plant: str) -> None:
     assert set(PLANT_FAULTS) <= set(PLANTS) >= set(DEPARTURES)
     of, usual = plant_of(plant), healthy(plant, 62, (3,))
     for departure in DEPARTURES[plant]:
         changed = departure.record(62, (3,))
         np.testing.assert_array_equal(changed.t, usual.t)
+        noise = changed.y - changed.signal  # as usual, and within its bounds, but for rounding
+        np.testing.assert_allclose(noise / of.sensor_sigma, (usual.y - usual.signal) / of.sensor_sigma, atol=1e-6)
         error = np.abs(changed.signal - usual.signal)[-1, 0] / of.sensor_sigma
         assert error.max() > 0.1, departure.name
 
@@ -267,7 +270,8 @@ def test_what_is_published_stands_beside_ours() -> None:
         0.45, "Shaheen 2024, Table VI"
     )
     assert published_accuracy("gas-pipeline", "loo-glr", "weak-bias", "pressure") is None
-    assert (delay := published_delay("power-network", "chebyshev:paper", "governor")) is not None and delay.value == 8.0
+    delay = published_delay("power-network", "chebyshev:paper", "governor")
+    assert delay is not None and (delay.until, delay.value.value) == ("confirmed", 8.0)
     assert published_delay("power-network", "chebyshev", "governor") is None
 
 
@@ -302,3 +306,27 @@ def test_a_plant_and_a_detector_join_by_their_names(monkeypatch: pytest.MonkeyPa
         assert figure.draw().axes, figure.name
     nominal = [r for r in found.rows if r.metric == "claimed_false_alarm_probability" and r.detector == "mine"]
     assert [r.value for r in nominal] == [0.01]
+
+
+def test_alarms_in_a_row_are_counted_by_hand() -> None:
+    alarm = np.array([[1, 1, 0, 1, 1, 1, 1], [0, 1, 1, 1, 0, 0, 0], [1, 1, 0, 1, 1, 0, 1]], bool).T
+    assert until(in_a_row(alarm, 3)).tolist() == [5, 3, np.inf]
+    assert until(alarm).tolist() == [0, 1, 0]
+
+
+def test_a_plant_that_no_detector_can_have_is_told() -> None:
+    settings = tiny(plants="two-tanks,gas-pipeline", detectors="virtual-sensors", faults="bias", departures="no")
+    tasks = [t for t in protocol.tasks(settings, 1)]
+    found = summarise(settings, [(t, work(t)) for t in tasks])
+    assert [c.name for c in found.chapters] == ["two-tanks"]
+    assert any(r.startswith("No detector ran on gas-pipeline: plant 'gas-pipeline'") for r in found.remarks)
+
+
+def test_an_error_while_readings_are_judged_is_no_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: Any, *arguments: Any) -> Any:
+        raise ValueError("operands could not be broadcast")
+
+    monkeypatch.setattr(CentralFilter, "_judge", broken)
+    settings = tiny(detectors="kf-chi2", false_alarm="0.03")  # not as calibrated before
+    with pytest.raises(ValueError, match="broadcast"):
+        results(settings, seeds=1)

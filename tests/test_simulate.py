@@ -113,6 +113,29 @@ def test_feedback_acts_on_the_last_readings_of_each_run():
     np.testing.assert_allclose(in_other_units.u, found.u, rtol=1e-9)  # of noise by inversion of quantiles
 
 
+def test_feedback_by_a_matrix_has_the_same_bits_alone_and_in_any_batch():
+    n = 17
+    gain = np.random.default_rng(2).standard_normal((n, n)) / 50
+    plant = replace(
+        chain(n),
+        step=lambda t, x, u, dt: 0.9 * x + u,
+        step_jacobian=None,
+        inputs=tuple(Signal(f"u_{i}") for i in range(n)),
+        operation=lambda t: np.zeros(n),
+        feedback=lambda t, y, u: u - y @ gain.T,
+    )
+    batch, alone = simulate(plant, 20, [5, 3, 11, 0, 8]), simulate(plant, 20, [11])
+    np.testing.assert_array_equal(batch.u[:, 2], alone.u[:, 0])
+    np.testing.assert_array_equal(batch.y[:, 2], alone.y[:, 0])
+
+
+@pytest.mark.parametrize("bad", [lambda t, y, u: u[0], lambda t, y, u: u * np.nan], ids=["shape", "nan"])
+def test_feedback_that_does_not_fit_is_refused(bad):
+    plant = walk(step=lambda t, x, u, dt: x + u, inputs=(Signal("rate"),), feedback=bad)
+    with pytest.raises(ValueError, match=r"feedback of plant 'walk' gives shape .* at 1 s; wanted finite inputs \(..., 1\)"):
+        simulate(plant, 4, [0, 1])
+
+
 def test_tanks_stay_at_rest_without_disturbance():
     found = simulate(tanks(), 100, [0, 1])
     np.testing.assert_allclose(found.x, 1.0, rtol=1e-12)

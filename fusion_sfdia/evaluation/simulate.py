@@ -93,7 +93,7 @@ def simulate(
         raise ValueError(f"t0 is {t0}; wanted a finite time in s")
     t, dt = _times(plant, times, t0)
     u = _inputs(plant, t - dt, truth.input_at if inputs is None else inputs)
-    feedback = truth.feedback if inputs is None else None
+    closed = inputs is None and truth.feedback is not None
     x = _start(truth, start, seeds, t0)
     n, steps, count = x.shape[-1], t.size, len(truth.sensors)
     draws = _ProcessNoise(truth, seeds) if process_noise else None
@@ -101,12 +101,12 @@ def simulate(
     signal = np.empty((steps, len(seeds), count))
     noise = _sensor_noise(truth.sensors, seeds, steps)
     before = t - dt
-    if feedback is not None:
+    if closed:
         u = np.repeat(u[:, None], len(seeds), axis=1)
     for k in range(steps):
-        if feedback is not None and k > 0:
-            u[k] = feedback(float(before[k]), signal[k - 1] + noise[k - 1], u[k])
-        acting = u[k] if feedback is None else u[k][:, None]
+        if closed and k > 0:
+            u[k] = _fed_back(truth, float(before[k]), signal[k - 1] + noise[k - 1], u[k])
+        acting = u[k][:, None] if closed else u[k]
         parts = 1 if truth.dt == plant.dt else int(np.ceil(float(dt[k]) / truth.dt - 1e-9))
         part = float(dt[k]) / parts
         truth.check_dt(part)
@@ -173,6 +173,18 @@ def _inputs(plant: Plant, before: Array, given: Callable[[float], Array] | Array
     if u.shape != wanted or not np.all(np.isfinite(u)):
         raise ValueError(f"inputs have shape {u.shape}; wanted finite values {wanted}, a row a reading")
     return u
+
+
+def _fed_back(truth: Plant, t: float, y: Array, u: Array) -> Array:
+    """The input of each run (B, m) from its readings y (B, N); of shape (B, 1, ...) for the plant, as all else."""
+    assert truth.feedback is not None
+    found = np.asarray(truth.feedback(t, y[:, None], u[:, None]), dtype=float)
+    if found.shape != (len(y), 1, u.shape[-1]) or not np.all(np.isfinite(found)):
+        raise ValueError(
+            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; wanted finite inputs (..., {u.shape[-1]}) "
+            f"for readings {y[:, None].shape}"
+        )
+    return found[:, 0]
 
 
 def _start(truth: Plant, start: str | Array, seeds: tuple[int, ...], t0: float) -> Array:
