@@ -15,7 +15,7 @@ from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.scenario import Settings
 from fusion_sfdia.core.order_statistics import exceedance_rank
 
-RARELY = 0.005  # of samples: told as hardly any
+RARELY, OFTEN = 0.005, 0.01  # of samples: told as hardly any; worth telling where there should be none
 
 
 def highlights(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
@@ -37,6 +37,7 @@ def plant_findings(settings: Settings, cells: Mapping[str, Cell], criteria: Mapp
         *missed(settings, known),
         *blamers(plant, cells),
         *broken_claims(known),
+        *restless(known),
         *broken_down(known),
     ]
 
@@ -82,6 +83,13 @@ def broken_claims(cells: Sequence[Cell]) -> list[str]:
     return [
         f"False alarms at their own thresholds are within the claim in {kept} of {len(claimed)} cells that claim a rate.{more}"
     ]
+
+
+def restless(cells: Sequence[Cell]) -> list[str]:
+    """Which detectors alarm on healthy readings in spite of the common threshold: where alarms last, or runs differ."""
+    often = [c for c in cells if c.deployed.value > OFTEN]
+    told = [f"{c.detector} {c.deployed.value:.1%} ({c.matched.value:.2%} before anything is accused)" for c in often]
+    return [f"Healthy samples with an alarm as deployed: {'; '.join(told)}; the others {OFTEN:.0%} at most."] if told else []
 
 
 def blamers(plant: str, cells: Mapping[str, Cell]) -> list[str]:

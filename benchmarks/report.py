@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import resources
@@ -19,6 +20,7 @@ from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary
 from fusion_sfdia.core.storage import atomic_write
 
 OPEN_ROWS = 40  # a longer table is folded
+MOST_ROWS = 5000  # of more the page would be slow: they are in metrics.csv alone
 SORTED_ROWS = 8  # a table of at least so many can be sorted and filtered
 
 
@@ -36,7 +38,8 @@ class Section:
     def drawn(self, figures: Iterable[Figure]) -> list[tuple[Figure, Markup]]:
         """Those of the figures that could be drawn, with their SVG for the page."""
         names = {f"{self.scenario.name.replace('/', '-')}-{f.name}": f for f in figures}
-        return [(f, inline(self.figures[name], name, f.alt)) for name, f in names.items() if name in self.figures]
+        drawn = {name: f for name, f in names.items() if name in self.figures}
+        return [(f, inline(self.figures[name], f"f{zlib.crc32(name.encode()):x}", f.alt)) for name, f in drawn.items()]
 
     @property
     def comparison(self) -> str:
@@ -63,6 +66,7 @@ def write_report(path: Path, command: Command, sections: list[Section], manifest
         manifest=manifest,
         failures=[line for section in sections for line in section.failures],
         open_rows=OPEN_ROWS,
+        most_rows=MOST_ROWS,
         sorted_rows=SORTED_ROWS,
         sortable=Markup(script),
     )
@@ -112,9 +116,16 @@ def _setting(value: Any) -> str:
     return ", ".join(map(_setting, value)) if isinstance(value, tuple | list) else str(value)
 
 
+_FINE = re.compile(r"(\.\d\d)\d+")  # a hundredth of a point is less than can be seen
+
+
 def inline(svg: str, name: str, alt: str) -> Markup:
-    """Return an SVG file of matplotlib as an element of a page: scaled to its width, described, its names its own."""
-    body = svg[svg.index("<svg") :]
+    """Return an SVG file of matplotlib as an element of a page: scaled to its width, described, its names its own.
+
+    name: put before the names within, thousands of them: short.
+    """
+    body = re.sub(r">\s+<", "><", svg[svg.index("<svg") :])
+    body = re.sub(r' d="[^"]*"|translate\([^)]*\)| [xy]="[^"]*"', lambda found: _FINE.sub(r"\1", found[0]), body)
     body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", body)
     head, rest = body.split(">", 1)
     head = re.sub(r'\s(width|height)="[^"]*"', "", head)
