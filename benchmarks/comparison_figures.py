@@ -23,6 +23,7 @@ Cells = Mapping[tuple[str, str], Cell]
 T = TypeVar("T")
 
 FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural")
+FAMILY_COLOURS = (*COLOURS, "#808080")  # one each
 
 
 def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -35,7 +36,7 @@ def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
         i = members[family] = members.get(family, -1) + 1
         place = families.index(family)
         found[d] = {
-            "color": COLOURS[place % len(COLOURS)],
+            "color": FAMILY_COLOURS[place % len(FAMILY_COLOURS)],
             "linestyle": DASHES[i % len(DASHES)],
             "marker": MARKERS[(place + i) % len(MARKERS)],
         }

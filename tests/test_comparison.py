@@ -19,6 +19,7 @@ from fusion_sfdia.benchmarks.comparison_calibration import (
     silent_scores,
     watch,
 )
+from fusion_sfdia.benchmarks.comparison_figures import looks
 from fusion_sfdia.benchmarks.comparison_numbers import confusion, gather
 from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
@@ -330,3 +331,9 @@ def test_an_error_while_readings_are_judged_is_no_refusal(monkeypatch: pytest.Mo
     settings = tiny(detectors="kf-chi2", false_alarm="0.03")  # not as calibrated before
     with pytest.raises(ValueError, match="broadcast"):
         results(settings, seeds=1)
+
+
+def test_every_detector_has_a_look_of_its_own() -> None:
+    found = looks(list(DETECTORS))
+    assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(DETECTORS)
+    assert len({(look["color"], look["marker"]) for look in found.values()}) == len(DETECTORS)
