@@ -2,7 +2,7 @@
 
 Sizes are as published; onset and length are those of all faults of a comparison. Where Shaheen 2024 draws sensor, size and sign
 at random, size and sign are drawn here and sensors take turns; the offsets of K24 and K22 are of one sensor each. Boem 2018
-has no sensor fault: its two scenarios are faults of the plant, see comparison_truths.
+has no sensor fault: its scenarios are faults of the plant, see comparison_truths.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.benchmarks import pipeline_published
 from fusion_sfdia.benchmarks.engine_published import THREE_FAULTS, Offset
-from fusion_sfdia.benchmarks.network_published import GOVERNOR, SIGN_FLIP
+from fusion_sfdia.benchmarks.network_published import GOVERNOR
 from fusion_sfdia.benchmarks.results import Published
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
@@ -48,7 +48,6 @@ _ENGINE = (
     ("receiver-pressure-offset", "M(3,1)", "Pa", "K24, Fig. 4; K22, Fig. 3"),
     ("charge-temperature-offset", "M(4,2)", "K", "K24, Fig. 4; K22, Fig. 3"),
 )
-_NETWORK = {"governor": GOVERNOR, "input-gain": SIGN_FLIP}
 
 PAPER_FAULTS: Mapping[str, tuple[PaperFault, ...]] = {
     PIPELINE: tuple(PaperFault(name, PRESETS[name].description, partial(_drawn, name)) for name in pipeline_published.FAULTS),
@@ -80,8 +79,7 @@ def published_delay(plant: str, detector: str, fault: str) -> PublishedDelay | N
         for (name, module, _, _), offset in zip(_ENGINE, THREE_FAULTS.faults, strict=True):
             if fault == name and (fired := THREE_FAULTS.first_alarm(module)) is not None:
                 return PublishedDelay("own", f"first alarm of {module}", Published(fired.value - offset.onset, fired.source))
-    if plant == NETWORK and detector.startswith("chebyshev:") and fault in _NETWORK:
-        told = _NETWORK[fault]
-        if (delay := told.delay(told.detected)) is not None:
+    if plant == NETWORK and detector.startswith("chebyshev:") and fault == "governor":
+        if (delay := GOVERNOR.delay(GOVERNOR.detected)) is not None:
             return PublishedDelay("confirmed", "third alarm in a row", delay)
     return None

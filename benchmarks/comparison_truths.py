@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.comparison_recordings import plant_of, simulated
-from fusion_sfdia.benchmarks.network_published import GOVERNOR as B18_GOVERNOR
-from fusion_sfdia.benchmarks.network_published import SIGN_FLIP as B18_SIGN_FLIP
+from fusion_sfdia.benchmarks.network_published import GOVERNOR
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
@@ -34,6 +33,7 @@ from fusion_sfdia.models.two_tanks import Tanks, tank_physics, two_tanks
 Array = NDArray[Any]
 
 LOAD_LOSS = AreaFault("load-loss", "7", 0.05)
+SIGN_FLIP = AreaFault("input-gain", "4", -1.0)
 PIPELINE, ENGINE, NETWORK, TANKS = "gas-pipeline", "marine-engine", "power-network", "two-tanks"
 
 
@@ -192,10 +192,12 @@ PLANT_FAULTS: dict[str, tuple[PlantFault, ...]] = {
     ),
     NETWORK: (
         PlantFault(
-            "governor", "the governor of area 4 with a time constant of 1000 s (B18, scenario 1)", _area(B18_GOVERNOR.fault)
+            "governor", "the governor of area 4 with a time constant of 1000 s (B18, scenario 1)", _area(GOVERNOR.fault)
         ),
         PlantFault(
-            "input-gain", "the reference of area 5 arrives with its sign reversed (B18, scenario 2)", _area(B18_SIGN_FLIP.fault)
+            "input-gain",
+            "the reference of area 4 arrives with its sign reversed; in B18, scenario 2, that of area 5, which has no load here",
+            _area(SIGN_FLIP),
         ),
         PlantFault("load-loss", "a twentieth of the base power is lost at once in area 7", _area(LOAD_LOSS)),
     ),
