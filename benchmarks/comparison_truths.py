@@ -196,7 +196,8 @@ PLANT_FAULTS: dict[str, tuple[PlantFault, ...]] = {
         ),
         PlantFault(
             "input-gain",
-            "the reference of area 4 arrives with its sign reversed; in B18, scenario 2, that of area 5, which has no load here",
+            "the reference of area 4 arrives with its sign reversed; in B18, scenario 2, that of area 5, which has no load "
+            "here",
             _area(SIGN_FLIP),
         ),
         PlantFault("load-loss", "a twentieth of the base power is lost at once in area 7", _area(LOAD_LOSS)),
