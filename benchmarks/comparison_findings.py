@@ -50,13 +50,17 @@ def of_all(cells: Cells, plant: str) -> list[Cell]:
 def leaders(settings: Settings, plant: str, cells: Sequence[Cell], criteria: Mapping[str, Mapping[str, Standing]]) -> str:
     """Which detectors nothing beats beyond chance on a plant; those that find or name little of what is large are told."""
     _, large = sizes(settings)
-    flaws: dict[str, list[str]] = {}
+    flaws: dict[str, dict[str, list[str]]] = {}
     for cell in cells:
         rows = cell.rows_of(*cell.graded(large))
         names_none = rows.size > 0 and not cell["named"][rows].any()
-        flaw = "finds little" if seen(settings, cell) < 0.5 else "names none" if names_none else ""
-        flaws.setdefault(cell.detector, []).append(flaw and (f"{flaw} on {cell.plant}" if plant == EVERY else flaw))
-    told = {d: f"which {'; '.join(f for f in found if f)}" for d, found in flaws.items() if any(found)}
+        if flaw := "finds little" if seen(settings, cell) < 0.5 else "names none" if names_none else "":
+            flaws.setdefault(cell.detector, {}).setdefault(flaw, []).append(cell.plant)
+    counted = len({cell.plant for cell in cells})
+    told = {
+        d: "which " + " and ".join(f if len(on) == counted else f"{f} on {', '.join(on)}" for f, on in found.items())
+        for d, found in flaws.items()
+    }
     said = [
         f"{criterion}: {first(found, told)}" for criterion, found in criteria.items() if any(s.mean.n for s in found.values())
     ]

@@ -32,7 +32,7 @@ SEVERAL_SIGMA = 10.0
 TROUBLED_SIGMA = 10.0  # of the bias that is to be found in spite of a departure
 HEALTHY = "none"
 PER_QUANTITY = 2  # sensors of a quantity that fail, unless all are asked for
-CHUNK = 10  # seeds in one task
+CHUNK = 25  # seeds in one task, which is set up once
 
 SETTINGS = {
     "plants": tuple(PLANTS),
