@@ -9,12 +9,14 @@ import numpy as np
 from fusion_sfdia.benchmarks.comparison_chapters import plant_chapter
 from fusion_sfdia.benchmarks.comparison_figures import Cells, draw_overview, of_plant
 from fusion_sfdia.benchmarks.comparison_findings import absent, highlights, left_out, overview_caption, remarks
+from fusion_sfdia.benchmarks.comparison_measures import glance
 from fusion_sfdia.benchmarks.comparison_numbers import complete, gather
 from fusion_sfdia.benchmarks.comparison_protocol import SETTINGS, tasks
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, SHARES, clusters, ranking
 from fusion_sfdia.benchmarks.comparison_rows import SCENARIO as NAME
 from fusion_sfdia.benchmarks.comparison_rows import rows_of_cell
-from fusion_sfdia.benchmarks.comparison_tables import EVERY, LOGARITHMIC, Standings, glance, ranks_table, standing_rows
+from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings, choices_table, ranks_table, standing_rows
+from fusion_sfdia.benchmarks.comparison_words import words
 from fusion_sfdia.benchmarks.comparison_work import work
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
@@ -36,13 +38,17 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
     return Summary(
         rows=rows,
         figures=[overview(settings, cells)],
-        tables=[ranks_table(EVERY, standings[EVERY])] if EVERY in standings else [],
+        tables=[
+            choices_table(settings, cells),
+            *([ranks_table(EVERY, standings[EVERY])] if EVERY in standings else []),
+        ],
         highlights=highlights(settings, cells, standings),
         remarks=[*remarks(settings, cells), *left_out(cells, whole), *absent(settings, cells, reasons)],
         chapters=[
             plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), stated)
             for plant in dict.fromkeys(p for p, _ in cells)
-        ],
+        ]
+        + [words(list(dict.fromkeys(d for _, d in cells)))],
     )
 
 
@@ -63,14 +69,13 @@ def standings_of(cells: Cells) -> Standings:
 
 def overview(settings: Settings, cells: Cells) -> Figure:
     """The matrix at a glance."""
-    numbers = glance(settings)
-    logarithmic = [title for title in numbers if title.startswith(LOGARITHMIC)]
+    shown = glance(settings)
     return Figure(
         "overview",
         "At a glance: every detector on every plant",
         overview_caption(settings, cells),
-        partial(draw_overview, cells, numbers, logarithmic),
-        f"{len(numbers)} tables of numbers on colours, detectors down and plants across: {', '.join(numbers)}",
+        partial(draw_overview, cells, shown),
+        f"{len(shown)} tables of numbers on colours, detectors down and plants across: {', '.join(shown)}",
     )
 
 

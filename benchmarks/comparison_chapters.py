@@ -14,9 +14,10 @@ from fusion_sfdia.benchmarks.comparison_figures import (
     draw_roc,
     other_panels,
 )
-from fusion_sfdia.benchmarks.comparison_findings import areas, extremes, healthy_alarms, others_told, plant_findings
+from fusion_sfdia.benchmarks.comparison_findings import extremes, healthy_alarms, others_told, plant_findings
+from fusion_sfdia.benchmarks.comparison_measures import sizes
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, share_right
-from fusion_sfdia.benchmarks.comparison_protocol import TROUBLED_SIGMA
+from fusion_sfdia.benchmarks.comparison_protocol import TROUBLED_SIGMA, failing_sensors
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
 from fusion_sfdia.benchmarks.comparison_tables import (
     changes_table,
@@ -24,7 +25,6 @@ from fusion_sfdia.benchmarks.comparison_tables import (
     numbers_table,
     paper_table,
     ranks_table,
-    sizes,
 )
 from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.benchmarks.results import Row
@@ -43,6 +43,7 @@ def plant_chapter(
     """What happened on a plant. criteria: its standings. reasons: of detectors that it cannot have. stated: published rows."""
     some = next(iter(cells.values()))
     model = some.model
+    failing = [model.sensors[i].name for i in failing_sensors(model, everyone=bool(settings["all_sensors"]))]
     about = f"{PLANTS[some.plant][0]}; {len(model.states)} states, {len(model.sensors)} sensors, a sample every {model.dt:g} s."
     missing: dict[str, list[str]] = {}
     for detector, why in reasons.items():
@@ -58,7 +59,13 @@ def plant_chapter(
     return Chapter(
         some.plant,
         some.plant,
-        [about[0].upper() + about[1:], *plant_findings(settings, cells, criteria), *absent],
+        [
+            about[0].upper() + about[1:],
+            f"A fault lasts {settings['window']} samples, {settings['window'] * model.dt:g} s; sensors that fail in turn: "
+            f"{', '.join(failing)}.",
+            *plant_findings(settings, cells, criteria),
+            *absent,
+        ],
         figures(settings, cells),
         [table for table in tables if table.rows],
     )
@@ -83,10 +90,13 @@ def roc_figure(cells: Cells) -> Figure | None:
     swept = [n for n in some["swept_condition"].tolist() if n.startswith("bias")][:2]
     if not swept:
         return None
+    last = {d: c.areas[swept[-1]].value for d, c in cells.items()}
     return Figure(
         f"{some.plant}-roc",
         f"Receiver operating characteristics, {some.plant}",
-        areas(cells, swept) + " Thresholds swept over silent detectors; grey: chance.",
+        f"Area under the curve, {swept[-1].replace('-', ' ')}: {extremes(last)}. The further up and left the better; what a "
+        "detector finds is read at the rate of false alarms that one can stand. Thresholds swept over silent detectors; grey: "
+        "chance.",
         partial(draw_roc, cells, swept),
         f"Detection against false-alarm probability of {len(cells)} detectors on {some.plant} for {' and '.join(swept)}",
     )

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
+from fusion_sfdia.benchmarks.comparison_measures import Measure
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
 from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY
 from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, MARKERS, panels
@@ -23,6 +24,7 @@ Cells = Mapping[tuple[str, str], Cell]
 T = TypeVar("T")
 
 FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural")
+LEAST = 2  # runs behind a point
 FAMILY_COLOURS = (*COLOURS, "#808080")  # one each
 
 
@@ -53,12 +55,19 @@ def of_plant(found: Mapping[tuple[str, str], T], plant: str) -> dict[str, T]:
 
 
 def heat(
-    axes: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *, form: str = "{:.2f}", log: bool = False
+    axes: Axes,
+    values: Array,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    *,
+    form: str = "{:.2f}",
+    log: bool = False,
+    less: bool = False,
 ) -> None:
-    """Numbers on colours, larger darker; NaN is grey and blank."""
+    """Numbers on colours, larger darker, orange where less is better and else blue; NaN is grey and blank."""
     shown = np.log10(np.maximum(values, 1e-4)) if log else values
     low, high = (-4.0, 0.0) if log else (0.0, 1.0)
-    colours = matplotlib.colormaps["Blues"].with_extremes(bad="0.85")
+    colours = matplotlib.colormaps["Oranges" if less else "Blues"].with_extremes(bad="0.85")
     axes.imshow(np.ma.masked_invalid(shown), cmap=colours, vmin=low, vmax=high, aspect="auto")
     for i, j in np.ndindex(*values.shape):
         if np.isfinite(values[i, j]):
@@ -72,14 +81,14 @@ def heat(
     axes.grid(visible=False)
 
 
-def draw_overview(cells: Cells, measures: Mapping[str, Callable[[Cell], Estimate]], logarithmic: Sequence[str]) -> Drawing:
-    """A panel a number, detectors down, plants across."""
+def draw_overview(cells: Cells, measures: Mapping[str, Measure]) -> Drawing:
+    """A panel a measure, detectors down, plants across."""
     plants, detectors = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
     figure, axes = panels(list(measures), columns=4, width=14.0, height=1.2 + 0.22 * len(detectors))
-    for axis, (title, measure) in zip(axes, measures.items(), strict=True):
-        values = np.array([[measure(cells[p, d]).value if (p, d) in cells else np.nan for p in plants] for d in detectors])
-        log = title in logarithmic
-        heat(axis, values, detectors, plants, form="{:.2g}" if log else "{:.2f}", log=log)
+    for axis, measure in zip(axes, measures.values(), strict=True):
+        values = np.array([[measure.of(cells[p, d]).value if (p, d) in cells else np.nan for p in plants] for d in detectors])
+        form = "{:.2g}" if measure.decades else "{:.2f}"
+        heat(axis, values, detectors, plants, form=form, log=measure.decades, less=measure.less)
     for i, axis in enumerate(axes):
         if i % 4:
             axis.set_yticklabels([])
@@ -132,7 +141,8 @@ def draw_magnitudes(cells: Mapping[str, Cell]) -> Drawing:
         for c, kind in enumerate(kinds):
             axis = axes[r * len(kinds) + c]
             for i, (detector, cell) in enumerate(cells.items()):
-                values = [measure(cell, cell.rows_of(f"{kind}-{m:g}-sigma")).value for m in sizes]
+                found = [measure(cell, cell.rows_of(f"{kind}-{m:g}-sigma")) for m in sizes]
+                values = [e.value if e.n >= LEAST else np.nan for e in found]
                 shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
                 axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.0, label=detector, **look[detector])
             axis.set_xscale("log")
@@ -168,14 +178,17 @@ class Panel(NamedTuple):
     title: str
     measure: Callable[[Cell, Array], Estimate]
     columns: Sequence[tuple[str, str, str]]
+    less: bool = False  # is better
 
 
 def draw_panels(cells: Mapping[str, Cell], shown: Sequence[Panel]) -> Drawing:
     """Detectors down and conditions across; grey where a measure says nothing."""
     figure, axes = panels([p.title for p in shown], columns=3, width=13.0, height=1.9 + 0.24 * len(cells))
-    for axis, (_, measure, columns) in zip(axes, shown, strict=True):
-        values = [[measure(c, c.rows_of(name, truth=truth)).value for _, name, truth in columns] for c in cells.values()]
-        heat(axis, np.array(values), list(cells), [label for label, _, _ in columns])
+    for axis, panel in zip(axes, shown, strict=True):
+        values = [
+            [panel.measure(c, c.rows_of(name, truth=truth)).value for _, name, truth in panel.columns] for c in cells.values()
+        ]
+        heat(axis, np.array(values), list(cells), [label for label, _, _ in panel.columns], less=panel.less)
     for axis in axes[1:]:
         axis.set_yticklabels([])
     return figure
@@ -186,8 +199,8 @@ def departure_panels(cell: Cell, biased: str) -> list[Panel]:
     truths = [("as believed", ""), *((t, t) for t in cell.truths)]
     without = [(label, HEALTHY, truth) for label, truth in truths]
     return [
-        Panel("healthy: samples with an alarm", Cell.alarms, without),
-        Panel("healthy: samples with a sensor named", Cell.blame, without),
+        Panel("healthy: samples with an alarm", Cell.alarms, without, less=True),
+        Panel("healthy: samples with a sensor named", Cell.blame, without, less=True),
         Panel(f"{biased.replace('-', ' ')}: exact names", Cell.exact, [(label, biased, truth) for label, truth in truths]),
     ]
 
@@ -199,7 +212,7 @@ def other_panels(cell: Cell) -> list[Panel]:
     found = [
         Panel("runs with an alarm", Cell.detected, names),
         Panel("samples with the exact names", Cell.exact, faulty),
-        Panel("samples with a healthy sensor named", Cell.blame, names),
+        Panel("samples with a healthy sensor named", Cell.blame, names, less=True),
     ]
     return [panel for panel in found if panel.columns]
 

@@ -7,26 +7,36 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
+from fusion_sfdia.benchmarks.comparison_measures import exactly, seen, sizes, under_departures, under_plant_faults
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
-from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings, glance, sizes, troubled
+from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings
 from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.scenario import Settings
 from fusion_sfdia.core.order_statistics import exceedance_rank
 
-RARELY, OFTEN = 0.005, 0.01  # of samples: told as hardly any; worth telling where there should be none
+RARELY, OFTEN = 0.01, 0.01  # of samples: told as hardly any; worth telling where there should be none
 
 
 def highlights(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
     """The findings for the top of the report."""
     plants = dict.fromkeys(p for p, _ in cells)
-    return [
-        *(leaders(settings, plant, of_all(cells, plant), standings[plant]) for plant in (EVERY, *plants) if plant in standings),
-        *broken_claims(list(cells.values())),
-        *(line for plant in plants for line in blamers(plant, of_plant(cells, plant))),
-        *prices(cells),
-    ]
+    found = [leaders(settings, EVERY, list(cells.values()), standings[EVERY])] if EVERY in standings else []
+    return [*found, *(verdict(settings, of_plant(cells, plant)) for plant in plants), *broken_claims(list(cells.values()))]
+
+
+def verdict(settings: Settings, cells: Mapping[str, Cell]) -> str:
+    """Who names best on a plant, and what that one does where the plant is not as believed."""
+    name = max(cells, key=lambda d: exactly(settings, cells[d]).value)
+    cell, (_, large) = cells[name], sizes(settings)
+    departure, fault = under_departures(cell), under_plant_faults(cell)
+    said = [f"{b.share.value:.0%} under {b.where}" for b in (departure, fault) if np.isfinite(b.share.value)]
+    wrong = f"; it blames a healthy one in {' and in '.join(said)}" if said else ""
+    return (
+        f"{cell.plant}: {name} names exactly the faulty sensor most often, at {large:g} sigma in "
+        f"{exactly(settings, cell).value:.0%} of the samples{wrong}."
+    )
 
 
 def plant_findings(settings: Settings, cells: Mapping[str, Cell], criteria: Mapping[str, Mapping[str, Standing]]) -> list[str]:
@@ -40,11 +50,6 @@ def plant_findings(settings: Settings, cells: Mapping[str, Cell], criteria: Mapp
         *restless(known),
         *broken_down(known),
     ]
-
-
-def of_all(cells: Cells, plant: str) -> list[Cell]:
-    """The cells of a plant, or of every one."""
-    return [cell for (where, _), cell in cells.items() if plant in (where, EVERY)]
 
 
 def leaders(settings: Settings, plant: str, cells: Sequence[Cell], criteria: Mapping[str, Mapping[str, Standing]]) -> str:
@@ -61,16 +66,20 @@ def leaders(settings: Settings, plant: str, cells: Sequence[Cell], criteria: Map
         d: "which " + " and ".join(f if len(on) == counted else f"{f} on {', '.join(on)}" for f, on in found.items())
         for d, found in flaws.items()
     }
+    nameless = {d for d, found in flaws.items() if len(found.get("names none", ())) == counted}
     said = [
-        f"{criterion}: {first(found, told)}" for criterion, found in criteria.items() if any(s.mean.n for s in found.values())
+        f"{criterion}: {first(found, told, nameless if criterion == 'exoneration' else set())}"
+        for criterion, found in criteria.items()
+        if any(s.mean.n for s in found.values())
     ]
     return f"Not beaten beyond chance on {plant}: {'; '.join(said)}."
 
 
-def first(standings: Mapping[str, Standing], flaws: Mapping[str, str]) -> str:
-    """The detectors of rank 1, or that all are; who finds little or names none exonerates everyone."""
-    best = [f"{name} ({flaws[name]})" if name in flaws else name for name, s in standings.items() if s.rank == 1]
-    return "no difference between any" if len(best) == len(standings) > 1 else ", ".join(best)
+def first(standings: Mapping[str, Standing], flaws: Mapping[str, str], nameless: set[str]) -> str:
+    """The detectors of the best rank, or that all are; who names none at all exonerates everyone, and is left out."""
+    ranks = {name: s.rank for name, s in standings.items() if name not in nameless} or {n: s.rank for n, s in standings.items()}
+    best = [f"{name} ({flaws[name]})" if name in flaws else name for name, rank in ranks.items() if rank == min(ranks.values())]
+    return "no difference between any" if len(best) == len(ranks) > 1 else ", ".join(best)
 
 
 def broken_claims(cells: Sequence[Cell]) -> list[str]:
@@ -97,30 +106,18 @@ def restless(cells: Sequence[Cell]) -> list[str]:
 
 
 def blamers(plant: str, cells: Mapping[str, Cell]) -> list[str]:
-    """Who blames healthy sensors where the plant departs from its model, and who does not."""
-    shares = {d: troubled(c).value for d, c in cells.items() if c.truths}
-    told = {
-        "in most samples": [d for d, v in shares.items() if v > 0.5],
-        "in some": [f"{d} {v:.0%}" for d, v in shares.items() if RARELY < v <= 0.5],
-        "in hardly any": [d for d, v in shares.items() if v <= RARELY],
-    }
-    said = "; ".join(f"{how}: {', '.join(names)}" for how, names in told.items() if names)
-    return [f"Who blames a healthy sensor under the worst departure of {plant}, {said}."] if shares else []
-
-
-def prices(cells: Cells) -> list[str]:
-    """What a step costs."""
-    times: dict[str, list[float]] = {}
-    for (_, detector), cell in cells.items():
-        times.setdefault(detector, []).append(cell.step_seconds * 1e3)
-    order = sorted(times, key=lambda d: max(times[d]))
-    return [f"Processor time of a step in ms: {'; '.join(f'{d} {span(times[d])}' for d in order)}."] if times else []
-
-
-def seen(settings: Settings, cell: Cell) -> float:
-    """Share of the runs with a large fault that raise an alarm; NaN where there is none."""
-    rows = cell.rows_of(*cell.graded(sizes(settings)[1]))
-    return cell.detected(rows).value if rows.size else np.nan
+    """Who blames healthy sensors where the plant departs from its model or fails itself, and who does not."""
+    found = []
+    for under, worst in (("worst departure", under_departures), ("worst fault of the plant", under_plant_faults)):
+        shares = {d: v for d, c in cells.items() if np.isfinite(v := worst(c).share.value)}
+        told = {
+            "in most samples": [f"{d} {v:.0%}" for d, v in shares.items() if v > 0.5],
+            "in some": [f"{d} {v:.0%}" for d, v in shares.items() if RARELY < v <= 0.5],
+            "in 1 % of them at most": [d for d, v in shares.items() if v <= RARELY],
+        }
+        said = "; ".join(f"{how}: {', '.join(names)}" for how, names in told.items() if names)
+        found += [f"Who blames a healthy sensor under the {under} of {plant}, {said}."] if shares else []
+    return found
 
 
 def missed(settings: Settings, cells: Sequence[Cell]) -> list[str]:
@@ -172,18 +169,12 @@ def broken_down(cells: Sequence[Cell]) -> list[str]:
 
 
 def overview_caption(settings: Settings, cells: Cells) -> str:
-    """Spans of the numbers of the matrix."""
-    told = [f"{title} {span(measure(cell).value for cell in cells.values())}" for title, measure in glance(settings).items()]
-    return f"At the common rate of false alarms; grey: cannot run. From least to most: {'; '.join(told)}."
-
-
-def areas(cells: Mapping[str, Cell], conditions: Sequence[str]) -> str:
-    """Areas under the curves."""
-    return " ".join(
-        f"Area under the curve, {name.replace('-', ' ')}: "
-        + "; ".join(f"{d} {c.areas[name].value:.3f}" for d, c in cells.items())
-        + "."
-        for name in conditions
+    """What to see."""
+    best = {plant: verdict(settings, of_plant(cells, plant)).partition(" names exactly")[0] for plant, _ in cells}
+    return (
+        "At the common rate of false alarms. Blue: more is better; orange: less is; grey: cannot run; what spans decades is "
+        f"coloured by them. Read a detector along its row: who names best ({'; '.join(best.values())}) need not be who blames "
+        "least."
     )
 
 

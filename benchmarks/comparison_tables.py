@@ -2,75 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
+from fusion_sfdia.benchmarks.comparison_measures import exactly, measures, sizes, under_departures, under_plant_faults
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, PUBLISHED, TROUBLED_SIGMA
+from fusion_sfdia.benchmarks.comparison_protocol import PUBLISHED, TROUBLED_SIGMA
 from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, Standing
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Interval, Settings, Table
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate
 
-Measure = Callable[[Cell], Estimate]
 Standings = Mapping[str, Mapping[str, Mapping[str, Standing]]]  # plant, criterion, detector
 EVERY = "all plants"
 
 
-def sizes(settings: Settings) -> tuple[float, float]:
-    """A small and a large fault of those that were tried: 3 and 10 sigma where they are among them."""
-    known = sorted(settings["magnitudes"])
-    small = 3.0 if 3.0 in known else known[0]
-    return small, 10.0 if 10.0 in known else known[-1]
+def steadiness(settings: Settings, cell: Cell) -> float:
+    """Exact names times what the worst departure leaves without blame."""
+    blame = under_departures(cell).share.value
+    return exactly(settings, cell).value * (1 - blame if np.isfinite(blame) else 1.0)
 
 
-def troubled(cell: Cell) -> Estimate:
-    """Largest share of healthy samples at which a sensor is blamed, over the departures."""
-    shares = [cell.blame(cell.rows_of(HEALTHY, truth=t)) for t in cell.truths]
-    return max(shares, key=lambda e: e.value, default=NOTHING)
+def choices_table(settings: Settings, cells: Cells) -> Table:
+    """For each plant who names most, and who still does where blame under departures is counted against it."""
+    rows: list[tuple[str | float | Interval, ...]] = []
+    for plant in dict.fromkeys(p for p, _ in cells):
+        there = of_plant(cells, plant)
 
-
-def measures(settings: Settings) -> dict[str, Measure]:
-    """What a detector is told by, in the order of the report."""
-    small, large = sizes(settings)
-    bias = f"bias-{small:g}-sigma"
-
-    def pooled(measure: Callable[[Cell, Any], Estimate], size: float) -> Measure:
-        return lambda cell: measure(cell, cell.rows_of(*cell.graded(size)))
-
-    return {
-        f"area under the ROC, {bias.replace('-', ' ')}": lambda cell: cell.areas.get(bias, NOTHING),
-        f"runs with an alarm, {large:g} sigma": pooled(Cell.detected, large),
-        f"exact names, {large:g} sigma": pooled(Cell.exact, large),
-        f"named at all, {large:g} sigma": pooled(Cell.recall, large),
-        f"error after over before, {large:g} sigma": pooled(Cell.gain, large),
-        "false alarms at its own threshold": lambda cell: cell.nominal,
-        "healthy samples with an alarm as deployed": lambda cell: cell.deployed,
-        "blame, worst departure": troubled,
-        f"runs with an alarm, {small:g} sigma": pooled(Cell.detected, small),
-        f"delay (s), {large:g} sigma": pooled(Cell.delay, large),
-        f"healthy sensors named, {large:g} sigma": pooled(Cell.false_flags, large),
-        f"size of the fault off (%), {large:g} sigma": pooled(Cell.size_error, large),
-    }
-
-
-GLANCE = 8  # the first of them are shown at a glance
-LOGARITHMIC = ("false alarms at its own threshold", "healthy samples", "error after over before")
-
-
-def glance(settings: Settings) -> dict[str, Measure]:
-    """The measures of the matrix at a glance."""
-    return dict(list(measures(settings).items())[:GLANCE])
+        names = max(there, key=lambda d: exactly(settings, there[d]).value)
+        steady = max(there, key=lambda d: steadiness(settings, there[d]))
+        chosen = {names: "names most"} | {steady: "names most, blames least" if names == steady else "names much, blames less"}
+        for detector, what in chosen.items():
+            cell = there[detector]
+            departure, fault = under_departures(cell), under_plant_faults(cell)
+            told = (exactly(settings, cell), departure.share, departure.where, fault.share, fault.where, cell.deployed)
+            rows.append((plant, what, detector, *told))
+    _, large = sizes(settings)
+    return Table(
+        "Which to take",
+        (
+            *("plant", "the one that", "detector", f"exact names, {large:g} sigma", "blame, worst departure", "which"),
+            *("blame, worst fault of the plant", "which", "healthy samples with an alarm"),
+        ),
+        tuple(rows),
+        "Exact names: samples under a fault of one sensor at which that one alone is named. Blame: samples at which a healthy "
+        "sensor is named though none is faulty, where the plant departs from its model or fails itself. The one that blames "
+        "less has the largest product of exact names and of samples without blame under departures. Others may not differ "
+        "beyond chance: see ranks. Healthy samples: as deployed, alarms that last included.",
+    )
 
 
 def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
     """The detectors of a plant in numbers with intervals."""
     columns = measures(settings)
-    found = {d: [measure(cell) for measure in columns.values()] for d, cell in cells.items()}
+    found = {d: [measure.of(cell) for measure in columns.values()] for d, cell in cells.items()}
     counts = [sorted({line[i].n for line in found.values() if line[i].n}) for i in range(len(columns))]
     told = [f"n {n[0]}" if len(n) == 1 else f"n {n[0]} to {n[-1]}" if n else "" for n in counts]
     return Table(
@@ -82,7 +70,8 @@ def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
         "named; named at all: among others, perhaps; healthy sensors named: share of healthy sensor-samples. Claims are per "
         "step over all sensors. As deployed: with what an alarm does to those that follow, as where decisions are latched. "
         "Delays: of the runs that have an alarm. Sizes: of faults other than noise. Blame: share of healthy samples at which a "
-        "sensor is named. All other numbers: metrics.csv.",
+        "sensor is named. Where runs do not differ, as without any alarm, an interval counts runs, not samples. All other "
+        "numbers: metrics.csv.",
     )
 
 
@@ -96,9 +85,16 @@ def paper_table(stated: Sequence[Row]) -> Table:
     """Published numbers beside ours."""
     return Table(
         "What the papers state of their own faults, and what comes out here",
-        ("fault", "detector", "of", "metric", "ours", "n", "published", "source"),
+        ("fault", "detector", "of", "metric", "ours", "n", "published", "our interval", "source"),
         tuple(
-            (r.fault, r.detector, r.quantity, r.metric, (r.value, r.low, r.high, r.n), str(r.n), float(r.published), r.source)
+            (
+                *(r.fault, r.detector, r.quantity, r.metric),
+                (r.value, r.low, r.high, r.n),
+                r.n,
+                float(r.published),
+                judged(r),
+                r.source,
+            )
             for r in stated
             if r.published is not None
         ),
@@ -106,7 +102,13 @@ def paper_table(stated: Sequence[Row]) -> Table:
         "not refute: the papers' own experiments are the scenarios pipeline/*, engine/* and network/* (fusion-sfdia run). "
         "Accuracy: share of runs in which the sensor that is named most is the faulty one; Shaheen 2024 does not define its "
         "own.",
+        folded=True,
     )
+
+
+def judged(row: Row) -> str:
+    """Whether the published value lies within our interval."""
+    return "none" if row.agrees is None else "holds it" if row.agrees else "does not"
 
 
 def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, Standing]]) -> Table:
@@ -118,7 +120,7 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, Standing]]) -> T
     header = ["detector"]
     rows: list[list[str | float | Interval]] = [[d] for d in order]
     for criterion, found in told.items():
-        header += [f"{criterion}: rank", "mean"]
+        header += [f"{criterion}: rank", f"mean of {criterion}"]
         for row in rows:
             standing = found[str(row[0])]
             row += [standing.rank, standing.mean]
@@ -130,7 +132,7 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, Standing]]) -> T
         "Holm's correction over all pairs, 5 %); a shared rank is no difference that this many runs show. Mean over clusters "
         f"({counts}) and its 95 % interval: of runs with an alarm, of samples with exact names, of -log10(error after over "
         "before), of samples without a healthy sensor blamed where a departure, a fault of the plant or missing readings give "
-        "cause to.",
+        "cause to, each of the three alike. In the order of the sum of ranks.",
     )
 
 
@@ -152,6 +154,7 @@ def cost_table(cells: Mapping[str, Cell]) -> Table:
         tuple(rows),
         "Processor time on this machine: the least of some steps of a single run, and the mean of the batch of the seeds of a "
         "task. Memory of a step: the largest in use at once. Both differ from run to run, so they are not in metrics.csv.",
+        folded=True,
     )
 
 
@@ -166,6 +169,7 @@ def changes_table(settings: Settings, plant: str) -> Table:
         tuple(rows),
         "Amounts are ours unless a paper is named. Departures are known to no detector; each is tried "
         f"healthy and with a bias of {TROUBLED_SIGMA:g} sigma.",
+        folded=True,
     )
 
 

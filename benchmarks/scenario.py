@@ -59,12 +59,16 @@ Interval = tuple[float, float, float, int]  # a value, its 95 % interval, and th
 
 @dataclass(frozen=True)
 class Table:
-    """A table laid out as in a paper; cells are text, numbers (shown with 4 digits) or numbers with their interval."""
+    """A table laid out as in a paper; cells are text, numbers (shown with 4 digits) or numbers with their interval.
+
+    folded: whether the reader has to open it.
+    """
 
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str | float | Interval, ...], ...]
     caption: str = ""
+    folded: bool = False
 
 
 @dataclass(frozen=True)

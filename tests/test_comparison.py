@@ -301,7 +301,8 @@ def test_a_plant_and_a_detector_join_by_their_names(monkeypatch: pytest.MonkeyPa
     settings = tiny(plants="chain", detectors="mine,limits", faults="bias,dropout,published")
     found = summarise(settings, results(settings))
     assert {(r.plant, r.detector) for r in found.rows} == {("chain", "mine"), ("chain", "limits")}
-    (chapter,) = found.chapters
+    chapter, glossary = found.chapters
+    assert glossary.tables[1].rows[0] == ("mine", "one filter")
     assert chapter.title == "chain" and chapter.text[0].startswith("Tanks in a row; 12 states, 12 sensors")
     for figure in found.every_figure:
         assert figure.draw().axes, figure.name
@@ -319,7 +320,7 @@ def test_a_plant_that_no_detector_can_have_is_told() -> None:
     settings = tiny(plants="two-tanks,gas-pipeline", detectors="virtual-sensors", faults="bias", departures="no")
     tasks = [t for t in protocol.tasks(settings, 1)]
     found = summarise(settings, [(t, work(t)) for t in tasks])
-    assert [c.name for c in found.chapters] == ["two-tanks"]
+    assert [c.name for c in found.chapters] == ["two-tanks", "words"]
     assert any(r.startswith("No detector ran on gas-pipeline: plant 'gas-pipeline'") for r in found.remarks)
 
 

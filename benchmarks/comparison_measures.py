@@ -1,0 +1,92 @@
+"""What a detector is told by in the report of a comparison: one number with its interval for each measure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fusion_sfdia.benchmarks.comparison_numbers import Cell
+from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
+from fusion_sfdia.benchmarks.scenario import Settings
+from fusion_sfdia.evaluation.metrics import NOTHING, Estimate
+
+GLANCE = 8  # the first of them are shown at a glance
+
+
+class Measure(NamedTuple):
+    """A measure, whether less of it is better, and whether it is told apart by its decades."""
+
+    of: Callable[[Cell], Estimate]
+    less: bool = False
+    decades: bool = False
+
+
+class Blame(NamedTuple):
+    """Share of samples without a faulty sensor at which a sensor is named, and under what."""
+
+    share: Estimate
+    where: str
+
+
+def sizes(settings: Settings) -> tuple[float, float]:
+    """A small and a large fault of those that were tried: 3 and 10 sigma where they are among them."""
+    known = sorted(settings["magnitudes"])
+    small = 3.0 if 3.0 in known else known[0]
+    return small, 10.0 if 10.0 in known else known[-1]
+
+
+def under_departures(cell: Cell) -> Blame:
+    """The worst of the departures."""
+    return _worst(Blame(cell.blame(cell.rows_of(HEALTHY, truth=t)), t) for t in cell.truths)
+
+
+def under_plant_faults(cell: Cell) -> Blame:
+    """The worst of the faults of the plant."""
+    return _worst(Blame(cell.blame(cell.rows_of(name)), name) for name, kind in cell.kinds.items() if kind == "plant")
+
+
+def _worst(found: Iterable[Blame]) -> Blame:
+    return max(found, key=lambda blame: blame.share.value, default=Blame(NOTHING, "none"))
+
+
+def exactly(settings: Settings, cell: Cell) -> Estimate:
+    """Samples under a large fault at which exactly the faulty sensor is named."""
+    return cell.exact(cell.rows_of(*cell.graded(sizes(settings)[1])))
+
+
+def seen(settings: Settings, cell: Cell) -> float:
+    """Share of the runs with a large fault that raise an alarm; NaN where there is none."""
+    rows = cell.rows_of(*cell.graded(sizes(settings)[1]))
+    return cell.detected(rows).value if rows.size else np.nan
+
+
+def measures(settings: Settings) -> dict[str, Measure]:
+    """All measures, in the order of the report."""
+    small, large = sizes(settings)
+    bias = f"bias-{small:g}-sigma"
+
+    def pooled(measure: Callable[[Cell, Any], Estimate], size: float) -> Callable[[Cell], Estimate]:
+        return lambda cell: measure(cell, cell.rows_of(*cell.graded(size)))
+
+    return {
+        f"runs with an alarm, {large:g} sigma": Measure(pooled(Cell.detected, large)),
+        f"exact names, {large:g} sigma": Measure(pooled(Cell.exact, large)),
+        f"area under the ROC, {bias.replace('-', ' ')}": Measure(lambda cell: cell.areas.get(bias, NOTHING)),
+        f"error after over before, {large:g} sigma": Measure(pooled(Cell.gain, large), less=True, decades=True),
+        "blame, worst departure": Measure(lambda cell: under_departures(cell).share, less=True),
+        "blame, worst fault of the plant": Measure(lambda cell: under_plant_faults(cell).share, less=True),
+        "healthy samples with an alarm as deployed": Measure(lambda cell: cell.deployed, less=True, decades=True),
+        "false alarms at its own threshold": Measure(lambda cell: cell.nominal, less=True, decades=True),
+        f"named at all, {large:g} sigma": Measure(pooled(Cell.recall, large)),
+        f"runs with an alarm, {small:g} sigma": Measure(pooled(Cell.detected, small)),
+        f"delay (s), {large:g} sigma": Measure(pooled(Cell.delay, large), less=True),
+        f"healthy sensors named, {large:g} sigma": Measure(pooled(Cell.false_flags, large), less=True),
+        f"size of the fault off (%), {large:g} sigma": Measure(pooled(Cell.size_error, large), less=True),
+    }
+
+
+def glance(settings: Settings) -> dict[str, Measure]:
+    """The measures of the matrix at a glance."""
+    return dict(list(measures(settings).items())[:GLANCE])
