@@ -17,6 +17,7 @@ from toy_scenario import TOY
 from fusion_sfdia.benchmarks import cluster as on_cluster
 from fusion_sfdia.benchmarks import parts, provenance
 from fusion_sfdia.benchmarks.cluster import connected
+from fusion_sfdia.benchmarks.comparison_protocol import CHUNK
 from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
 from fusion_sfdia.benchmarks.workers import Piece
@@ -73,7 +74,17 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_machine(
 ) -> None:
     """Four pieces; when the first comes back, one of the two processes is killed. Parts hold times too, which differ."""
     quick = "calibration_seeds=2 calibration_steps=50 false_alarm=0.02 departures=no plant_faults=no magnitudes=10 settle=20"
-    command = ["compare", "--plants", "two-tanks", "--detectors", "limits,kf-chi2", "--faults", "bias", "--seeds", "11"]
+    command = [
+        "compare",
+        "--plants",
+        "two-tanks",
+        "--detectors",
+        "limits,kf-chi2",
+        "--faults",
+        "bias",
+        "--seeds",
+        str(CHUNK + 1),
+    ]
     command += [word for setting in quick.split() for word in ("--set", setting)]
     assert main([*command, "--workers", "1", "--out", str(tmp_path / "here")]) == 0
     to_kill = [next(iter(cluster.workers.values())).process.pid]
