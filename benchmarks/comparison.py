@@ -1,6 +1,6 @@
 """comparison: every detector on every plant under one protocol, at one rate of false alarms.
 
-Its files, all comparison_*.py: what is done is protocol, with truths and published (departures, faults of plants and of papers);
+Its files, all comparison_*.py: what is done is protocol, with truths and published (departures, faults of plants and papers);
 how it is done, work, with recordings, calibration and records; what comes out, numbers, measures, ranking and rows; how it is
 told, findings, tables, figures, chapters and words.
 """
