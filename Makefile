@@ -6,6 +6,7 @@ WORKERS ?= 2
 DEMO_OUT ?= demo-report
 # every plant and every school, with the detectors that are quick to set up
 DEMO_ARGS ?= --seeds 2 --set calibration_seeds=5 --set false_alarm=0.002 \
+	--faults bias,drift,freeze,dropout,three-faults,published \
 	--detectors fusing-ekf,loo-chi2,loo-glr,limits,structural-residuals,adaptive-threshold,virtual-sensors,chebyshev
 BENCH_ARGS ?=
 
