@@ -44,8 +44,7 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
         rows=rows,
         figures=[overview(settings, cells)],
         tables=[
-            choices_table(settings, cells),
-            *([ranks_table(EVERY, standings[EVERY])] if EVERY in standings else []),
+            table for table in (choices_table(settings, cells), ranks_table(EVERY, standings.get(EVERY, {}))) if table.rows
         ],
         highlights=highlights(settings, cells, standings),
         remarks=[*remarks(settings, cells), *left_out(cells, whole), *absent(settings, cells, reasons)],

@@ -15,7 +15,7 @@ from fusion_sfdia.benchmarks.comparison_figures import (
     other_panels,
 )
 from fusion_sfdia.benchmarks.comparison_findings import extremes, healthy_alarms, others_told, plant_findings
-from fusion_sfdia.benchmarks.comparison_measures import sizes
+from fusion_sfdia.benchmarks.comparison_measures import exactly, sizes
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, share_right
 from fusion_sfdia.benchmarks.comparison_protocol import TROUBLED_SIGMA, failing_sensors
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
@@ -168,7 +168,7 @@ def cost_figure(settings: Settings, cells: Cells) -> Figure | None:
     some, (_, large) = next(iter(cells.values())), sizes(settings)
     if not some.graded(large):
         return None
-    exact = {d: c.exact(c.rows_of(*c.graded(large))) for d, c in cells.items()}
+    exact = {d: exactly(settings, c) for d, c in cells.items()}
     return Figure(
         f"{some.plant}-cost",
         f"What is found, and what a step costs, {some.plant}",

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
-from fusion_sfdia.benchmarks.comparison_measures import exactly, seen, sizes, under_departures, under_plant_faults
+from fusion_sfdia.benchmarks.comparison_measures import exactly, names_most, seen, sizes, under_departures, under_plant_faults
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
@@ -16,27 +16,29 @@ from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.scenario import Settings
 from fusion_sfdia.core.order_statistics import exceedance_rank
 
-RARELY, OFTEN = 0.01, 0.01  # of samples: told as hardly any; worth telling where there should be none
+RARELY = 0.01  # of samples: what is less is not told, or as hardly any
 
 
 def highlights(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
     """The findings for the top of the report."""
     plants = dict.fromkeys(p for p, _ in cells)
     found = [leaders(settings, EVERY, list(cells.values()), standings[EVERY])] if EVERY in standings else []
-    return [*found, *(verdict(settings, of_plant(cells, plant)) for plant in plants), *broken_claims(list(cells.values()))]
+    verdicts = [line for plant in plants for line in verdict(settings, of_plant(cells, plant))]
+    return [*found, *verdicts, *broken_claims(list(cells.values()))]
 
 
-def verdict(settings: Settings, cells: Mapping[str, Cell]) -> str:
-    """Who names best on a plant, and what that one does where the plant is not as believed."""
-    name = max(cells, key=lambda d: exactly(settings, cells[d]).value)
+def verdict(settings: Settings, cells: Mapping[str, Cell]) -> list[str]:
+    """Who names most on a plant, and what that one does where the plant is not as believed."""
+    if (name := names_most(settings, cells)) is None:
+        return []
     cell, (_, large) = cells[name], sizes(settings)
     departure, fault = under_departures(cell), under_plant_faults(cell)
     said = [f"{b.share.value:.0%} under {b.where}" for b in (departure, fault) if np.isfinite(b.share.value)]
     wrong = f"; it blames a healthy one in {' and in '.join(said)}" if said else ""
-    return (
+    return [
         f"{cell.plant}: {name} names exactly the faulty sensor most often, at {large:g} sigma in "
         f"{exactly(settings, cell).value:.0%} of the samples{wrong}."
-    )
+    ]
 
 
 def plant_findings(settings: Settings, cells: Mapping[str, Cell], criteria: Mapping[str, Mapping[str, Standing]]) -> list[str]:
@@ -67,11 +69,11 @@ def leaders(settings: Settings, plant: str, cells: Sequence[Cell], criteria: Map
         for d, found in flaws.items()
     }
     nameless = {d for d, found in flaws.items() if len(found.get("names none", ())) == counted}
-    said = [
-        f"{criterion}: {first(found, told, nameless if criterion == 'exoneration' else set())}"
-        for criterion, found in criteria.items()
-        if any(s.mean.n for s in found.values())
-    ]
+    said = []
+    for criterion, found in criteria.items():
+        if any(s.mean.n for s in found.values()):
+            aside = nameless if criterion == "exoneration" else set()
+            said.append(f"{criterion}{', of those that name any' if aside else ''}: {first(found, told, aside)}")
     return f"Not beaten beyond chance on {plant}: {'; '.join(said)}."
 
 
@@ -100,9 +102,9 @@ def broken_claims(cells: Sequence[Cell]) -> list[str]:
 
 def restless(cells: Sequence[Cell]) -> list[str]:
     """Which detectors alarm on healthy readings in spite of the common threshold: where alarms last, or runs differ."""
-    often = [c for c in cells if c.deployed.value > OFTEN]
+    often = [c for c in cells if c.deployed.value > RARELY]
     told = [f"{c.detector} {c.deployed.value:.1%} ({c.matched.value:.2%} before anything is accused)" for c in often]
-    return [f"Healthy samples with an alarm as deployed: {'; '.join(told)}; the others {OFTEN:.0%} at most."] if told else []
+    return [f"Healthy samples with an alarm as deployed: {'; '.join(told)}; the others {RARELY:.0%} at most."] if told else []
 
 
 def blamers(plant: str, cells: Mapping[str, Cell]) -> list[str]:
@@ -170,11 +172,11 @@ def broken_down(cells: Sequence[Cell]) -> list[str]:
 
 def overview_caption(settings: Settings, cells: Cells) -> str:
     """What to see."""
-    best = {plant: verdict(settings, of_plant(cells, plant)).partition(" names exactly")[0] for plant, _ in cells}
+    best = {plant: names_most(settings, of_plant(cells, plant)) for plant, _ in cells}
+    told = "; ".join(f"{plant}: {name}" for plant, name in best.items() if name is not None)
     return (
         "At the common rate of false alarms. Blue: more is better; orange: less is; grey: cannot run; what spans decades is "
-        f"coloured by them. Read a detector along its row: who names best ({'; '.join(best.values())}) need not be who blames "
-        "least."
+        f"coloured by them. Read a detector along its row: who names most ({told or 'unknown'}) need not be who blames least."
     )
 
 

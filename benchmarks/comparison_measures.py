@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,6 +54,12 @@ def _worst(found: Iterable[Blame]) -> Blame:
 def exactly(settings: Settings, cell: Cell) -> Estimate:
     """Samples under a large fault at which exactly the faulty sensor is named."""
     return cell.exact(cell.rows_of(*cell.graded(sizes(settings)[1])))
+
+
+def names_most(settings: Settings, cells: Mapping[str, Cell]) -> str | None:
+    """Of the detectors of a plant the one that names exactly the faulty sensor most often; None without large faults."""
+    shares = {d: v for d, c in cells.items() if np.isfinite(v := exactly(settings, c).value)}
+    return max(shares, key=lambda d: shares[d]) if shares else None
 
 
 def seen(settings: Settings, cell: Cell) -> float:

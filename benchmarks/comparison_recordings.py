@@ -62,7 +62,7 @@ def simulated(
     return replace(run(inputs=acting), u=known)
 
 
-def until(recording: Recording, steps: int) -> Recording:
+def beginning(recording: Recording, steps: int) -> Recording:
     """The first samples of a recording."""
     names = ("t", "u", "y", "signal", "x")
     return replace(recording, **{n: a[:steps] for n in names if (a := getattr(recording, n)) is not None})

@@ -7,7 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
-from fusion_sfdia.benchmarks.comparison_measures import exactly, measures, sizes, under_departures, under_plant_faults
+from fusion_sfdia.benchmarks.comparison_measures import (
+    exactly,
+    measures,
+    names_most,
+    sizes,
+    under_departures,
+    under_plant_faults,
+)
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import PUBLISHED, TROUBLED_SIGMA
 from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS
@@ -31,8 +38,8 @@ def choices_table(settings: Settings, cells: Cells) -> Table:
     rows: list[tuple[str | float | Interval, ...]] = []
     for plant in dict.fromkeys(p for p, _ in cells):
         there = of_plant(cells, plant)
-
-        names = max(there, key=lambda d: exactly(settings, there[d]).value)
+        if (names := names_most(settings, there)) is None:
+            continue
         steady = max(there, key=lambda d: steadiness(settings, there[d]))
         chosen = {names: "names most"} | {steady: "names most, blames least" if names == steady else "names much, blames less"}
         for detector, what in chosen.items():

@@ -34,7 +34,7 @@ from fusion_sfdia.benchmarks.comparison_protocol import (
     sensors_of,
     trunk_steps,
 )
-from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of, until
+from fusion_sfdia.benchmarks.comparison_recordings import beginning, healthy, plant_of
 from fusion_sfdia.benchmarks.comparison_records import Branch, join, labelled, record
 from fusion_sfdia.benchmarks.comparison_truths import departed, failing
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
@@ -161,7 +161,7 @@ def mistaken(task: Task, calibration: Calibrated, name: str) -> Arrays:
     """Healthy and with a bias, where the truth departs from what the detector was made for."""
     members = [Condition(HEALTHY, HEALTHY, np.nan, 0), Condition(f"bias-{TROUBLED_SIGMA:g}-sigma", "bias", TROUBLED_SIGMA, 0)]
     recording = departed(task["plant"], name, task["settle"] + task["window"], tuple(task["seeds"]))
-    trunk = follow(silent(calibration.detector), until(recording, task["settle"] + 1), {task["settle"]})
+    trunk = follow(silent(calibration.detector), beginning(recording, task["settle"] + 1), {task["settle"]})
     return branch_out(task, calibration, trunk._replace(recording=recording), members, name)
 
 

@@ -338,3 +338,11 @@ def test_every_detector_has_a_look_of_its_own() -> None:
     found = looks(list(DETECTORS))
     assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(DETECTORS)
     assert len({(look["color"], look["marker"]) for look in found.values()}) == len(DETECTORS)
+
+
+def test_without_faults_of_a_size_nothing_is_said_of_them() -> None:
+    settings = tiny(faults="dropout", departures="no", plant_faults="no")
+    found = summarise(settings, results(settings, seeds=2))
+    told = [*found.highlights, *found.remarks, *(line for chapter in found.chapters for line in chapter.text)]
+    assert not [line for line in (*told, *(figure.caption for figure in found.every_figure)) if "nan" in line.lower()]
+    assert [table.title for table in found.tables] == []
