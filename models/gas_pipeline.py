@@ -21,7 +21,8 @@ What the paper misprints or leaves out, and what stands here instead:
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -111,33 +112,11 @@ def gas_pipeline(
     picks = (np.arange(3)[:, None] * nodes + np.arange(stations) * every).ravel()
     states = signals(nodes, x0)
     sigma = np.array(SIGMA[snr])
-
-    def advance(function: Any, x: Array, u: Array, dt: float) -> Array:
-        kind = np.result_type(x, u, float)
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        flat = np.ascontiguousarray(np.broadcast_to(x, (*batch, 3 * nodes)), dtype=kind).reshape(-1, 3 * nodes)
-        inputs = np.ascontiguousarray(np.broadcast_to(u, (*batch, 3)), dtype=kind).reshape(-1, 3)
-        result: Array = function(flat, inputs, float(dt), count, c, stencil)
-        return result.reshape(*batch, *result.shape[1:])
-
-    def finer() -> tuple[Plant, Callable[[Array], Array]]:
-        twin = gas_pipeline(
-            nodes=FINER * (nodes - 1) + 1, dt=dt, stations=stations, snr=snr, process_noise=process_noise, initial=initial,
-            parameters=c,
-        )  # fmt: skip
-        return twin, partial(coarse_state, stations=nodes)
-
-    def step_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
-        require_dense(nodes)
-        return advance(equations.advance_tangent, x, u, dt)
-
-    @cache
-    def readout() -> Array:
-        require_dense(nodes)
-        selection = np.zeros((picks.size, 3 * nodes))
-        selection[np.arange(picks.size), picks] = 1.0
-        return selection
-
+    model = _Pipe(nodes, count, picks, c, stencil)
+    twin = partial(
+        gas_pipeline, nodes=FINER * (nodes - 1) + 1, dt=dt, stations=stations, snr=snr, process_noise=process_noise,
+        initial=initial, parameters=c,
+    )  # fmt: skip
     return Plant(
         name="gas-pipeline",
         states=states,
@@ -151,19 +130,66 @@ def gas_pipeline(
             for v, (letter, unit) in enumerate((("p", "Pa"), ("m", "kg/s"), ("T", "K")))
             for i in range(stations)
         ),
-        step=lambda t, x, u, dt: advance(equations.advance, x, u, dt),
-        output=lambda t, x, u: x[..., picks],
-        step_jacobian=step_jacobian,
-        output_jacobian=lambda t, x, u: readout(),
+        step=model.step,
+        output=model.output,
+        step_jacobian=model.step_jacobian,
+        output_jacobian=model.output_jacobian,
         dt=dt,
         max_dt=limit * count,
         x0=x0,
         initial_cov=np.repeat((sigma if initial == "noise" else np.array(IDENTITY)) ** 2, nodes),
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
-        finer=finer,
-        operation=lambda t: np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(t + dt)]),
+        finer=partial(_finer, twin, nodes),
+        operation=partial(_operation, dt),
         blocks=(Block("pipe", tuple(s.name for s in states)),),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Pipe:
+    """The functions of the plant; count: substeps, picks: (N,) of the states that are read."""
+
+    nodes: int
+    count: int
+    picks: Array
+    c: PipelineParameters
+    stencil: Array
+
+    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        return self._advance(equations.advance, x, u, dt)
+
+    def step_jacobian(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        require_dense(self.nodes)
+        return self._advance(equations.advance_tangent, x, u, dt)
+
+    def output(self, t: float, x: Array, u: Array) -> Array:
+        return x[..., self.picks]
+
+    def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
+        return self._readout
+
+    @cached_property
+    def _readout(self) -> Array:
+        require_dense(self.nodes)
+        selection = np.zeros((self.picks.size, 3 * self.nodes))
+        selection[np.arange(self.picks.size), self.picks] = 1.0
+        return selection
+
+    def _advance(self, function: Any, x: Array, u: Array, dt: float) -> Array:
+        kind, n = np.result_type(x, u, float), 3 * self.nodes
+        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
+        flat = np.ascontiguousarray(np.broadcast_to(x, (*batch, n)), dtype=kind).reshape(-1, n)
+        inputs = np.ascontiguousarray(np.broadcast_to(u, (*batch, 3)), dtype=kind).reshape(-1, 3)
+        result: Array = function(flat, inputs, float(dt), self.count, self.c, self.stencil)
+        return result.reshape(*batch, *result.shape[1:])
+
+
+def _finer(twin: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Array], Array]]:
+    return twin(), partial(coarse_state, stations=nodes)
+
+
+def _operation(dt: float, t: float) -> Array:
+    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(t + dt)])
 
 
 def require_dense(nodes: int) -> None:

@@ -17,7 +17,8 @@ process noise only when it is asked for.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.modules import Modules, ObserverBound
 from fusion_sfdia.core.physics import Block, Physics
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant import Plant, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models import marine_engine_equations as equations
 from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
@@ -54,6 +55,7 @@ SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
     "S(4){2}": "T_charge",
     "S(4){3}": "T_compressor",
 }
+PICKS = np.array([(*STATES, *ALGEBRAIC).index(v) for v in SENSORS.values()])
 BLOCKS = (
     Block("fuel pump", ("fuel",)),
     Block("thermomechanical process", ("p_cylinder", "T_cylinder", "torque"), ("fuel pump", "air path")),
@@ -143,40 +145,46 @@ def marine_engine(
         process_cov=(np.array(PROCESS) * x0) ** 2 * (dt / 0.01),
         decay=decay_rates(c),
     )
-    parameters_at = parameter_schedule(c, process_faults, slip)
-    picks = np.array([(*STATES, *ALGEBRAIC).index(v) for v in SENSORS.values()])
+    model = _Compiled(parameter_schedule(c, process_faults, slip), law, substeps)
+    twin = partial(
+        marine_engine, load=load, dt=dt, noise=noise, slip=slip, parameters=c, process_faults=tuple(process_faults),
+        substeps=FINER * substeps,
+    )  # fmt: skip
+    return replace(
+        plant,
+        step=model.step,
+        output=model.output,
+        finer=partial(with_same_states, twin),
+        modules=engine_modules(c, slip, nominal),
+    )
 
-    def step(t: float, x: Array, u: Array, dt: float) -> Array:
-        parts = substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
+
+@dataclass(frozen=True, eq=False)
+class _Compiled:
+    """The functions of the plant by the compiled drivers; parameters_at: as a function of time (s)."""
+
+    parameters_at: Callable[[float], EngineParameters]
+    law: bool
+    substeps: int
+
+    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        parts = self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
         batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         result: Array = equations.advance(
-            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, parameters_at(t), law
+            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, self.parameters_at(t), self.law
         )
         return result.reshape(*batch, len(STATES))
 
-    def output(t: float, x: Array, u: Array) -> Array:
+    def output(self, t: float, x: Array, u: Array) -> Array:
         batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         flat = rows(x, batch, u.dtype)
-        both = np.concatenate([flat, equations.algebraic(flat, parameters_at(t), law)], axis=-1)
-        return both[:, picks].reshape(*batch, picks.size)
-
-    def finer() -> tuple[Plant, Callable[[Array], Array]]:
-        twin = marine_engine(
-            load=load, dt=dt, noise=noise, slip=slip, parameters=c, process_faults=process_faults, substeps=FINER * substeps
-        )
-        return twin, lambda x: x
-
-    return replace(plant, step=step, output=output, finer=finer, modules=engine_modules(c, slip, nominal))
+        both = np.concatenate([flat, equations.algebraic(flat, self.parameters_at(t), self.law)], axis=-1)
+        return both[:, PICKS].reshape(*batch, PICKS.size)
 
 
 def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -> Modules:
     """The ten monitoring modules of K24 with the gains of its sec. VII."""
-    law = follows_law(slip)
     table = engine_equations(slip)
-
-    def monitor(*arguments: Any) -> Any:
-        return equations.monitor(*arguments, c, law)  # type: ignore[call-arg]
-
     return Modules(
         equations={v: table[v] for v in (*STATES, *ALGEBRAIC)},
         rates=decay_rates(c),
@@ -188,8 +196,12 @@ def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -
         observer_bounds=OBSERVER_BOUNDS,
         margins=MARGINS,
         drift=DRIFT,
-        monitor=monitor,
+        monitor=partial(_monitor, c, follows_law(slip)),
     )
+
+
+def _monitor(c: EngineParameters, law: bool, *arguments: Any) -> Any:
+    return equations.monitor(*arguments, c, law)  # type: ignore[call-arg]
 
 
 def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:
@@ -211,15 +223,7 @@ def engine_equations(slip: str) -> Mapping[str, Callable[..., Any]]:
 def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Physics:
     """The equations on arrays (..., 3): what the compiled drivers are held against."""
     table = engine_equations(slip)
-    names = {name: equations.variables_of(function) for name, function in table.items()}
-
-    def evaluate(wanted: tuple[str, ...], x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
-        known = {"fuel_setting": u[..., 0]} | {n: x[..., i] for i, n in enumerate(STATES)}
-        known |= {n: z[..., i] for i, n in enumerate(ALGEBRAIC)}
-        values = [table[n](*(known[a] for a in names[n]), c) for n in wanted]
-        return np.stack(np.broadcast_arrays(*values), axis=-1)
-
-    rates = decay_rates(c)
+    scalar = _Scalar(table, {name: equations.variables_of(function) for name, function in table.items()}, decay_rates(c))
     nominal = engine_variables(x0, c, slip)
     width = {"f": (0.1 * c.full_injection, 1.2 * c.full_injection), "p": (c.p_ambient, 2.0 * c.p_charge_nominal)}
     return Physics(
@@ -227,9 +231,30 @@ def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Ph
         states=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), *width[n[0]]) for n in STATES),
         inputs=(Signal("fuel_setting", "1", load, *LOADS),),
         algebraic=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), 0.0) for n in ALGEBRAIC),
-        f=lambda t, x, z, u, c: evaluate(STATES, x, z, u, c) - rates * x,
-        phi=lambda t, x, z, u, c: evaluate(ALGEBRAIC, x, z, u, c),
+        f=scalar.f,
+        phi=scalar.phi,
         parameters=c,
         equations=table,
         blocks=BLOCKS,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Scalar:
+    """The functions of the physics by the scalar equations; names: their arguments. rates: (3,) of the states, 1/s."""
+
+    table: Mapping[str, Callable[..., Any]]
+    names: Mapping[str, Sequence[str]]
+    rates: Array
+
+    def f(self, t: float, x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
+        return np.asarray(self._evaluate(STATES, x, z, u, c) - self.rates * x)
+
+    def phi(self, t: float, x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
+        return self._evaluate(ALGEBRAIC, x, z, u, c)
+
+    def _evaluate(self, asked: tuple[str, ...], x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
+        known = {"fuel_setting": u[..., 0]} | {n: x[..., i] for i, n in enumerate(STATES)}
+        known |= {n: z[..., i] for i, n in enumerate(ALGEBRAIC)}
+        values = [self.table[n](*(known[a] for a in self.names[n]), c) for n in asked]
+        return np.stack(np.broadcast_arrays(*values), axis=-1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -53,24 +54,28 @@ def parameter_schedule(
 ) -> Callable[[float], EngineParameters]:
     """Return the engine's parameters as a function of time (s); c are those of the healthy engine."""
     if not faults:
-        return lambda t: c
+        return partial(_always, c)
     heat = float(engine_variables(equilibrium(1.0, c, slip), c, slip)["T_compressor"]) - c.T_cooler  # K
+    return partial(_faulty, c, tuple(faults), heat)
 
-    def at(t: float) -> EngineParameters:
-        now = c
-        for fault in faults:
-            s = fault.severity_at(t)
-            match fault.kind:
-                case "turbine-fouling":
-                    now = now._replace(turbine_area=now.turbine_area * (1 - s))
-                case "compressor-fouling":
-                    now = now._replace(turbocharger_efficiency=now.turbocharger_efficiency * (1 - s))
-                case "injector-loss":
-                    now = now._replace(full_injection=now.full_injection * (1 - s))
-                case "intercooler-fouling":
-                    now = now._replace(T_cooler=now.T_cooler + s * heat)
-                case "heavy-propeller":
-                    now = now._replace(load=now.load * (1 + s))
-        return now
 
-    return at
+def _always(c: EngineParameters, t: float) -> EngineParameters:
+    return c
+
+
+def _faulty(c: EngineParameters, faults: Sequence[ProcessFault], heat: float, t: float) -> EngineParameters:
+    now = c
+    for fault in faults:
+        s = fault.severity_at(t)
+        match fault.kind:
+            case "turbine-fouling":
+                now = now._replace(turbine_area=now.turbine_area * (1 - s))
+            case "compressor-fouling":
+                now = now._replace(turbocharger_efficiency=now.turbocharger_efficiency * (1 - s))
+            case "injector-loss":
+                now = now._replace(full_injection=now.full_injection * (1 - s))
+            case "intercooler-fouling":
+                now = now._replace(T_cooler=now.T_cooler + s * heat)
+            case "heavy-propeller":
+                now = now._replace(load=now.load * (1 + s))
+    return now

@@ -24,19 +24,22 @@ references by power_network_control.generation_control.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.discretise import constant, picked
 from fusion_sfdia.core.physics import Block, Physics
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant import Plant, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models.power_network_control import generation_control
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_equations import STATES, area_rates
 from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel, network_model
-from fusion_sfdia.models.power_network_operation import AreaFault, Switch, conditions, load_profile
+from fusion_sfdia.models.power_network_operation import AreaFault, Condition, Switch, conditions, load_profile
 from fusion_sfdia.models.power_network_parameters import (
     LoadStep,
     NetworkParameters,
@@ -75,11 +78,10 @@ def power_network(
         c = areas
     else:
         c = load_network() if areas == PAPER_AREAS else generate_network(areas, seed)
-    away = tuple(unplugged)
+    away, faults, switches = tuple(unplugged), tuple(faults), tuple(switches)
     model = network_model(c, unplugged=away, dt=dt, noise=noise, discretisation=discretisation)
     model.require_dense()
     names, n = model.names, len(model.names)
-    condition = conditions(model, faults, switches)
     profile = load_profile(model, [s for s in load_steps("1") if s.area in names] if loads is None else loads)
     states = tuple(Signal(f"{s}_{i}", UNIT[s]) for i in names for s in STATES)
     sensors = network_sensors(model)
@@ -87,44 +89,57 @@ def power_network(
     picks = np.array([place[s.measures] for s in sensors])
     readout = np.zeros((len(sensors), 4 * n))
     readout[np.arange(len(sensors)), picks] = 1.0
-    own = np.tile(NOISE_VARIANCE, n)
-
-    def step(t: float, x: Array, u: Array, dt: float) -> Array:
-        after = condition(t).step(x.reshape(*x.shape[:-1], n, 4), u[..., :n], u[..., n:])
-        return after.reshape(*after.shape[:-2], 4 * n)
-
-    def feedback(t: float, y: Array, u: Array) -> Array:
-        load = u[..., n:]
-        reference = generation_control(condition(t).known, y[..., : 4 * n].reshape(*y.shape[:-1], n, 4), load)
-        return np.concatenate([reference, np.broadcast_to(load, reference.shape)], axis=-1)
-
-    def finer() -> tuple[Plant, Callable[[Array], Array]]:
-        twin = power_network(
-            c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults, switches=switches
-        )
-        return twin, lambda x: x
-
+    running = _Running(n, conditions(model, faults, switches), profile)
+    twin = partial(
+        power_network, c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults,
+        switches=switches,
+    )  # fmt: skip
     return Plant(
         name="power-network",
         states=states,
         inputs=(*(Signal(f"reference_{i}") for i in names), *(Signal(f"load_{i}") for i in names)),
         sensors=sensors,
-        step=step,
-        output=lambda t, x, u: x[..., picks],
-        step_jacobian=lambda t, x, u, dt: condition(t).true.matrices[0],
-        output_jacobian=lambda t, x, u: readout,
+        step=running.step,
+        output=partial(picked, picks),
+        step_jacobian=running.step_jacobian,
+        output_jacobian=partial(constant, readout),
         dt=model.dt,
         x0=np.zeros(4 * n),
-        initial_cov=own,
+        initial_cov=np.tile(NOISE_VARIANCE, n),
         process_cov=np.tile(model.process_cov, n),
-        finer=None if discretisation == "exact" else finer,
-        operation=lambda t: np.tile(profile(t), 2),
-        feedback=feedback,
+        finer=None if discretisation == "exact" else partial(with_same_states, twin),
+        operation=running.operation,
+        feedback=running.feedback,
         blocks=network_blocks(model),
         fixed_dt=True,
         disturbed=True,
         areas=network_areas(model),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Running:
+    """The functions of a plant of n areas, from its condition and its loads (n,) as functions of time (s)."""
+
+    n: int
+    condition: Callable[[float], Condition]
+    profile: Callable[[float], Array]
+
+    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        n = self.n
+        after = self.condition(t).step(x.reshape(*x.shape[:-1], n, 4), u[..., :n], u[..., n:])
+        return after.reshape(*after.shape[:-2], 4 * n)
+
+    def step_jacobian(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        return self.condition(t).true.matrices[0]
+
+    def operation(self, t: float) -> Array:
+        return np.tile(self.profile(t), 2)
+
+    def feedback(self, t: float, y: Array, u: Array) -> Array:
+        n, load = self.n, u[..., self.n :]
+        reference = generation_control(self.condition(t).known, y[..., : 4 * n].reshape(*y.shape[:-1], n, 4), load)
+        return np.concatenate([reference, np.broadcast_to(load, reference.shape)], axis=-1)
 
 
 def network_sensors(model: NetworkModel) -> tuple[Sensor, ...]:
@@ -157,21 +172,21 @@ def network_blocks(model: NetworkModel) -> tuple[Block, ...]:
 
 def network_physics(model: NetworkModel) -> Physics:
     """The network as physics, before it is discretised: the same scalar equations over all areas."""
-    n = len(model.names)
-    H, R, D, T_t, T_g = model.constants.T
-
-    def f(t: float, x: Array, z: Array, u: Array, c: Any) -> Array:
-        state = x.reshape(*x.shape[:-1], n, 4)
-        external = model.external(state[..., 0], u[..., n:])
-        theta, omega, p_m, p_v = (state[..., k] for k in range(4))
-        rates = area_rates(theta, omega, p_m, p_v, u[..., :n], external, model.stiffness, H, R, D, T_t, T_g)
-        both: Array = np.stack(np.broadcast_arrays(*rates), axis=-1)
-        return both.reshape(*both.shape[:-2], 4 * n)
-
     return Physics(
         name="power-network",
         states=tuple(Signal(f"{s}_{i}", UNIT[s]) for i in model.names for s in STATES),
         inputs=(*(Signal(f"reference_{i}") for i in model.names), *(Signal(f"load_{i}") for i in model.names)),
-        f=f,
+        f=partial(_rates, model),
         blocks=network_blocks(model),
     )
+
+
+def _rates(model: NetworkModel, t: float, x: Array, z: Array, u: Array, c: Any) -> Array:
+    n = len(model.names)
+    H, R, D, T_t, T_g = model.constants.T
+    state = x.reshape(*x.shape[:-1], n, 4)
+    external = model.external(state[..., 0], u[..., n:])
+    theta, omega, p_m, p_v = (state[..., k] for k in range(4))
+    rates = area_rates(theta, omega, p_m, p_v, u[..., :n], external, model.stiffness, H, R, D, T_t, T_g)
+    both: Array = np.stack(np.broadcast_arrays(*rates), axis=-1)
+    return both.reshape(*both.shape[:-2], 4 * n)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,7 +87,11 @@ def conditions(
     ordered = sorted(switches, key=lambda s: s.time)
     times = sorted({s.time for s in ordered} | {f.onset for f in faults} | {f.end for f in faults if np.isfinite(f.end)})
     made = [_condition(model, faults, ordered, t) for t in (-np.inf, *times)]
-    return lambda t: made[bisect_right(times, t + 1e-9)]
+    return partial(_at, times, made)
+
+
+def _at(times: Sequence[float], made: Sequence[Condition], t: float) -> Condition:
+    return made[bisect_right(times, t + 1e-9)]
 
 
 def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Sequence[Switch], t: float) -> Condition:
@@ -111,12 +116,12 @@ def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Seque
 def load_profile(model: NetworkModel, steps: Sequence[LoadStep]) -> Callable[[float], Array]:
     """The loads (N,) as a function of time (s), the sum of the steps so far; ValueError for an unknown area."""
     areas = [model.network.topology.index(step.area) for step in steps]
+    return partial(_load, len(model.names), tuple(zip(steps, areas, strict=True)))
 
-    def at(t: float) -> Array:
-        load = np.zeros(len(model.names))
-        for step, i in zip(steps, areas, strict=True):
-            if step.time <= t + 1e-9:
-                load[i] += step.change
-        return load
 
-    return at
+def _load(n: int, steps: Sequence[tuple[LoadStep, int]], t: float) -> Array:
+    load = np.zeros(n)
+    for step, i in steps:
+        if step.time <= t + 1e-9:
+            load[i] += step.change
+    return load

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,22 +75,27 @@ EQUATIONS: Mapping[str, Callable[..., Any]] = {
 }  # fmt: skip
 
 
+def _rates(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
+    return np.stack([level_1(u[..., 0], z[..., 0], c), level_2(z[..., 0], z[..., 1], c)], axis=-1)
+
+
+def _flows(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
+    return np.stack([flow_12(x[..., 0], c), flow_out(x[..., 1], c)], axis=-1)
+
+
+def _inflow(swing: float, t: float) -> Array:
+    return np.array([INFLOW * (1.0 + swing * np.sin(2 * np.pi * t / SWING_PERIOD))])
+
+
 def tank_physics() -> Physics:
     """The equations on arrays (..., 2)."""
-
-    def f(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
-        return np.stack([level_1(u[..., 0], z[..., 0], c), level_2(z[..., 0], z[..., 1], c)], axis=-1)
-
-    def phi(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
-        return np.stack([flow_12(x[..., 0], c), flow_out(x[..., 1], c)], axis=-1)
-
     return Physics(
         name="two-tanks",
         states=tuple(Signal(n, "m", LEVEL, *LEVELS) for n in STATES),
         inputs=(Signal("inflow", "m3/s", INFLOW, 0.0, 2e-3),),
         algebraic=tuple(Signal(n, "m3/s", INFLOW) for n in ALGEBRAIC),
-        f=f,
-        phi=phi,
+        f=_rates,
+        phi=_flows,
         parameters=Tanks(),
         equations=EQUATIONS,
         blocks=(Block("upper", ("level_1", "flow_12")), Block("lower", ("level_2", "flow_out"), ("upper",))),
@@ -134,8 +140,4 @@ def two_tanks(*, swing: float = 0.0) -> Plant:
         initial_cov=np.full(2, (NOISE * LEVEL) ** 2),
         process_cov=np.full(2, (0.1 * NOISE * LEVEL) ** 2),
     )
-
-    def inflow(t: float) -> Array:
-        return np.array([INFLOW * (1.0 + swing * np.sin(2 * np.pi * t / SWING_PERIOD))])
-
-    return replace(plant, modules=tank_modules(), operation=inflow if swing else None)
+    return replace(plant, modules=tank_modules(), operation=partial(_inflow, swing) if swing else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import cache
@@ -342,6 +343,19 @@ def test_a_saved_state_goes_on_with_the_same_bits(pair: tuple[str, str], batch: 
     resumed_end, resumed = run(detector, loaded, t[8:], y[8:], u[8:], covariance=True)
     assert_same_bits(went_on, resumed)
     assert_same_state(end, resumed_end)
+
+
+@every_pair
+def test_a_pickled_detector_goes_on_with_the_same_bits(pair: tuple[str, str]) -> None:
+    """So that pools of processes can take it, also after it was used: what it keeps of its own has to go with it."""
+    detector = detector_of(*pair)
+    t, y, u = healthy(pair[0], 8, 2)
+    middle, _ = run(detector, detector.init((2,), seed=5), t[:4], y[:4], u[:4])
+    copy, state = pickle.loads(pickle.dumps((detector, middle)))
+    end, went_on = run(detector, middle, t[4:], y[4:], u[4:])
+    copied_end, copied = run(copy, state, t[4:], y[4:], u[4:])
+    assert_same_bits(went_on, copied)
+    assert_same_state(end, copied_end)
 
 
 @every_pair

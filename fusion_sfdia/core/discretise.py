@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -71,6 +73,50 @@ def solve_algebraic(physics: Physics, t: float, x: Array, u: Array) -> Array:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Integrated:
+    """The functions of a plant that integrates physics; picks: (N,) of the states and algebraic variables."""
+
+    physics: Physics
+    picks: Array
+    substeps: int
+    decay: Array | None
+
+    def slope(self, t: float, x: Array, u: Array) -> Array:
+        return self.physics.f(t, x, solve_algebraic(self.physics, t, x, u), u, self.physics.parameters)
+
+    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        part = dt / self.substeps
+        for i in range(self.substeps):
+            if self.decay is None:
+                x = runge_kutta_4(lambda s, p: self.slope(s, p, u), t + i * part, x, part)
+            else:
+                x = exponential_midpoint(lambda s, p: self.slope(s, p, u), t + i * part, x, part, self.decay)
+        return x
+
+    def output(self, t: float, x: Array, u: Array) -> Array:
+        z = solve_algebraic(self.physics, t, x, u)
+        return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], axis=-1)[..., self.picks]
+
+
+def picked(picks: Array, t: float, x: Array, u: Array) -> Array:
+    """The states x (..., n) at picks (N,): the output of sensors that read states."""
+    return x[..., picks]
+
+
+def constant(matrix: Array, *arguments: Any) -> Array:
+    """A Jacobian that is the same everywhere."""
+    return matrix
+
+
+def _linear_step(f: Array, g: Array, t: float, x: Array, u: Array, dt: float) -> Array:
+    return np.asarray(x @ f.T + u @ g.T)
+
+
+def _linear_output(h: Array, t: float, x: Array, u: Array) -> Array:
+    return np.asarray(x @ h.T)
+
+
 def discretise(
     physics: Physics,
     sensors: Sequence[Sensor],
@@ -100,24 +146,7 @@ def discretise(
     n = len(physics.states)
     if decay is not None and not (np.shape(decay) == (n,) and np.all(np.isfinite(decay)) and np.all(decay > 0)):
         raise ValueError(f"decay of {physics.name!r} is {decay}; wanted {n} positive rates in 1/s, one a state")
-    c = physics.parameters
-
-    def slope(t: float, x: Array, u: Array) -> Array:
-        return physics.f(t, x, solve_algebraic(physics, t, x, u), u, c)
-
-    def step(t: float, x: Array, u: Array, dt: float) -> Array:
-        part = dt / substeps
-        for i in range(substeps):
-            if decay is None:
-                x = runge_kutta_4(lambda s, p: slope(s, p, u), t + i * part, x, part)
-            else:
-                x = exponential_midpoint(lambda s, p: slope(s, p, u), t + i * part, x, part, decay)
-        return x
-
-    def output(t: float, x: Array, u: Array) -> Array:
-        z = solve_algebraic(physics, t, x, u)
-        return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], n)), z], axis=-1)[..., picks]
-
+    model = _Integrated(physics, picks, substeps, decay)
     only_states = bool(np.all(picks < n))
     selection = np.eye(n)[picks[picks < n]]
     return Plant(
@@ -125,9 +154,9 @@ def discretise(
         states=physics.states,
         inputs=physics.inputs,
         sensors=tuple(sensors),
-        step=step,
-        output=(lambda t, x, u: x[..., picks]) if only_states else output,
-        output_jacobian=(lambda t, x, u: selection) if only_states else None,
+        step=model.step,
+        output=partial(picked, picks) if only_states else model.output,
+        output_jacobian=partial(constant, selection) if only_states else None,
         dt=dt,
         x0=np.asarray(x0, dtype=float),
         initial_cov=np.asarray(initial_cov, dtype=float),
@@ -167,10 +196,10 @@ def linear_plant(
         states=tuple(states or (Signal(f"x{i}") for i in range(n))),
         inputs=tuple(inputs),
         sensors=tuple(sensors),
-        step=lambda t, x, u, dt: x @ f.T + u @ g.T,
-        output=lambda t, x, u: x @ h.T,
-        step_jacobian=lambda t, x, u, dt: f,
-        output_jacobian=lambda t, x, u: h,
+        step=partial(_linear_step, f, g),
+        output=partial(_linear_output, h),
+        step_jacobian=partial(constant, f),
+        output_jacobian=partial(constant, h),
         dt=dt,
         x0=np.asarray(x0, dtype=float),
         initial_cov=np.asarray(initial_cov, dtype=float),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ Array = NDArray[Any]
 StepFunction = Callable[[float, Array, Array, float], Array]
 OutputFunction = Callable[[float, Array, Array], Array]
 Feedback = Callable[[float, Array, Array], Array]
+Finer = Callable[[], "tuple[Plant, Callable[[Array], Array]]"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Plant:
     output_jacobian: OutputFunction | None = None
     process_bound: Array | None = None
     blocks: tuple[Block, ...] = ()
-    finer: Callable[[], tuple[Plant, Callable[[Array], Array]]] | None = None
+    finer: Finer | None = None
     fixed_dt: bool = False
     disturbed: bool = False
     max_dt: float = np.inf
@@ -202,12 +203,33 @@ class Plant:
         return replace(
             self,
             sensors=tuple(sensors),
-            output=lambda t, x, u: self.output(t, x, u) * factor,
-            output_jacobian=None if jacobian is None else lambda t, x, u: jacobian(t, x, u) * factor[:, None],
-            finer=None if finer is None else lambda: (finer()[0].in_units(units), finer()[1]),
-            feedback=None if feedback is None else lambda t, y, u: feedback(t, y / factor, u),
+            output=partial(_scaled, self.output, factor),
+            output_jacobian=None if jacobian is None else partial(_scaled, jacobian, factor[:, None]),
+            finer=None if finer is None else partial(_finer_in_units, finer, dict(units)),
+            feedback=None if feedback is None else partial(_fed_back, feedback, factor),
             sensor_scale=self.sensor_scale * factor,
         )
+
+
+# functions of a plant are methods or partials of what stands in a module, not closures: so that plants can be pickled
+
+
+def _scaled(output: OutputFunction, factor: Array, t: float, x: Array, u: Array) -> Array:
+    return output(t, x, u) * factor
+
+
+def _fed_back(feedback: Feedback, factor: Array, t: float, y: Array, u: Array) -> Array:
+    return feedback(t, y / factor, u)
+
+
+def _finer_in_units(finer: Finer, units: Mapping[str, tuple[str, float]]) -> tuple[Plant, Callable[[Array], Array]]:
+    twin, coarse = finer()
+    return twin.in_units(units), coarse
+
+
+def with_same_states(twin: Callable[[], Plant]) -> tuple[Plant, Callable[[Array], Array]]:
+    """A `finer` by a twin whose states are those of the plant: partial(with_same_states, twin)."""
+    return twin(), np.asarray
 
 
 def diagonal(cov: Array) -> Array:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +23,7 @@ from filterpy.kalman import (
 )
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.discretise import constant, linear_plant
 from fusion_sfdia.core.equation import difference_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -75,35 +77,19 @@ def plant_from_filterpy(
             name, F, H, instruments, dt=step_size, input_matrix=matrix, states=signals, inputs=inputs, **moments
         )
     model = _extended(source, h, dt) if isinstance(source, ExtendedKalmanFilter) else _timed(source, dt)
-    f_jacobian = f_jacobian or model.f_jacobian
     largest = np.maximum(np.diagonal(moments["initial_cov"]), np.diagonal(moments["process_cov"]))
     scale = np.sqrt(np.where(largest > 0, largest, 1.0))
-
-    def step(t: float, x: Array, u: Array, dt: float) -> Array:
-        return _over_batch(lambda p, v: model.f(p, v, dt), (n,), x, u)
-
-    def output(t: float, x: Array, u: Array) -> Array:
-        return _over_batch(model.h, (len(sensors),), x)
-
-    def step_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
-        if f_jacobian is not None:
-            return _over_batch(f_jacobian, (n, n), x)
-        return difference_jacobian(lambda p: step(t, p, np.expand_dims(u, -2), dt), x, scale)
-
-    def output_jacobian(t: float, x: Array, u: Array) -> Array:
-        if h_jacobian is not None:
-            return _over_batch(lambda p: h_jacobian(p.reshape(shape)), (len(sensors), n), x)
-        return difference_jacobian(lambda p: output(t, p, u), x, scale)
-
+    of_state = None if h_jacobian is None else partial(_shaped, h_jacobian, shape)
+    functions = _OneByOne(model, f_jacobian or model.f_jacobian, of_state, len(sensors), scale)
     return Plant(
         name=name,
         states=tuple(signals),
         sensors=tuple(instruments),
         inputs=model.inputs,
-        step=step,
-        output=output,
-        step_jacobian=step_jacobian,
-        output_jacobian=output_jacobian,
+        step=functions.step,
+        output=functions.output,
+        step_jacobian=functions.step_jacobian,
+        output_jacobian=functions.output_jacobian,
         dt=model.dt,
         fixed_dt=isinstance(source, ExtendedKalmanFilter),
         **moments,
@@ -120,6 +106,48 @@ class _Model(NamedTuple):
     f_jacobian: One | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class _OneByOne:
+    """The functions of a plant by those of one state (n,), with central differences where there is no Jacobian."""
+
+    model: _Model
+    f_jacobian: One | None
+    h_jacobian: One | None
+    sensors: int
+    scale: Array  # (n,)
+
+    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        return _over_batch(lambda p, v: self.model.f(p, v, dt), self.scale.shape, x, u)
+
+    def output(self, t: float, x: Array, u: Array) -> Array:
+        return _over_batch(self.model.h, (self.sensors,), x)
+
+    def step_jacobian(self, t: float, x: Array, u: Array, dt: float) -> Array:
+        if self.f_jacobian is not None:
+            return _over_batch(self.f_jacobian, (self.scale.size, self.scale.size), x)
+        return difference_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x, self.scale)
+
+    def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
+        if self.h_jacobian is not None:
+            return _over_batch(self.h_jacobian, (self.sensors, self.scale.size), x)
+        return difference_jacobian(lambda p: self.output(t, p, u), x, self.scale)
+
+
+def _shaped(function: One, shape: tuple[int, ...], x: Array) -> Array:
+    """A function that takes a state of the filter's own shape, of a state (n,)."""
+    return function(x.reshape(shape))
+
+
+def _predicted(own: ExtendedKalmanFilter, shape: tuple[int, ...], x: Array, u: Array, dt: float) -> Array:
+    own.x = x.reshape(shape)
+    own.predict_x(u.reshape(-1, *shape[1:]) if u.size else 0)
+    return np.asarray(own.x)
+
+
+def _without_input(fx: Callable[[Array, float], Array], x: Array, u: Array, dt: float) -> Array:
+    return fx(x, dt)
+
+
 def _linear(source: KalmanFilter) -> tuple[Array | None, tuple[Signal, ...]]:
     if source.alpha != 1.0:
         raise ValueError(f"alpha is {source.alpha}; a plant has no fading memory: set alpha = 1 and enlarge Q instead")
@@ -131,22 +159,16 @@ def _linear(source: KalmanFilter) -> tuple[Array | None, tuple[Signal, ...]]:
 def _extended(source: ExtendedKalmanFilter, h: One | None, dt: float | None) -> _Model:
     if h is None:
         raise ValueError("an ExtendedKalmanFilter takes its measurement function in update; pass it as h=, and h_jacobian=")
-    own = copy.deepcopy(source)  # predict_x works on its filter's x; the user's is left alone
     shape = np.shape(source.x)
+    own = copy.deepcopy(source)  # predict_x works on its filter's x; the user's is left alone
     F = np.array(source.F, dtype=float)
     linear = type(source).predict_x is ExtendedKalmanFilter.predict_x
-
-    def f(x: Array, u: Array, dt: float) -> Array:
-        own.x = x.reshape(shape)
-        own.predict_x(u.reshape(-1, *shape[1:]) if u.size else 0)
-        return np.asarray(own.x)
-
     return _Model(
-        f=f,
-        h=lambda x: h(x.reshape(shape)),
+        f=partial(_predicted, own, shape),
+        h=partial(_shaped, h, shape),
         dt=1.0 if dt is None else dt,
         inputs=_inputs(source.B, np.size(source.x))[1],
-        f_jacobian=(lambda x: F) if linear else None,
+        f_jacobian=partial(constant, F) if linear else None,
     )
 
 
@@ -156,7 +178,7 @@ def _timed(source: UnscentedKalmanFilter | EnsembleKalmanFilter, dt: float | Non
     own = float(source._dt if isinstance(source, UnscentedKalmanFilter) else source.dt)
     if dt is not None and dt != own:
         raise ValueError(f"dt is {dt} s, that of the filter {own} s; leave it out")
-    return _Model(f=lambda x, u, dt: source.fx(x, dt), h=source.hx, dt=own)
+    return _Model(f=partial(_without_input, source.fx), h=source.hx, dt=own)
 
 
 def sigma_points(source: UnscentedKalmanFilter) -> SigmaPoints:
