@@ -72,6 +72,9 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--absent-sensors", action="store_true", help="take sensors without a column as missing throughout")
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
     one.add_argument(
+        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
+    )
+    one.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
@@ -219,6 +222,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
             out,
             absent_sensors=chosen.absent_sensors,
             other_columns=chosen.other_columns,
+            nominal_inputs=chosen.nominal_inputs,
             force=chosen.force,
         )
     for warning in told:

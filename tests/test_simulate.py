@@ -262,7 +262,7 @@ def test_leaving_the_limits_names_seed_time_state_and_cure():
         ({"seeds": None}, "seeds are None; wanted"),
         ({"seeds": np.array(3)}, "wanted several integers"),
         ({"times": 2.5}, "times is 2.5; wanted a whole number"),
-        ({"times": "ten"}, "times is 'ten'; wanted a number of steps"),
+        ({"times": "ten"}, "times is 'ten'; wanted an array of numbers"),
         ({"times": 10**30}, "at most 1000000000"),
         ({"truth": "fine"}, "wanted 'finer', 'model' or a plant"),
         ({"truth": 3}, "truth is 3; wanted 'finer', 'model' or a plant"),

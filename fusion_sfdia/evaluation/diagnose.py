@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
 
@@ -54,7 +55,7 @@ def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) 
     into the limits of the model, where a sensor was never read, and where the detector has no thresholds and cannot raise
     an alarm.
     """
-    t, y, u = np.asarray(t, dtype=float), np.asarray(y, dtype=float), np.asarray(u, dtype=float)
+    t, y, u = floats("t", t), floats("y", y), floats("u", u)
     if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2 or u.ndim != 2:
         raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, sensors), (K, inputs)")
     if not t.size:
