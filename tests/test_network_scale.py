@@ -38,7 +38,7 @@ def test_each_size_has_its_times_and_its_memory() -> None:
         assert (f"{areas} areas, in place", "replug_time") in found
     assert found["one of 15 areas", "step_time"].published == 4.1e-3
     assert len(summary.figures) == 1 and summary.figures[0].draw().axes
-    assert any("needs the package distributed" in remark for remark in summary.remarks)
+    assert any("needs the packages distributed and cryptography" in remark for remark in summary.remarks)
 
 
 def test_what_is_timed_are_steps_that_go_on() -> None:
@@ -50,7 +50,7 @@ def test_what_is_timed_are_steps_that_go_on() -> None:
     assert sum(np.all((a > 0) & (a < 1)) for a in settled) >= 1  # the deviations, of which the diagnosers began unaware
 
 
-@pytest.mark.skipif(find_spec("distributed") is None, reason="needs the optional package distributed")
+@pytest.mark.skipif(not all(map(find_spec, network_scale.CLUSTER)), reason="needs distributed and cryptography")
 def test_two_processes_are_timed_beside_one() -> None:
     summary = run(areas=(15,), parts=(30,))
     found = {(r.quantity, r.metric): r.value for r in summary.rows}
