@@ -59,6 +59,30 @@ def test_two_processes_are_timed_beside_one() -> None:
     assert "network/scale" in SCENARIOS
 
 
+@pytest.mark.skipif(not all(map(find_spec, network_scale.CLUSTER)), reason="needs distributed and cryptography")
+def test_the_cluster_takes_no_one_without_its_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
+    import distributed
+
+    seen: list[Any] = []
+
+    class Watched(distributed.LocalCluster):
+        def __init__(self, **options: Any) -> None:
+            super().__init__(**options)
+            seen.extend((self.scheduler_address, *(w.address for w in self.workers.values()), self.security.require_encryption))
+
+    monkeypatch.setattr(distributed, "LocalCluster", Watched)
+    network_scale.in_parts(15, 1e-3)
+    *addresses, encrypted = seen
+    assert encrypted and len(addresses) == 3 and all(a.startswith("tls://127.0.0.1:") for a in addresses)
+
+
+def test_without_certificates_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(network_scale, "find_spec", lambda name: None if name == "cryptography" else object())
+    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one"}
+    monkeypatch.setattr(network_scale, "find_spec", lambda name: object())
+    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one", "parts"}
+
+
 def test_a_clock_of_ones_own() -> None:
     ticks = iter(range(1000))
     found = best_times({"a": lambda: None}, 5.0, clock=lambda: next(ticks))
