@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.output import require_free
+from fusion_sfdia.benchmarks.output import all_or_none, require_free
 from fusion_sfdia.benchmarks.plots import panels, time_series, write_figure
 from fusion_sfdia.benchmarks.registry import detector
 from fusion_sfdia.core.plant import Plant
@@ -44,12 +44,8 @@ def diagnose_log(
         found = diagnose(with_detector, *log)
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
-    try:
-        write_diagnosis(out, plant, log.y, log.u, found)
-    except BaseException:  # all files or none
-        for name in FILES:
-            (out / name).unlink(missing_ok=True)
-        raise
+    with all_or_none(out) as new:
+        write_diagnosis(new, plant, log.y, log.u, found)
     return found
 
 

@@ -197,4 +197,5 @@ SCENARIO = Scenario(
     work=process_work,
     summarise=process_summary,
     full={"duration": 60.0},
+    bounds={"severities": (1e-3, 0.99)},
 )

@@ -180,4 +180,5 @@ SCENARIO = Scenario(
     work=sensor_work,
     summarise=sensor_summary,
     full={"inversion_seeds": 10},
+    bounds={"inversion_seeds": (0, 1000)},
 )

@@ -217,4 +217,5 @@ SCENARIO = Scenario(
     work=attack_work,
     summarise=attack_summary,
     full={"modes": MODES},
+    bounds={"duration": (ONSET + 1, 1e6)},
 )

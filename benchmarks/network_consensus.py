@@ -239,4 +239,5 @@ SCENARIO = Scenario(
     tasks=consensus_tasks,
     work=consensus_work,
     summarise=consensus_summary,
+    bounds={"steps": (SETTLE + 1, 1e6)},
 )

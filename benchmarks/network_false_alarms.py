@@ -15,6 +15,7 @@ from fusion_sfdia.benchmarks.network_residuals import (
     B18,
     CORRECTED,
     PAPER,
+    SETTLE,
     VARIANTS,
     draw_of,
     groups,
@@ -220,4 +221,5 @@ SCENARIO = Scenario(
     work=false_alarm_work,
     summarise=false_alarm_summary,
     full={"shock_steps": 100000},
+    bounds={"steps": (SETTLE + 1, 1e6)},
 )

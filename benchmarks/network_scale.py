@@ -37,6 +37,7 @@ PUBLISHED, SOURCE = 4.1e-3, "Boem 2018, sec. VIII (one area, worst case, Matlab 
 ALPHA, LAM = 2.0, 0.3  # B18, sec. VIII
 AWAY = "8"  # the area that leaves and joins
 PARTS = 2
+CLUSTER = ("distributed", "cryptography")  # the packages of a cluster that no one else can use
 LONG = 10_000  # areas, whose step is too long to be left alone on a busy machine
 
 
@@ -77,9 +78,9 @@ def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
 
 
 def scale_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One task for each size, and for each the same on two processes where `distributed` is installed."""
+    """One task for each size, and for each the same on two processes where a cluster of one's own can be had."""
     sizes, seconds = settings["areas"], settings["seconds"]
-    parts = [PAPER_AREAS, *settings["parts"]] if settings["parts"] and find_spec("distributed") else []
+    parts = [PAPER_AREAS, *settings["parts"]] if settings["parts"] and all(map(find_spec, CLUSTER)) else []
     tasks = [{"kind": "one", "areas": n, "seconds": seconds} for n in sizes]
     return [*tasks, *({"kind": "parts", "areas": n, "seconds": seconds} for n in parts)]
 
@@ -107,7 +108,10 @@ def in_one(areas: int, seconds: float) -> Arrays:
 
 
 def in_parts(areas: int, seconds: float) -> Arrays:
-    """Two processes of one thread against this one, taking turns: seconds on the clock."""
+    """Two processes of one thread against this one, taking turns: seconds on the clock.
+
+    They speak TLS with a certificate made for this cluster alone: whoever can reach a dask scheduler without can run code.
+    """
     from distributed import Client, LocalCluster
 
     whole = network_areas(network_of(areas), named=False)
@@ -120,6 +124,7 @@ def in_parts(areas: int, seconds: float) -> Arrays:
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
+            security=True,
         ) as cluster,
         Client(cluster, set_as_default=False, direct_to_workers=True) as client,
     ):
@@ -165,7 +170,7 @@ def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
             f"{barrier / each[largest]:.2g} areas in each part on, if each has a core and a memory of its own."
         )
     elif not parts:
-        remarks.append("On several processes nothing was measured: that needs the package distributed.")
+        remarks.append("On several processes nothing was measured: that needs the packages distributed and cryptography.")
     told = "; ".join(f"{n} areas {1e6 * found['step'][0]:.3g} us" for n, found in one.items())
     figure = Figure(
         "time",
@@ -204,4 +209,6 @@ SCENARIO = Scenario(
     work=scale_work,
     summarise=scale_summary,
     full={"areas": (15, 1500, 150000, 1500000)},
+    bounds=dict.fromkeys(("areas", "parts"), (int(AWAY) + 1, 1e7)),
+    optional=("parts",),
 )

@@ -216,4 +216,5 @@ SCENARIO = Scenario(
     tasks=flip_tasks,
     work=flip_work,
     summarise=flip_summary,
+    bounds={"duration": (SIGN_FLIP.fault.onset + 1, 1e6)},
 )  # fmt: skip

@@ -6,15 +6,22 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Iterable
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.benchmarks.parts import PART_NAME
-from fusion_sfdia.core.storage import atomic_write
+from fusion_sfdia.core.storage import atomic_write, made_folder
 
-MANIFEST = "manifest.json"
+if sys.platform != "win32":
+    import fcntl
+
+MANIFEST, LOCK = "manifest.json", ".lock"
 OWN_FILE = re.compile(r"metrics\.csv|report\.html|figures/[a-z0-9-]+\.(svg|png)")
 
 
@@ -47,15 +54,89 @@ def require_free(out: Path, *, force: bool = False) -> None:
         raise ValueError(f"{out} is already used; name another folder with --out, or write into it with --force")
 
 
+@contextmanager
+def all_or_none(out: Path) -> Iterator[Path]:
+    """Give a folder whose files move into `out` when the block ends well; otherwise `out` stays as it was, or absent.
+
+    Files of the same names are replaced, one at a time; where one cannot be, those before are put back. Others stay.
+    """
+    near = next(p for p in (out, *out.parents) if p.exists())  # on the same disk
+    with tempfile.TemporaryDirectory(dir=near, prefix=".fusion-sfdia.") as temporary:
+        new, old = Path(temporary, "new"), Path(temporary, "old")
+        new.mkdir()
+        try:
+            yield new
+        except OSError as error:
+            if error.filename and Path(error.filename).is_relative_to(new):  # the reader knows no temporary folder
+                raise OSError(error.errno, error.strerror, str(out / Path(error.filename).relative_to(new))) from error
+            raise
+        names = [p.relative_to(new) for p in sorted(new.rglob("*")) if p.is_file()]
+        present = [name for name in names if (out / name).exists()]
+        for name in present:
+            (old / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(out / name, old / name)
+        with made_folder(out):
+            moved = []
+            try:
+                for name in names:
+                    (out / name).parent.mkdir(parents=True, exist_ok=True)
+                    os.replace(new / name, out / name)
+                    moved.append(name)
+            except BaseException:
+                for name in moved:
+                    os.replace(old / name, out / name) if name in present else (out / name).unlink()
+                raise
+
+
+@contextmanager
+def locked(out: Path) -> Iterator[None]:
+    """Make the folder and hold it for this process; ValueError where another process does.
+
+    The system lets go of the lock of a process that ends, however it ends: what is left of its file blocks nobody. Where
+    the disk or the system knows no such locks (some network disks, Windows) nothing is held.
+    """
+    require_free(out, force=True)
+    with made_folder(out):
+        try:
+            handle = os.open(out / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise ValueError(f"cannot write into {out} ({error.strerror}); name another folder with --out") from error
+        try:
+            if not _lock(handle, out / LOCK):
+                raise ValueError(
+                    f"{out} is in use: another run writes into it; wait until it has ended, or name another folder with --out"
+                )
+            try:
+                yield
+            finally:
+                (out / LOCK).unlink(missing_ok=True)
+        finally:
+            os.close(handle)
+
+
+def _lock(handle: int, path: Path) -> bool:
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+    with suppress(FileNotFoundError):
+        return os.path.samestat(os.fstat(handle), path.stat())
+    return False  # the one that held it has removed it since it was opened
+
+
 def open_output(out: Path, command: Command, *, force: bool = False) -> None:
     """Make the folder ready for a run, or raise ValueError where it is in use for something else.
 
     Free to use: an absent or empty folder, and one of an earlier or interrupted run of the same command. force: also one
-    of another run, whose files are removed but for finished parts that both runs need, and one of anything else, whose files
-    stay unless they have our names.
+    of another run, whose files stay until this one has its own, finished parts that both runs need for good, and one of
+    anything else, whose files stay unless they have our names.
     """
     require_free(out, force=True)
-    found = [p.name for p in out.iterdir() if not p.name.startswith(f".{MANIFEST}.")] if out.exists() else []
+    ours = (LOCK, f".{MANIFEST}.")
+    found = [p.name for p in out.iterdir() if not p.name.startswith(ours)] if out.exists() else []
     earlier = read_manifest(out)
     same = earlier is not None and earlier.get("command") == command.text
     if found and not same and not force:
@@ -64,10 +145,10 @@ def open_output(out: Path, command: Command, *, force: bool = False) -> None:
             what = f"another run ({earlier.get('command')})"
             cure = "replace that run with --force, which takes up those of its finished parts that this run needs too"
         raise ValueError(f"{out} is already used: it holds {what}; name another folder with --out, or {cure}")
-    if earlier is not None and not same:
-        remove(out, own_files(earlier))
+    kept = earlier if same and earlier else {"files": own_files(earlier or {})}
     try:
-        write_manifest(out, {**(earlier if same and earlier else {}), "command": command.text, "finished": False})
+        write_manifest(out, {**kept, "command": command.text, "finished": False})
+        (out / "parts").mkdir(exist_ok=True)
     except OSError as error:
         raise ValueError(f"cannot write into {out} ({error.strerror}); name another folder with --out") from error
 

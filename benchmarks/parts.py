@@ -6,11 +6,9 @@ import hashlib
 import json
 import platform
 import re
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 import fusion_sfdia
 from fusion_sfdia.benchmarks.provenance import OPTIONAL, sources_digest, versions
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
-from fusion_sfdia.core.storage import atomic_write
+from fusion_sfdia.core.storage import read_arrays, write_arrays
 
 Array = NDArray[Any]
 
@@ -54,14 +52,12 @@ def write_part(path: Path, arrays: Arrays) -> None:
         plain[name] = np.asarray(array)
         if plain[name].dtype.hasobject:
             raise TypeError(f"work returned {name!r} of type {type(array).__name__}; wanted arrays of numbers")
-    with atomic_write(path, "wb") as file:
-        np.savez_compressed(file, **plain)  # type: ignore[arg-type]  # the stubs take the names for its options
+    write_arrays(path, plain, compress=True)
 
 
 def read_part(path: Path) -> Arrays | None:
     """Return a piece's arrays; None where it is absent or damaged, so that it is done again."""
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError, BadZipFile, zlib.error):
+        return read_arrays(path)
+    except (OSError, ValueError):
         return None

@@ -113,4 +113,4 @@ def read_rows(path: Path) -> list[Row]:
 def as_json(rows: Sequence[Row]) -> str:
     """Return the rows as a JSON array of objects; null for what is not stated or undefined, "inf" and "-inf" as text."""
     table = [{c: str(v) if isinstance(v, float) and math.isinf(v) else v for c, v in row.columns.items()} for row in rows]
-    return json.dumps(table, indent=2, ensure_ascii=False, allow_nan=False)
+    return json.dumps(table, indent=2, allow_nan=False)

@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -22,6 +23,8 @@ import fusion_sfdia
 from fusion_sfdia.benchmarks.cluster import connected
 from fusion_sfdia.benchmarks.output import (
     Command,
+    all_or_none,
+    locked,
     open_output,
     own_files,
     read_manifest,
@@ -42,12 +45,13 @@ WorkOff = Callable[[Sequence[Piece]], Iterator[Done]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Rows of metrics.csv, the scenarios' highlights, a line for each failure, and the report's path."""
+    """Rows of metrics.csv, the scenarios' highlights, a line for each failure, the report's path, lines of damaged parts."""
 
     rows: list[Row]
     highlights: list[str]
     failures: list[str]
     report: Path
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -92,21 +96,28 @@ def run_scenarios(
     workers = workers or cores()
     local = partial(work_off, workers=workers)
     working: AbstractContextManager[WorkOff] = nullcontext(local) if scheduler is None else connected(scheduler)
-    with working as work_off_pieces:  # a cluster that is not there is told before the folder is touched
-        open_output(out, command, force=force)
-        earlier = own_files(read_manifest(out) or {})
-        _work_off(plans, out, work_off_pieces)
-    rows: list[Row] = []
-    sections: list[Section] = []
-    files: list[str] = []
-    for plan in plans:
-        section = _summarise(plan, out)
-        rows += section.summary.rows
-        sections.append(section)
-        files += [f"figures/{name}.{kind}" for name in section.figures for kind in ("svg", "png")]
-    write_rows(out / "metrics.csv", rows)
-    files += ["metrics.csv", "report.html"]
-    manifest = {
+    with locked(out):
+        with working as work_off_pieces:  # a cluster that is not there is reported before the folder's files are touched
+            open_output(out, command, force=force)
+            earlier = own_files(read_manifest(out) or {})
+            notes = _work_off(plans, out, work_off_pieces)
+        with all_or_none(out) as new:
+            sections = [_summarise(plan, out / "parts", new / "figures") for plan in plans]
+            rows = [row for section in sections for row in section.summary.rows]
+            files = [f"figures/{name}.{kind}" for s in sections for name in s.figures for kind in ("svg", "png")]
+            files += ["metrics.csv", "report.html"]
+            manifest = _manifest(plans, command, begun, scheduler or workers, files)
+            write_rows(new / "metrics.csv", rows)
+            write_report(new / "report.html", command, sections, manifest)
+        remove(out, set(earlier) - set(files))
+        remove_other_parts(out, {part for plan in plans for part in plan.parts})
+        write_manifest(out, manifest)
+    highlights = [line for section in sections for line in section.summary.highlights]
+    return Outcome(rows, highlights, [line for s in sections for line in s.failures], out / "report.html", notes)
+
+
+def _manifest(plans: list[_Plan], command: Command, begun: float, workers: int | str, files: list[str]) -> dict[str, Any]:
+    return {
         "command": command.text,
         "finished": True,
         "version": fusion_sfdia.__version__,
@@ -114,7 +125,7 @@ def run_scenarios(
         "git_commit": git_commit(),
         "libraries": versions(),
         "platform": platform.platform(),
-        "workers": scheduler or workers,
+        "workers": workers,
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(begun)),
         "seconds": round(time.time() - begun, 3),
         "scenarios": [
@@ -131,12 +142,6 @@ def run_scenarios(
         ],
         "files": files,
     }
-    write_report(out / "report.html", command, sections, manifest)
-    remove(out, set(earlier) - set(files))
-    remove_other_parts(out, {part for plan in plans for part in plan.parts})
-    write_manifest(out, manifest)
-    highlights = [line for section in sections for line in section.summary.highlights]
-    return Outcome(rows, highlights, [line for section in sections for line in section.failures], out / "report.html")
 
 
 def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes: Mapping[str, str]) -> list[_Plan]:
@@ -161,19 +166,24 @@ def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes
     return plans
 
 
-def _work_off(plans: list[_Plan], out: Path, work_off: WorkOff) -> None:
-    """Do what is not there yet, once for all the scenarios that ask for it; its time counts for the first of them."""
+def _work_off(plans: list[_Plan], out: Path, work_off: WorkOff) -> list[str]:
+    """Do what is not there yet, once for all the scenarios that ask for it; its time counts for the first of them.
+
+    Returns a line for each part that is there and damaged, which is done again.
+    """
     asking: dict[str, list[_Plan]] = {}
     for plan in plans:
         for part in plan.parts:
             asking.setdefault(part, []).append(plan)
-    pieces = []
+    pieces, notes = [], []
     for part, those in asking.items():
         path = out / "parts" / part
         if read_part(path) is not None:
             for plan in those:
                 plan.resumed += 1
         else:
+            if path.exists():
+                notes.append(f"{path} is damaged or cut and was computed again")
             pieces.append(Piece(path, those[0].scenario.work, those[0].parts[part]))
     with _progress(len(asking), len(asking) - len(pieces)) as bar:
         for done in work_off(pieces):
@@ -183,13 +193,14 @@ def _work_off(plans: list[_Plan], out: Path, work_off: WorkOff) -> None:
                 for plan in those:
                     plan.errors[done.path.name] = done.error
             bar.advance(bar.task_ids[0])
+    return notes
 
 
-def _summarise(plan: _Plan, out: Path) -> Section:
-    """Turn a scenario's parts into rows and figures; failures become rows too."""
+def _summarise(plan: _Plan, kept: Path, drawn: Path) -> Section:
+    """Turn a scenario's parts, which are `kept`, into rows and figures; failures become rows too."""
     results = []
     for part, task in plan.parts.items():
-        arrays = None if part in plan.errors else read_part(out / "parts" / part)
+        arrays = None if part in plan.errors else read_part(kept / part)
         if arrays is None:
             plan.errors.setdefault(part, "the part cannot be read back")
         else:
@@ -208,7 +219,7 @@ def _summarise(plan: _Plan, out: Path) -> Section:
     for figure in summary.every_figure:
         slug = f"{name.replace('/', '-')}-{figure.name}"
         try:
-            figures[slug] = write_figure(out / "figures", slug, figure.draw)
+            figures[slug] = write_figure(drawn, slug, figure.draw)
         except Exception as problem:
             failures.append(f"{name}, figure {figure.name}: {type(problem).__name__}: {problem}")
     failed = Counter(tuple(str(task.get(k) or usual) for k, usual in _USUAL) for task in map(plan.parts.__getitem__, errors))

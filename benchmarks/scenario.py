@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.results import Published, Row
+from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.numerals import decimal, integer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
@@ -37,6 +39,8 @@ Settings = Mapping[str, Any]  # of Setting
 Task = Mapping[str, Any]
 
 NAME = "[a-z0-9]+(-[a-z0-9]+)*"
+USUAL = (1e-6, 1e6)  # from where to where numbers of settings go, unless a scenario says otherwise
+LONGEST = 1000  # characters of a setting that is a text, such as a path
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
 
@@ -108,6 +112,8 @@ class Scenario:
 
     settings: names and defaults, which `--set name=value` overrides; a value has the type of its default, a tuple the
     type of its first entry. seeds: runs by default; full_seeds: the size of the paper, with `--full`.
+    bounds: the least and the most that a number of a setting may be, where that is not USUAL, or 1 for a whole number.
+    optional: the settings that may be an empty tuple.
     full: what else `--full` sets, beside the size: settings of the whole paper, unless `--set` names them.
     tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values that says all that decides its bits.
     work(task): one piece, in a process of its own: arrays only, and the same bits for the same task. Scenarios with the same
@@ -125,6 +131,8 @@ class Scenario:
     work: Callable[[Task], Arrays]
     summarise: Callable[[Settings, list[tuple[Task, Arrays]]], Summary]
     full: Settings = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    optional: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_name("scenario", self.name, f"{NAME}(/{NAME})*")
@@ -141,34 +149,50 @@ def require_name(what: str, name: str, pattern: str) -> None:
 def adjust(scenario: Scenario, changes: Mapping[str, str], *, full: bool = False) -> dict[str, Setting]:
     """Return the scenario's settings, or those of the whole paper, with some changed, given as text.
 
-    Raises ValueError for unknown names and wrong types.
+    Raises ValueError for unknown names, wrong types, numbers out of bounds, and tuples that are empty or name a thing twice.
     """
     unknown = [k for k in changes if k not in scenario.settings]
     if unknown:
         known = ", ".join(f"{k}={_text(v)}" for k, v in scenario.settings.items()) or "none"
         raise ValueError(f"scenario {scenario.name} has no setting {', '.join(unknown)}; its settings: {known}")
     usual = {**scenario.settings, **(scenario.full if full else {})}
-    return {k: _typed(k, changes[k], v) if k in changes else v for k, v in usual.items()}
+    return {k: _changed(scenario, k, changes[k], v) if k in changes else v for k, v in usual.items()}
 
 
-def _typed(key: str, text: str, default: Setting) -> Setting:
-    if isinstance(default, tuple):
-        like = default[0] if default else ""
-        return tuple(_typed(key, part.strip(), like) for part in text.split(",") if part.strip())
+def _changed(scenario: Scenario, key: str, text: str, default: Setting) -> Setting:
+    """A setting from its text, of the type of its default and within its bounds."""
+    low, high = scenario.bounds.get(key, USUAL)
+    if not isinstance(default, tuple):
+        return _typed(key, text, default, low, high)
+    like = default[0] if default else ""
+    found = tuple(_typed(key, part.strip(), like, low, high) for part in text.split(",") if part.strip())
+    if not (found or key in scenario.optional):
+        raise ValueError(f"setting {key} is empty; expected at least one value, such as {_text(like)}")
+    if twice := [v for v in found if found.count(v) > 1]:
+        raise ValueError(f"setting {key} is {shown(text)}; expected each value once, {shown(twice[0])} stands twice")
+    return found
+
+
+def _typed(key: str, text: str, default: Setting, low: float, high: float) -> Setting:
     if isinstance(default, bool):
         if text.lower() not in YES + NO:
-            raise ValueError(f"setting {key} is {text!r}; wanted true or false")
+            raise ValueError(f"setting {key} is {shown(text)}; expected true or false")
         return text.lower() in YES
     if isinstance(default, str):
+        if not (text.isprintable() and len(text) <= LONGEST):
+            raise ValueError(f"setting {key} is {shown(text)}; expected at most {LONGEST} printable characters")
         return text
-    kind = "a whole number" if isinstance(default, int) else "a finite number"
+    assert isinstance(default, int | float)
+    read, kind = (integer, "a whole number") if isinstance(default, int) else (decimal, "a number")
+    low = math.ceil(low) if isinstance(default, int) else low
     try:
-        value = type(default)(text)
-    except ValueError as error:
-        raise ValueError(f"setting {key} is {text!r}; wanted {kind} such as {_text(default)}") from error
-    if not np.isfinite(value):
-        raise ValueError(f"setting {key} is {text!r}; wanted {kind} such as {_text(default)}")
-    return value
+        if low <= (value := read(text)) <= high:
+            return value
+    except ValueError:
+        pass  # it is no number at all
+    raise ValueError(
+        f"setting {key} is {shown(text)}; expected {kind} from {low:.10g} to {high:.10g}, such as {_text(default)}"
+    )
 
 
 def _text(value: Setting) -> str:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import argparse
 import errno
+import io
 import json
 import os
 import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli_runs import add_compare, add_run
+from fusion_sfdia.core.numerals import decimal, integer
 
 KINDS = ("plants", "detectors", "faults", "scenarios")
 
@@ -41,8 +46,8 @@ def parser() -> argparse.ArgumentParser:
 
     one = commands.add_parser("simulate", help="write a log of simulated readings", allow_abbrev=False)
     one.add_argument("--plant", default="gas-pipeline", help="default: gas-pipeline")
-    one.add_argument("--steps", type=int, default=360, metavar="N", help="readings (default: 360)")
-    one.add_argument("--seed", type=int, default=0, metavar="N", help="of noise and drawn faults (default: 0)")
+    one.add_argument("--steps", type=integer, default=360, metavar="N", help="readings (default: 360)")
+    one.add_argument("--seed", type=integer, default=0, metavar="N", help="of noise and drawn faults (default: 0)")
     one.add_argument(
         "--truth",
         choices=("finer", "model"),
@@ -86,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
 
     one = commands.add_parser("bench", help="measure the speed on this machine, on one thread", allow_abbrev=False)
     one.add_argument("part", nargs="*", help="bank, model, scaling, lorenz, engine (default: all)")
-    one.add_argument("--seconds", type=float, default=2.0, metavar="S", help="for each thing that is timed (default: 2)")
+    one.add_argument("--seconds", type=decimal, default=2.0, metavar="S", help="for each thing that is timed (default: 2)")
     one.add_argument("--out", type=Path, metavar="DIR", help="folder for metrics.csv")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")
     one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")
@@ -96,8 +101,28 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Do what a command line says; return its exit code (see the parser's epilog)."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without π shows \\u03c0
+            stream.reconfigure(errors="backslashreplace")
     chosen = parser().parse_args(arguments)
-    terminated = signal.signal(signal.SIGTERM, signal.default_int_handler)  # both leave nothing half-written, no worker behind
+    with _terminated_as_interrupted():
+        return _done(chosen)
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """SIGTERM as Ctrl-C: both leave nothing half-written and no worker behind. Elsewhere than in the main thread as it is."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _done(chosen: argparse.Namespace) -> int:
     try:
         code: int = chosen.work(chosen)
         sys.stdout.flush()
@@ -116,8 +141,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         full = getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT)
         at_fault = isinstance(error, ValueError | OverflowError | OSError) and not isinstance(error, ModuleNotFoundError)
         return 2 if at_fault and not full else 1
-    finally:
-        signal.signal(signal.SIGTERM, terminated)
 
 
 def _list(chosen: argparse.Namespace) -> int:
@@ -125,7 +148,7 @@ def _list(chosen: argparse.Namespace) -> int:
 
     found = {kind: entries for kind, entries in listing().items() if chosen.kind in (None, kind)}
     if chosen.json:
-        print(json.dumps(found, indent=2, ensure_ascii=False))
+        print(json.dumps(found, indent=2))
         return 0
     for kind, entries in found.items():
         if chosen.kind is None:
@@ -163,6 +186,8 @@ def _run(chosen: argparse.Namespace) -> int:
         for line in outcome.highlights:
             print(line)
         print(f"{len(outcome.rows)} numbers in {out / 'metrics.csv'}; report: {outcome.report}")
+    for line in outcome.notes:
+        print(f"fusion-sfdia: note: {line}", file=sys.stderr)
     for line in outcome.failures:
         print(f"fusion-sfdia: failed: {' '.join(line.split())}", file=sys.stderr)
     return 1 if outcome.failures else 0
@@ -189,7 +214,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
 
     if chosen.out.is_dir():
         raise ValueError(f"{chosen.out} is a folder; name a file with --out")
-    if chosen.out.exists() and not chosen.force:
+    if chosen.out.is_file() and not chosen.force:  # a device or a pipe is written to, not replaced
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
     model, named = plant(chosen.plant), [fault(text) for text in chosen.fault]
     faults = load_faults(chosen.faults, model) if chosen.faults else []
@@ -201,10 +226,11 @@ def _simulate(chosen: argparse.Namespace) -> int:
         print(json.dumps([{k: _finite(v) for k, v in asdict(f).items()} for f in faults], indent=2))
         return 0
     count = len(faults)
-    print(f"{chosen.steps} readings of {len(model.sensors)} sensors in {chosen.out}, {count} fault{'s' * (count != 1)}")
+    say = partial(print, file=sys.stderr if chosen.out == Path("/dev/stdout") else sys.stdout)
+    say(f"{chosen.steps} readings of {len(model.sensors)} sensors in {chosen.out}, {count} fault{'s' * (count != 1)}")
     for f in faults:
         size = "" if not f.magnitude else f", magnitude {f.magnitude:.4g}{' of the signal' if f.relative else ''}"
-        print(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{size}")
+        say(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{size}")
     return 0
 
 

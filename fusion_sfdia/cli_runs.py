@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from fusion_sfdia.core.numerals import integer
+
 Work = Callable[[argparse.Namespace], int]
 
 
@@ -31,10 +33,15 @@ def add_compare(commands: Any, work: Work) -> None:
 
 def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: str) -> None:
     size = one.add_mutually_exclusive_group()
-    size.add_argument("--seeds", type=int, metavar="N", help=seeds)
+    size.add_argument("--seeds", type=integer, metavar="N", help=seeds)
     size.add_argument("--full", action="store_true", help=full)
-    one.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
-    one.add_argument("--scheduler", metavar="ADDRESS", help="work on a running dask cluster instead, such as tcp://host:8786")
+    one.add_argument("--workers", type=integer, metavar="N", help="processes (default: one a core)")
+    one.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="work on a running dask cluster instead, such as tcp://host:8786; tcp has no authentication and both sides run "
+        "the code they are sent: on a trusted network only, else tls://",
+    )
     one.add_argument("--out", type=Path, metavar="DIR", help=f"folder of the results (default: {folder})")
     one.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the scenarios; each once"

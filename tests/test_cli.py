@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import re
+import subprocess
+import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
@@ -77,6 +81,15 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
     assert err.count("\n") == 1
     trap.unlink()
     assert call(capsys, *once)[0] == 0
+
+
+def test_a_damaged_part_is_a_note(capsys: pytest.CaptureFixture[str]) -> None:
+    once = ("run", "toy/mean", "--seeds", "2", "--workers", "1", "--set", "figure=no", "--out", "x")
+    call(capsys, *once)
+    part = next(Path("x/parts").iterdir())
+    part.write_bytes(part.read_bytes()[:-1])
+    code, _, err = call(capsys, *once)
+    assert (code, err) == (0, f"fusion-sfdia: note: {part} is damaged or cut and was computed again\n")
 
 
 @pytest.mark.parametrize(
@@ -245,7 +258,87 @@ def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str]
     code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert (code, out) == (1, "")
     assert err == "fusion-sfdia: diagnosis/other/reconstructed.csv: No space left on device; make room, or name another place\n"
-    assert not list(Path("diagnosis/other").iterdir())
+    assert not Path("diagnosis").exists()
+    assert not list(Path().glob(".*"))  # nor anything that was in the making
+
+
+def test_a_forced_diagnosis_that_fails_leaves_the_one_before(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    altered(len)
+    once = ("diagnose", "--data", "other.csv", "--detector", "loo-chi2", "--out", "found", "--force")
+    assert call(capsys, *once)[0] == 0
+    Path("found/mine.txt").write_text("mine")
+    before = {p.name: p.read_bytes() for p in Path("found").iterdir()}
+
+    def failing(*_: object) -> NoReturn:
+        raise RuntimeError("the figure failed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fusion_sfdia.benchmarks.diagnosis.write_figure", failing)
+        assert call(capsys, *once)[0] == 1
+    assert {p.name: p.read_bytes() for p in Path("found").iterdir()} == before
+    assert call(capsys, *once)[0] == 0
+    assert {p.name for p in Path("found").iterdir()} == before.keys()
+
+
+def test_simulate_writes_through_a_pipe_and_keeps_the_mode_of_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    once = ("simulate", "--plant", "two-tanks", "--steps", "3")
+    assert call(capsys, *once, "--out", "log.csv")[0] == 0
+    Path("log.csv").chmod(0o600)
+    assert call(capsys, *once, "--out", "log.csv", "--force")[0] == 0
+    assert Path("log.csv").stat().st_mode & 0o777 == 0o600
+    if hasattr(os, "mkfifo"):
+        os.mkfifo("pipe")
+        reader = os.open("pipe", os.O_RDONLY | os.O_NONBLOCK)
+        assert call(capsys, *once, "--out", "pipe")[0] == 0
+        assert os.read(reader, 10_000) == Path("log.csv").read_bytes() and Path("pipe").is_fifo()
+        os.close(reader)
+    if Path("/dev/full").exists():
+        code, _, err = call(capsys, *once, "--out", "/dev/full", "--force")
+        assert (code, Path("/dev/full").is_char_device()) == (1, True) and "/dev/full: No space left" in err
+
+
+def run_alone(root: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    code = "import sys; from fusion_sfdia.cli import main; sys.exit(main(sys.argv[1:]))"
+    known = {**os.environ, "PYTHONPATH": str(root), **environment}
+    return subprocess.run([sys.executable, "-c", code, *arguments], env=known, capture_output=True, check=False)
+
+
+@pytest.mark.skipif(not Path("/dev/stdout").exists(), reason="needs /dev/stdout")
+def test_a_log_on_standard_output_is_all_that_stands_there(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    once = ("simulate", "--plant", "two-tanks", "--steps", "3")
+    assert call(capsys, *once, "--out", "log.csv")[0] == 0
+    done = run_alone(root, *once, "--out", "/dev/stdout", "--force")
+    assert (done.returncode, done.stdout) == (0, Path("log.csv").read_bytes())
+    assert b"3 readings of 4 sensors in /dev/stdout" in done.stderr
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+def test_a_terminal_without_the_letters_gets_others(root: Path, encoding: str) -> None:
+    done = run_alone(root, "simulate", "--plant", "two-tanks", "--steps", "3", "--out", "π.csv", PYTHONIOENCODING=encoding)
+    assert done.returncode == 0 and done.stderr == b""
+    shown = "in π.csv, 0 faults" if encoding == "utf-8" else r"in \u03c0.csv, 0 faults"
+    assert shown.encode() in done.stdout and Path("π.csv").exists()
+
+
+def test_a_thread_may_call_it(tmp_path: Path) -> None:
+    codes: list[int] = []
+
+    def work() -> None:
+        codes.append(main(["simulate", "--plant", "two-tanks", "--steps", "3", "--out", "log.csv"]))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert codes == [0]
+
+
+@pytest.mark.parametrize("text", ["1_0", "１２", "9" * 5000])
+def test_an_option_takes_plain_numbers(capsys: pytest.CaptureFixture[str], text: str) -> None:
+    with pytest.raises(SystemExit):
+        main(["simulate", "--out", "x.csv", "--steps", text])
+    assert "argument --steps: invalid integer value" in capsys.readouterr().err
 
 
 def test_inputs_that_a_log_lacks_are_assumed_only_when_asked_for(capsys, tmp_path, monkeypatch):

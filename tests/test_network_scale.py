@@ -38,7 +38,7 @@ def test_each_size_has_its_times_and_its_memory() -> None:
         assert (f"{areas} areas, in place", "replug_time") in found
     assert found["one of 15 areas", "step_time"].published == 4.1e-3
     assert len(summary.figures) == 1 and summary.figures[0].draw().axes
-    assert any("needs the package distributed" in remark for remark in summary.remarks)
+    assert any("needs the packages distributed and cryptography" in remark for remark in summary.remarks)
 
 
 def test_what_is_timed_are_steps_that_go_on() -> None:
@@ -50,13 +50,37 @@ def test_what_is_timed_are_steps_that_go_on() -> None:
     assert sum(np.all((a > 0) & (a < 1)) for a in settled) >= 1  # the deviations, of which the diagnosers began unaware
 
 
-@pytest.mark.skipif(find_spec("distributed") is None, reason="needs the optional package distributed")
+@pytest.mark.skipif(not all(map(find_spec, network_scale.CLUSTER)), reason="needs distributed and cryptography")
 def test_two_processes_are_timed_beside_one() -> None:
     summary = run(areas=(15,), parts=(30,))
     found = {(r.quantity, r.metric): r.value for r in summary.rows}
     assert found["30 areas, 2 processes", "step_time"] > 0 and found["30 areas, 2 processes", "speedup"] < 1
     assert found["areas in a part, two free cores", "break_even"] > 0
     assert "network/scale" in SCENARIOS
+
+
+@pytest.mark.skipif(not all(map(find_spec, network_scale.CLUSTER)), reason="needs distributed and cryptography")
+def test_the_cluster_takes_no_one_without_its_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
+    import distributed
+
+    seen: list[Any] = []
+
+    class Watched(distributed.LocalCluster):
+        def __init__(self, **options: Any) -> None:
+            super().__init__(**options)
+            seen.extend((self.scheduler_address, *(w.address for w in self.workers.values()), self.security.require_encryption))
+
+    monkeypatch.setattr(distributed, "LocalCluster", Watched)
+    network_scale.in_parts(15, 1e-3)
+    *addresses, encrypted = seen
+    assert encrypted and len(addresses) == 3 and all(a.startswith("tls://127.0.0.1:") for a in addresses)
+
+
+def test_without_certificates_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(network_scale, "find_spec", lambda name: None if name == "cryptography" else object())
+    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one"}
+    monkeypatch.setattr(network_scale, "find_spec", lambda name: object())
+    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one", "parts"}
 
 
 def test_a_clock_of_ones_own() -> None:

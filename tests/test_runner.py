@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +14,7 @@ import numpy as np
 import pytest
 from toy_scenario import TOY, toy
 
-from fusion_sfdia.benchmarks.output import Command, open_output
+from fusion_sfdia.benchmarks.output import Command, all_or_none, locked, open_output
 from fusion_sfdia.benchmarks.parts import part_name, read_part, write_part
 from fusion_sfdia.benchmarks.results import COLUMNS, Row, as_json, read_rows, write_rows
 from fusion_sfdia.benchmarks.runner import run_scenarios
@@ -137,6 +141,103 @@ def test_folders(tmp_path: Path) -> None:
         run(mine / "thesis.tex" / "deeper")
 
 
+def flipped(content: bytes, bit: int) -> bytes:
+    return content[: bit // 8] + bytes([content[bit // 8] ^ 1 << bit % 8]) + content[bit // 8 + 1 :]
+
+
+def test_every_flipped_bit_and_every_cut_of_a_part_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    write_part(path, {"a": np.arange(3.0), "name": np.array("π")})
+    content = path.read_bytes()
+    damaged = [content[:length] for length in range(len(content))]
+    damaged += [flipped(content, bit) for bit in range(8 * len(content))]
+    for found in damaged:
+        path.write_bytes(found)
+        assert read_part(path) is None
+    path.write_bytes(content)
+    assert read_part(path) is not None
+
+
+def test_a_damaged_part_is_computed_again_and_reported(tmp_path: Path) -> None:
+    first = run_scenarios([TOY], tmp_path, seeds=2, workers=1, changes=PLAIN)
+    assert first.notes == []
+    numbers = (tmp_path / "metrics.csv").read_bytes()
+    part = sorted((tmp_path / "parts").iterdir())[0]
+    content = part.read_bytes()
+    part.write_bytes(flipped(content, 4 * len(content)))
+    again = run_scenarios([TOY], tmp_path, seeds=2, workers=1, changes=PLAIN)
+    assert again.notes == [f"{part} is damaged or cut and was computed again"] and not again.failures
+    assert part.read_bytes() == content and (tmp_path / "metrics.csv").read_bytes() == numbers
+    assert manifest(tmp_path)["scenarios"][0]["resumed"] == 1
+
+
+def test_a_folder_is_of_one_run_at_a_time(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with locked(out):
+        with pytest.raises(ValueError, match=r"out is in use: another run writes into it; wait until .* --out"):
+            run_scenarios([TOY], out, seeds=2, workers=1, changes=PLAIN)
+        assert [p.name for p in out.iterdir()] == [".lock"]
+    assert not out.exists()
+    run_scenarios([TOY], out, seeds=2, workers=1, changes=PLAIN)
+    assert not (out / ".lock").exists()
+
+
+def test_the_lock_of_a_killed_process_blocks_nobody(tmp_path: Path, root: Path) -> None:
+    code = "import os, pathlib\nfrom fusion_sfdia.benchmarks.output import locked\n"
+    code += f"with locked(pathlib.Path({str(tmp_path)!r})):\n    os._exit(9)"
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 9
+    assert (tmp_path / ".lock").exists()
+    run_scenarios([TOY], tmp_path, seeds=2, workers=1, changes=PLAIN)
+    assert not (tmp_path / ".lock").exists() and (tmp_path / "metrics.csv").exists()
+
+
+def test_files_move_into_a_folder_all_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "new" / "out"
+    with pytest.raises(ArithmeticError), all_or_none(out) as new:
+        (new / "a").write_text("half of it")
+        raise ArithmeticError
+    assert not list(tmp_path.iterdir())
+    with all_or_none(out) as new:
+        (new / "figures").mkdir()
+        for name in ("a", "b", "figures/c"):
+            (new / name).write_text("first")
+    (out / "mine").write_text("mine")
+    before = files(out)
+    assert before == {"a": b"first", "b": b"first", "figures/c": b"first", "mine": b"mine"}
+    replace_file, count = os.replace, 0
+
+    def full_at_the_third(source: Path, target: Path) -> None:
+        nonlocal count
+        count += 1
+        if count == 3:
+            raise OSError(errno.ENOSPC, "No space left on device", str(target))
+        replace_file(source, target)
+
+    monkeypatch.setattr("fusion_sfdia.benchmarks.output.os.replace", full_at_the_third)
+    with pytest.raises(OSError, match="No space left"), all_or_none(out) as new:
+        for name in ("a", "aa", "b"):
+            (new / name).write_text("second")
+    assert files(out) == before
+
+
+def test_a_run_that_fails_leaves_the_results_of_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_scenarios([TOY], tmp_path, seeds=2, workers=1, changes=PLAIN)
+    before = {name: content for name, content in files(tmp_path).items() if name != "manifest.json"}
+
+    def full(path: Path, *_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("fusion_sfdia.benchmarks.runner.write_report", full)
+        with pytest.raises(OSError) as caught:
+            run_scenarios([TOY], tmp_path, seeds=4, workers=1, changes=PLAIN, force=True)
+    assert caught.value.filename == str(tmp_path / "report.html")
+    assert {name: content for name, content in files(tmp_path).items() if name in before} == before
+    run_scenarios([TOY], tmp_path, seeds=4, workers=1, changes=PLAIN)
+    assert files(tmp_path)["metrics.csv"] != before["metrics.csv"]
+
+
 def test_a_forged_manifest_removes_nothing_of_others(tmp_path: Path) -> None:
     (tmp_path / "keep.csv").write_text("mine")
     out = tmp_path / "out"
@@ -192,11 +293,18 @@ def test_parts(tmp_path: Path) -> None:
         ({"seeds": 0}, "0 seeds; wanted at least 1"),
         ({"seeds": 3, "full": True}, "3 seeds and full"),
         ({"changes": {"sise": "3"}}, r"no setting 'sise' in toy/mean; known: figure, levels, rate, size, trap"),
-        ({"changes": {"size": "many"}}, "setting size is 'many'; wanted a whole number such as 40"),
-        ({"changes": {"size": "1.5"}}, "wanted a whole number"),
-        ({"changes": {"size": "-1"}}, "size is -1; wanted at least 1"),
-        ({"changes": {"rate": "nan"}}, "setting rate is 'nan'; wanted a finite number"),
-        ({"changes": {"figure": "perhaps"}}, "wanted true or false"),
+        ({"changes": {"size": "many"}}, "setting size is 'many'; expected a whole number from 1 to 1000000, such as 40"),
+        ({"changes": {"size": "1.5"}}, "expected a whole number"),
+        ({"changes": {"size": "-1"}}, "size is '-1'; expected a whole number from 1"),
+        ({"changes": {"size": "1_0"}}, "expected a whole number"),
+        ({"changes": {"size": "１２"}}, "expected a whole number"),
+        ({"changes": {"size": "99999999999999999999"}}, "expected a whole number"),
+        ({"changes": {"size": "9" * 5000}}, r"size is '9+\.\.\.; expected"),
+        ({"changes": {"levels": ","}}, "setting levels is empty; expected at least one value, such as high"),
+        ({"changes": {"levels": "low,high,low"}}, "expected each value once, 'low' stands twice"),
+        ({"changes": {"trap": "a\0b"}}, "expected at most 1000 printable characters"),
+        ({"changes": {"rate": "nan"}}, "setting rate is 'nan'; expected a number from 1e-06 to 1000000, such as 0.5"),
+        ({"changes": {"figure": "perhaps"}}, "expected true or false"),
     ],
 )
 def test_bad_arguments(tmp_path: Path, arguments: dict, message: str) -> None:

@@ -96,19 +96,22 @@ def test_a_foreign_file_is_one_clear_error(tmp_path: Path) -> None:
         load_state(tmp_path / "missing.npz", detector)
 
 
-def test_a_truncated_or_damaged_file_is_one_clear_error(tmp_path: Path) -> None:
-    detector = LeaveOneOutBank(tanks(), window=5)
+def test_every_flipped_bit_and_every_cut_of_a_state_is_one_clear_error(tmp_path: Path) -> None:
+    detector = CentralFilter(tanks())
     whole, broken = tmp_path / "state.npz", tmp_path / "broken.npz"
     save_state(whole, detector, state_of(detector))
     content = whole.read_bytes()
-    for length in range(0, len(content), len(content) // 23):
-        broken.write_bytes(content[:length])
-        with pytest.raises(ValueError, match="is not a saved detector state"):
+    cure = r"broken\.npz is not a saved detector state .*damaged, cut or of another kind\); write one with save_state"
+    flipped = np.random.default_rng(0).permutation(8 * len(content))[:2000]
+    damaged = [content[:length] for length in range(len(content))] + [content + b"\0"]
+    damaged += [content[: k // 8] + bytes([content[k // 8] ^ 1 << k % 8]) + content[k // 8 + 1 :] for k in flipped]
+    for found in damaged:
+        broken.write_bytes(found)
+        with pytest.raises(ValueError, match=cure):
             load_state(broken, detector)
-    where = content.index(b"\x93NUMPY") + 130  # in the data of the first array
-    broken.write_bytes(content[:where] + bytes([content[where] ^ 0xFF]) + content[where + 1 :])
-    with pytest.raises(ValueError, match="is not a saved detector state"):
-        load_state(broken, detector)
+    broken.write_bytes(content)
+    for a, b in zip(load_state(broken, detector), state_of(detector), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("mode", ["w", "wb"])
@@ -194,3 +197,38 @@ def test_an_error_names_the_file_that_was_wanted_and_the_cure(tmp_path: Path, mo
     assert explained(ValueError("as it is")) == "as it is"
     assert "ask for fewer steps" in explained(MemoryError("8 GiB"))
     assert explained(OverflowError("to C long")) == "a number is too large (to C long); give a smaller one"
+
+
+def test_a_replaced_file_keeps_its_mode_and_its_link(tmp_path: Path) -> None:
+    path, link = tmp_path / "file.csv", tmp_path / "link.csv"
+    path.write_text("the old one")
+    path.chmod(0o640)
+    link.symlink_to(path)
+    with atomic_write(link) as file:
+        file.write("the new one")
+    assert link.is_symlink() and path.read_text() == "the new one" and stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with atomic_write(pipe) as file:
+        file.write("through\n")
+    assert os.read(reader, 100) == b"through\n" and stat.S_ISFIFO(pipe.stat().st_mode)
+    os.close(reader)
+    assert [p.name for p in tmp_path.iterdir()] == ["pipe"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs the device /dev/full")
+def test_a_device_that_is_full_stays_one() -> None:
+    with pytest.raises(OSError, match="No space left on device: '/dev/full'"), atomic_write(Path("/dev/full")) as file:
+        file.write("too much")
+    assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
+
+
+def test_a_failed_write_leaves_no_new_folder(tmp_path: Path) -> None:
+    with pytest.raises(ValueError), atomic_write(tmp_path / "a" / "b" / "file.csv"):
+        raise ValueError
+    assert list(tmp_path.iterdir()) == []

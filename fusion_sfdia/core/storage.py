@@ -1,20 +1,21 @@
-"""Files that are whole or absent: atomic writes, and detector states without pickle."""
+"""Files that are whole or absent: atomic writes, arrays with a digest of their content, detector states without pickle."""
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import os
+import stat
 import tempfile
-import zipfile
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Detector, State
 from fusion_sfdia.core.plant import Plant
@@ -42,12 +43,13 @@ def explained(error: BaseException) -> str:
 
 @contextmanager
 def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
-    """Open a file that takes its name only when the block ends well; otherwise nothing is left behind.
+    """Open a file that takes its name only when the block ends well; otherwise nothing is left behind, new folders neither.
 
-    An OSError names the file, also where it is of its folder or of the disk.
+    A file that is there is replaced, its mode kept, behind a link too. A device, a pipe or a stream of this process
+    (/dev/stdout) is written to as it is. An OSError names the file, also where it is of its folder or of the disk.
     """
     try:
-        with _temporary(path, mode) as file:
+        with _through(path, mode) if _is_stream(path) else _temporary(path, mode) as file:
             yield file
     except FileExistsError as error:  # from mkdir: something on the way is a file
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from error
@@ -58,17 +60,49 @@ def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]
 
 
 @contextmanager
-def _temporary(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make a folder and those above it; what is new and still empty when the block ends is taken away again."""
+    new = [p for p in (folder, *folder.parents) if not p.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
     try:
-        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8", newline=None if "b" in mode else "") as file:
-            yield file
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        yield
+    finally:
+        for made in new:
+            with suppress(OSError):
+                made.rmdir()
+
+
+@contextmanager
+def _temporary(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
+    path = Path(os.path.realpath(path))
+    with made_folder(path.parent):
+        permissions = stat.S_IMODE(path.stat().st_mode) if path.is_file() else 0o666 & ~_umask()
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, mode, **_text(mode)) as file:
+                yield file
+            os.chmod(temporary, permissions)
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+
+STREAMS = {Path("/dev/stdout"): 1, Path("/dev/stderr"): 2}  # may stand for a file, in which others write, too
+
+
+def _is_stream(path: Path) -> bool:
+    return path in STREAMS or (path.exists() and not (path.is_file() or path.is_dir()))
+
+
+@contextmanager
+def _through(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
+    with open(os.dup(STREAMS[path]) if path in STREAMS else path, mode, **_text(mode)) as file:
+        yield file
+
+
+def _text(mode: str) -> dict[str, Any]:
+    return {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
 
 
 def _umask() -> int:
@@ -113,24 +147,42 @@ def _described(value: Any) -> str:
     return repr(value)
 
 
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
+    """Write arrays to a .npz file that ends with a digest of all that stands before it; ValueError for arrays of objects."""
+    packed = io.BytesIO()
+    save = np.savez_compressed if compress else np.savez
+    save(packed, allow_pickle=False, **arrays)
+    content = packed.getvalue()
+    with atomic_write(path, "wb") as file:
+        file.write(content + hashlib.sha256(content).digest())
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read what write_arrays wrote, to the bit; ValueError where the file is anything else, cut or damaged."""
+    found = path.read_bytes()
+    content, digest = found[:-32], found[-32:]
+    if hashlib.sha256(content).digest() != digest:
+        raise ValueError("the digest at its end is not that of its content: it is damaged, cut or of another kind")
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
 def save_state(path: str | Path, detector: Detector, state: State) -> None:
     """Write a detector's state to a .npz file, without pickle; a run goes on from it with the same bits."""
     arrays = {f"state_{i:03d}": np.asarray(a) for i, a in enumerate(state)}
-    with atomic_write(Path(path), "wb") as file:
-        np.savez(file, allow_pickle=False, fingerprint=np.array(fingerprint(detector)), **arrays)
+    write_arrays(Path(path), {"fingerprint": np.array(fingerprint(detector)), **arrays})
 
 
 def load_state(path: str | Path, detector: Detector) -> State:
     """Read a state written by save_state; ValueError where it is none, damaged, or of another detector, settings or plant."""
     try:
-        with zipfile.ZipFile(path), np.load(path, allow_pickle=False) as file:  # a single .npy array is no zip file
-            found = str(file["fingerprint"])
-            state = tuple(file[k] for k in sorted(k for k in file.files if k.startswith("state_")))
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        arrays = read_arrays(Path(path))
+        found = str(arrays.pop("fingerprint"))
+    except (KeyError, ValueError) as error:
         raise ValueError(f"{path} is not a saved detector state ({error}); write one with save_state") from error
     if found != fingerprint(detector):
         raise ValueError(
             f"{path} was saved by another detector, other settings or another plant than {type(detector).__name__} "
             f"on {detector.plant.name!r}; build the detector as it was when the state was saved"
         )
-    return state
+    return tuple(arrays[name] for name in sorted(arrays))

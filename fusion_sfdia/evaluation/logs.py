@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats, require_unique
+from fusion_sfdia.core.arguments import floats, require_unique, shown
+from fusion_sfdia.core.numerals import decimal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.storage import atomic_write
@@ -127,8 +128,8 @@ def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, ot
             raise ValueError(f"{path}: the column {name!r} stands twice; leave one")
         if unit is not None and unit != units[name]:
             raise ValueError(
-                f"{path}: column {name!r} is in {unit!r}, plant {plant.name!r} has it in {units[name]!r}; convert the column, "
-                "or read with the plant in that unit (Plant.in_units)"
+                f"{path}: column {name!r} is in {shown(unit)}, plant {plant.name!r} has it in {units[name]!r}; convert "
+                "the column, or read with the plant in that unit (Plant.in_units)"
             )
         found[name] = i
     lacking = [n for n in (TIME.name, *plant.sensor_names) if n not in found]
@@ -183,10 +184,10 @@ def _values(
     for k, row in enumerate(cells):
         text = row[at].strip()
         try:
-            values[k] = float(text) if text else np.nan
+            values[k] = decimal(text) if text else np.nan
         except ValueError:
             values[k] = np.inf
         if np.isinf(values[k]) or (required and np.isnan(values[k])):
             wanted = "a finite number" if required else "a finite number, or nothing where the reading is missing"
-            raise ValueError(f"{path}, row {numbers[k]}, column {what.name}: {text!r}; wanted {wanted}")
+            raise ValueError(f"{path}, row {numbers[k]}, column {what.name}: {shown(text)}; wanted {wanted}")
     return values
