@@ -20,6 +20,8 @@ from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Window
+from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 from fusion_sfdia.structural_residuals.structure import modules_of
@@ -82,6 +84,11 @@ def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
     return replace(detector, margins=plant.modules.margins) if mode == "calibrated" else detector
 
 
+def sequential(plant: Plant, rule: Rule, *, leave_one_out: bool) -> SequentialBank:
+    """A sequential test of the sensors of a plant at FALSE_ALARM."""
+    return SequentialBank(plant, rule, leave_one_out, false_alarm=FALSE_ALARM)
+
+
 class NamedDetector(NamedTuple):
     """A detector of the command line: what it is, how it is built for a plant, and over what its test statistic accumulates.
 
@@ -127,6 +134,38 @@ DETECTORS: dict[str, NamedDetector] = {
         "one extended Kalman filter with a test of each innovation; names the largest, accommodates nothing",
         lambda plant: CentralFilter(plant, false_alarm=FALSE_ALARM),
         STATE,
+    ),
+    "kf-window": NamedDetector(
+        "one extended Kalman filter; of each sensor the sum of squares of its last 15 normalised innovations, chi-square; "
+        "names and leaves out the largest, until it is readmitted",
+        lambda plant: sequential(plant, Window(15), leave_one_out=False),
+        "15 samples",
+    ),
+    "kf-cusum": NamedDetector(
+        "the same with two-sided cumulative sums against a shift of one standard deviation (Page 1954), limits by Siegmund's "
+        "approximation",
+        lambda plant: sequential(plant, Cusum(1.0), leave_one_out=False),
+        "cumulative sums",
+    ),
+    "kf-ewma": NamedDetector(
+        "the same with exponentially weighted averages of weight 0.2 (Roberts 1959; Lucas and Saccucci 1990)",
+        lambda plant: sequential(plant, Ewma(0.2), leave_one_out=False),
+        "factor 0.8 a sample",
+    ),
+    "loo-window": NamedDetector(
+        "kf-window on normalised leave-one-out innovations, with sequential elimination",
+        lambda plant: sequential(plant, Window(15), leave_one_out=True),
+        "15 samples",
+    ),
+    "loo-cusum": NamedDetector(
+        "kf-cusum on normalised leave-one-out innovations, with sequential elimination",
+        lambda plant: sequential(plant, Cusum(1.0), leave_one_out=True),
+        "cumulative sums",
+    ),
+    "loo-ewma": NamedDetector(
+        "kf-ewma on normalised leave-one-out innovations, with sequential elimination",
+        lambda plant: sequential(plant, Ewma(0.2), leave_one_out=True),
+        "factor 0.8 a sample",
     ),
     "limits": NamedDetector(
         "fixed limits of each reading and of its change since the last, learnt from healthy data",
