@@ -21,7 +21,9 @@ from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Window
+from fusion_sfdia.kalman_banks.multiple_model import MultipleModel
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 from fusion_sfdia.structural_residuals.structure import modules_of
@@ -166,6 +168,18 @@ DETECTORS: dict[str, NamedDetector] = {
         "kf-ewma on normalised leave-one-out innovations, with sequential elimination",
         lambda plant: sequential(plant, Ewma(0.2), leave_one_out=True),
         "factor 0.8 a sample",
+    ),
+    "uio": NamedDetector(
+        "a filter that no error of the plant's inputs can move (Kitanidis 1987; Gillijns and De Moor 2007) with leave-one-out "
+        "chi-square statistics and sequential elimination",
+        lambda plant: UnknownInputFilter(plant, false_alarm=FALSE_ALARM),
+        STATE,
+    ),
+    "multiple-model": NamedDetector(
+        "models of healthy sensors and of each one's noise ten times as large, with a Markov chain between them (GPB1); names "
+        "the most probable",
+        lambda plant: MultipleModel(plant, false_alarm=FALSE_ALARM),
+        "probabilities of the models",
     ),
     "limits": NamedDetector(
         "fixed limits of each reading and of its change since the last, learnt from healthy data",

@@ -27,7 +27,7 @@ from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, require_filter, step_stream
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Prior, require_filter, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.kalman_banks.memory_rules import Rule, Shewhart
@@ -91,14 +91,14 @@ class SequentialBank(BatchDetector):
         exclusion, memory = Exclusion(*core[2:7]), core[7]
         plant, est, count = self.plant, self.estimator, y.shape[-1]
         prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
-        joint = est.joint(plant, prior, now.t, u)
+        joint = self._joint(now, core[0], prior, u)
         usable = np.isfinite(y) & ~exclusion.out
-        everything = self._statistics(now, core[0], joint, y, u, usable)
+        everything = statistics(joint, y, usable)
         judged = self._test(joint, everything, y, memory)
         found, named = self._eliminate(joint, everything, judged, y, memory, exclusion.out)
         if not self.accommodate:
             found = everything
-        x, p = self._update(joint, found)
+        x, p = posterior(joint, found)
         memory = judged.memory
         if self.accommodate and np.any(named):
             restart = np.any(named, axis=-1)[..., None, None]
@@ -130,13 +130,9 @@ class SequentialBank(BatchDetector):
         )
         return (x, p, *exclusion, memory), decision
 
-    def _statistics(self, now: Moment, before: Array, joint: Joint, y: Array, u: Array, usable: Array) -> LeaveOneOut:
-        """The leave-one-out statistics of the readings usable, from the estimate `before` the step (..., n)."""
-        return statistics(joint, y, usable)
-
-    def _update(self, joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
-        """Estimate and covariance after the readings used."""
-        return posterior(joint, found)
+    def _joint(self, now: Moment, before: Array, prior: Prior, u: Array) -> Joint:
+        """The joint Gaussian of state and readings; before: the estimate before the step (..., n)."""
+        return self.estimator.joint(self.plant, prior, now.t, u)
 
     def _test(self, joint: Joint, found: LeaveOneOut, y: Array, memory: Array) -> Judged:
         if self.leave_one_out:
