@@ -90,9 +90,9 @@ class SequentialBank(BatchDetector):
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         exclusion, memory = Exclusion(*core[2:7]), core[7]
         plant, est, count = self.plant, self.estimator, y.shape[-1]
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
-        joint = self._joint(now, core[0], prior, u)
         usable = np.isfinite(y) & ~exclusion.out
+        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        joint = self._joint(now, core[0], prior, u, usable)
         everything = statistics(joint, y, usable)
         judged = self._test(joint, everything, y, memory)
         found, named = self._eliminate(joint, everything, judged, y, memory, exclusion.out)
@@ -130,7 +130,7 @@ class SequentialBank(BatchDetector):
         )
         return (x, p, *exclusion, memory), decision
 
-    def _joint(self, now: Moment, before: Array, prior: Prior, u: Array) -> Joint:
+    def _joint(self, now: Moment, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
         """The joint Gaussian of state and readings; before: the estimate before the step (..., n)."""
         return self.estimator.joint(self.plant, prior, now.t, u)
 
