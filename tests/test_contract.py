@@ -28,6 +28,7 @@ from fusion_sfdia.structural_residuals.structural_residuals import StructuralRes
 
 TOYS = ("chain", "two-tanks")
 WITH_MODULES = {"marine-engine", "two-tanks"}
+OF_INPUTS = ("uio",)  # not applicable to the chain, which has none
 OF_MODULES = ("adaptive-threshold:", "virtual-sensors", "structural-residuals")
 WITHOUT = {"structural-residuals"} if find_spec("faultdiagnosistoolbox") is None else set()  # an optional package
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
@@ -87,6 +88,8 @@ def pairs() -> Iterator[object]:
         for name in DETECTORS:
             if name.startswith(OF_MODULES) and plant not in WITH_MODULES:
                 continue  # it has no scalar equations to monitor, see the test that says so
+            if name in OF_INPUTS and plant == "chain":
+                continue
             marks = [pytest.mark.slow] if (plant, name) in SLOW else []
             marks += [pytest.mark.skip(reason="needs faultdiagnosistoolbox")] if name in WITHOUT else []
             yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)
