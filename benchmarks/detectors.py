@@ -141,8 +141,8 @@ DETECTORS: dict[str, NamedDetector] = {
         "EWMA, factor 0.8 a sample",
     ),
     "pca": NamedDetector(
-        "principal components of healthy data in units of the sensors' noise, those above the Marchenko-Pastur edge: T2 and "
-        "SPE, isolation by reconstruction-based contributions",
+        "principal components of healthy data in units of the sensors' noise, those above the Marchenko-Pastur edge: T2, SPE "
+        "and reconstruction-based contributions, by which it isolates",
         lambda plant: PrincipalComponents.fit(plant, healthy_data(plant).y, FALSE_ALARM),
         NONE,
     ),

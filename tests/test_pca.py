@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import betabinom, chi2
+from scipy.stats import betabinom, chi2, norm
 from sklearn.decomposition import PCA
 from toy_plants import Array, chain
 
@@ -31,14 +31,14 @@ def data(*shape: int, seed: int = 0) -> Array:
     return np.asarray(10.0 + rng.standard_normal((*shape, 2)) @ MIX + NOISE * rng.standard_normal((*shape, 6)))
 
 
-def moving(runs: int, steps: int, seed: int, white: bool = False) -> Array:
+def moving(runs: int, steps: int, seed: int, *, white: bool = False) -> Array:
     """Six readings (K, B, 6) of independent AR(1) processes of variance 1, factor 0.95, or of white noise, with noise."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((steps, runs, 6))
     for k in range(1, steps):
         if not white:
             x[k] = 0.95 * x[k - 1] + np.sqrt(1 - 0.95**2) * x[k]
-    return x + NOISE * rng.standard_normal(x.shape)
+    return x + 0.1 * rng.standard_normal(x.shape)
 
 
 DETECTOR = PrincipalComponents.fit(PLANT, data(2000, 2), 0.02)
@@ -57,7 +57,7 @@ def test_the_model_is_scikit_learns() -> None:
     x = (y - y.mean(axis=0)) / NOISE
     oracle = PCA(2).fit(x)
     np.testing.assert_allclose(MODEL.precision, oracle.get_precision(), rtol=1e-9, atol=1e-9)
-    t2, spe = DETECTOR.statistics(MODEL.reconstruct(y[:50, :, None]).x)
+    t2, spe, _ = DETECTOR.statistics(MODEL.reconstruct(y[:50, :, None]))
     scores = oracle.transform(x[:50])
     np.testing.assert_allclose(t2, np.sum(scores**2 / oracle.explained_variance_, axis=-1), rtol=1e-9)
     np.testing.assert_allclose(spe, np.sum((x[:50] - oracle.inverse_transform(scores)) ** 2, axis=-1), rtol=1e-9)
@@ -115,9 +115,9 @@ def test_a_reconstruction_is_the_least_squares_fit_of_a_fault_in_one_sensor() ->
 def test_noise_alone_has_no_components_and_what_rises_above_its_edge_has() -> None:
     """The largest eigenvalue of pure noise fluctuates about the edge by K^(-2/3); the next is below it by more than that.
 
-    A spike of variance 1 + s is seen above the edge where s exceeds sqrt(D / K), at (1 + s)(1 + D / (K s)) (Baik and Silverstein
-    2006): of 20 readings and 1000 samples 0.14. Those of 0.5 and 3 are found, with that variance within 5 standard errors,
-    sqrt(2 / K) of it, and that of 0.02 is not.
+    A spike of variance 1 + s is seen above the edge where s exceeds sqrt(D / K), at (1 + s)(1 + D / (K s)) (Baik and
+    Silverstein 2006): of 20 readings and 1000 samples 0.14. Those of 0.5 and 3 are found, with that variance within 5 standard
+    errors, sqrt(2 / K) of it, and that of 0.02 is not.
     """
     plant, rng = chain(20), np.random.default_rng(5)
     directions = np.linalg.qr(rng.standard_normal((20, 3)))[0]
@@ -147,14 +147,16 @@ def test_no_reading_trains_the_model_and_sets_limits() -> None:
     assert len(complete_windows(y, 2, 0)) == len(train) - 3
 
 
-def test_the_score_is_the_root_of_the_larger_statistic_over_its_limit() -> None:
+def test_the_score_is_the_largest_of_the_statistics_over_their_limits() -> None:
     y = data(40, 3, seed=4)
     y[20:, :, 2] += 3.0
     y[5, 1] = np.nan
     y[30:, 0, 0] = np.nan
     d = judged(DETECTOR, y)
-    t2, spe = DETECTOR.statistics(MODEL.reconstruct(y.reshape(-1, 6, 1)).x)
-    expected = np.sqrt(np.maximum(t2 / DETECTOR.limit_t2, spe / DETECTOR.limit_spe)).reshape(40, 3)
+    t2, spe, contribution = DETECTOR.statistics(MODEL.reconstruct(y.reshape(-1, 6, 1)))
+    ratios = [t2 / DETECTOR.limit_t2, spe / DETECTOR.limit_spe, (contribution / DETECTOR.limit_contribution) ** 2]
+    assert set(np.argmax(ratios, axis=0)) == {0, 1, 2}
+    expected = np.sqrt(np.max(ratios, axis=0)).reshape(40, 3)
     np.testing.assert_allclose(d.score, expected, rtol=1e-9)
     assert d.score[5, 1] == 0.0 and not d.alarm[5, 1]
     np.testing.assert_allclose(d.measured[5, 1], MODEL.centre)  # all is missing: the mean
@@ -165,53 +167,57 @@ def test_of_a_window_of_lags_the_score_is_of_the_present_and_the_readings_before
     y = data(10, seed=8)
     d = judged(LAGGED, y)
     window = np.stack([y[2:], y[1:-1], y[:-2]], axis=-1)
-    np.testing.assert_allclose(d.score[2:], LAGGED.excess(LAGGED.model.reconstruct(window).x), rtol=1e-9)
+    np.testing.assert_allclose(d.score[2:], LAGGED.excess(LAGGED.model.reconstruct(window)), rtol=1e-9)
     begun = np.full((1, 6, 3), np.nan)
     begun[0, :, :2] = y[1::-1].T
-    np.testing.assert_allclose(d.score[1], LAGGED.excess(LAGGED.model.reconstruct(begun).x)[0], rtol=1e-9)
+    np.testing.assert_allclose(d.score[1], LAGGED.excess(LAGGED.model.reconstruct(begun))[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize("rate", [0.2, 0.02])
 def test_the_rate_of_false_alarms_is_at_most_the_one_asked_for(rate: float) -> None:
     detector = PrincipalComponents.fit(PLANT, data(2000, 2), rate)
     fresh = data(2000, 2, seed=5)
-    t2, spe = detector.statistics(detector.model.reconstruct(fresh.reshape(-1, 6, 1)).x)
-    # an order statistic of 2000 samples at rate / 2: Beta distributed, and the number above it of 4000 fresh ones binomial
-    law = betabinom(4000, rate / 2 * 2000, (1 - rate / 2) * 2000)
-    for value, limit in ((t2, detector.limit_t2), (spe, detector.limit_spe)):
+    t2, spe, contribution = detector.statistics(detector.model.reconstruct(fresh.reshape(-1, 6, 1)))
+    # an order statistic of 2000 samples at rate / 3: Beta distributed, and the number above it of 4000 fresh ones binomial
+    law = betabinom(4000, rate / 3 * 2000, (1 - rate / 3) * 2000)
+    limits = (detector.limit_t2, detector.limit_spe, detector.limit_contribution)
+    for value, limit in zip((t2, spe, contribution), limits, strict=True):
         assert law.ppf(0.001) <= np.sum(value > limit) <= law.ppf(0.999)
     both = betabinom(4000, rate * 2000, (1 - rate) * 2000)
     assert judged(detector, fresh).alarm.sum() <= both.ppf(0.999)
 
 
-def test_without_components_the_squared_error_of_all_readings_has_the_whole_rate() -> None:
-    """Of N standardised readings without any relation SPE is chi-square distributed with N degrees of freedom."""
+def test_without_components_squared_error_and_contributions_share_the_rate() -> None:
+    """Of N standardised readings without any relation SPE is chi-square distributed, a contribution half-normally."""
     y = 10.0 + NOISE * np.random.default_rng(1).standard_normal((4000, 2, 6))
     detector = PrincipalComponents.fit(PLANT, y, 0.02, components=0)
     assert detector.limit_t2 == np.inf and not detector.model.variances.size
-    law = betabinom(4000, 0.02 * 4000, 0.98 * 4000)  # its limit is an order statistic of 4000 samples
-    beyond = 4000 * chi2(6).sf(detector.limit_spe)
-    assert law.ppf(0.001) <= beyond <= law.ppf(0.999)
+    law = betabinom(4000, 0.01 * 4000, 0.99 * 4000)  # a limit is an order statistic of 4000 samples
+    assert law.ppf(0.001) <= 4000 * chi2(6).sf(detector.limit_spe / detector.model.noise) <= law.ppf(0.999)
+    one = 2 * norm.sf(detector.limit_contribution)
+    assert law.ppf(0.001) <= 4000 * (1 - (1 - one) ** 6) <= law.ppf(0.999)
     y[5, 0, 2] += 8 * NOISE
     d = judged(detector, y[:10])
     np.testing.assert_array_equal(d.isolated[5, 0], np.arange(6) == 2)
 
 
 def test_lags_find_a_reading_that_no_longer_follows_its_own_past() -> None:
-    """Six independent AR(1) processes: frozen nowhere, of the usual variance, but white from sample to sample, one is foreign to
-    its past. Present readings alone do not show that: static components alarm at their false-alarm rate.
+    """Six independent AR(1) processes of variance 1, factor 0.95. One becomes white: of its usual variance.
 
-    Two readings in a row differ by sqrt(2 (1 - 0.95) + 2 0.3^2) = 0.53 when healthy and by sqrt(2 + 2 0.3^2) = 1.5 then.
+    Its change from one reading to the next grows from a variance of 2 (1 - 0.95) + 2 0.1^2 = 0.12 to 2.02. Present readings do
+    not show that: static components alarm as falsely as ever.
     """
+    plant = chain(6, sigma=0.1)
     healthy, fresh = moving(20, 400, seed=1), moving(20, 100, seed=2)
     fresh[:, :, 2] = moving(20, 100, seed=3, white=True)[:, :, 2]
-    static = judged(PrincipalComponents.fit(PLANT, healthy, 0.01), fresh)
-    lagged = judged(PrincipalComponents.fit(PLANT, healthy, 0.01, lags=2), fresh)
+    static = judged(PrincipalComponents.fit(plant, healthy, 0.01), fresh)
+    lagged = judged(PrincipalComponents.fit(plant, healthy, 0.01, lags=2), fresh)
     # neighbours correlate over 40 samples: 4000 healthy ones count as some 200, and so do the 2000 judged
     assert np.mean(static.alarm) < betabinom(200, 2, 198).ppf(0.999) / 200
-    assert np.mean(lagged.alarm[2:]) > 0.5
+    # two changes of 4.1 healthy sigma each in 18 readings, whose limit is at chi-square 18 of 0.01 / 2, or 37
+    assert np.mean(lagged.alarm[2:]) > 0.4
     isolated = np.mean(lagged.isolated[2:], axis=(0, 1))
-    assert isolated[2] > 0.4 and np.all(np.delete(isolated, 2) < 0.05)
+    assert isolated[2] > 0.35 and np.all(np.delete(isolated, 2) < 0.05)
 
 
 def test_a_fault_is_isolated_until_it_has_left_the_window() -> None:
@@ -258,7 +264,8 @@ def test_what_moves_together_is_learnt_from_an_operation_that_moves() -> None:
     d = run(limits, limits.init(), fresh.t, y, fresh.u)[1]
     assert np.mean(d.isolated[:, 2]) < 1 / 3  # the limits are 18 sigma, which 8 + 15 sin exceeds in 0.27 of a period
     detector = PrincipalComponents.fit(plant, healthy.y, 1e-2)
-    assert len(detector.model.variances) == 2  # upper and lower tank: the lower one lags
+    # upper and lower tank, of which the lower one lags; what flows curve by is a small third
+    assert np.all(detector.model.variances[:2] > 50) and np.all(detector.model.variances[2:] < 1.2)
     d = run(detector, detector.init(), fresh.t, y, fresh.u)[1]
     # the flow is told by the level's noise and its own, sqrt(1.25) sigma, and two tanks leave SPE two readings: 8 sigma are
     # beyond its limit by several sigma. Whether level or flow is wrong, their disagreement does not say.
@@ -284,14 +291,14 @@ def test_as_many_components_as_are_asked_for() -> None:
 def test_what_is_refused() -> None:
     y = data(100, 2)
     for arguments, message in (
-        ((y, 1e-3), "100 healthy samples cannot set a limit that one in 2000 exceeds"),
+        ((y, 1e-3), "100 healthy samples cannot set a limit that one in 3000 exceeds"),
         ((y, 1.5), "false_alarm is 1.5; a probability"),
         ((y, 0.1, 6), "components is 6; expected fewer than the 6 readings of a window"),
         ((y, 0.1, -1), "components is -1; wanted a whole number of at least 0"),
         ((y, 0.1, None, 0), "max_faults is 0; wanted a whole number"),
         ((y, 0.1, None, 3, -1), "lags is -1; wanted a whole number"),
         ((y[:6, 0], 0.5), "3 complete samples of 6 readings to train on"),
-        ((y[:60, 0], 0.5, None, 3, 2), "complete samples of 18 readings to train on"),
+        ((y[:40, 0], 0.5, None, 3, 2), "complete samples of 18 readings to train on"),
         ((y[..., :5], 0.1), "wanted healthy readings"),
     ):
         with pytest.raises(ValueError, match=message):

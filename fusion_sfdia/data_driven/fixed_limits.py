@@ -75,7 +75,7 @@ class FixedLimits(BatchDetector):
 
 
 def limits_of(plant: Plant, deviation: Array, share: float) -> Array:
-    """Limits (N,) of deviations (K, B, N), NaN where missing, that those of a quantity exceed at the rate `share`; see FixedLimits.fit."""
+    """Limits (N,), as of FixedLimits.fit, that deviations (K, B, N), NaN where missing, of a quantity exceed at that rate."""
     unit = np.nanmax(deviation[::2], axis=(0, 1))
     ratio = np.where(np.isfinite(deviation[1::2]), deviation[1::2] / unit, -np.inf).reshape(-1, unit.size)
     limits = np.empty(unit.size)

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from fusion_sfdia.core.arguments import floats, number, probability, shown
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.data_driven.component_model import ComponentModel
+from fusion_sfdia.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.data_driven.healthy_limits import upper_limit
 from fusion_sfdia.data_driven.reconstruction import ReconstructionDetector
 
@@ -81,8 +81,8 @@ class OneClass(ReconstructionDetector):
         square = np.sum(w**2, axis=-1)[:, None] - 2 * w @ s.T + np.sum(s**2, axis=-1)
         return -np.asarray(logsumexp(-np.maximum(square, 0.0) / w.shape[1], b=self.weights / self.weights.sum(), axis=-1))
 
-    def excess(self, x: Array) -> Array:
-        return np.sqrt(self.statistic(x) / self.limit)
+    def excess(self, found: Reconstruction) -> Array:
+        return np.asarray(np.sqrt(self.statistic(found.x) / self.limit))
 
 
 def whitening(model: ComponentModel) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number, probability, shown
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.data_driven.component_model import ComponentModel
+from fusion_sfdia.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.data_driven.healthy_limits import upper_limit
 from fusion_sfdia.data_driven.reconstruction import ReconstructionDetector
 
@@ -19,22 +19,25 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class PrincipalComponents(ReconstructionDetector):
-    """T2 and SPE of standardised readings x, their limits and the model from healthy data (Jackson and Mudholkar 1979):
+    """T2, SPE and the largest contribution c of standardised readings x, their limits and the model from healthy data:
 
-        t = P x    T2 = t' Lambda^-1 t    SPE = |x - P' t|^2
+        t = P x    T2 = t' Lambda^-1 t    SPE = |x - P' t|^2    c_i^2 = (M x)_i' (M_ii)^-1 (M x)_i
 
-    The statistic is the larger one over its limit; an alarm is raised beyond either. `ComponentModel` has the model, with the
-    lags of dynamic components, and the index T2 + SPE / noise of its contributions; `ReconstructionDetector` how sensors are
-    isolated. Readings are divided by the noise that their sensors state: divided by the standard deviation of an operation that
-    moves, a fault would be hidden that is small against the movement, however large it is against the noise.
+    T2 and SPE (Jackson and Mudholkar 1979) ask whether anything is wrong. c_i^2, the reconstruction-based contribution of a
+    sensor (Alcala and Qin 2009), is also the generalised likelihood ratio of a fault of any size in that sensor, for which a
+    small fault need not stand out of the noise of all the others. The statistic is the largest over its limit; an alarm is
+    raised beyond any. `ComponentModel` has the model, with the lags of dynamic components; `ReconstructionDetector` how sensors
+    are isolated. Readings are divided by the noise that their sensors state: divided by the standard deviation of an operation
+    that moves, a fault would be hidden that is small against the movement, however large it is against the noise.
     """
 
     limit_t2: float
     limit_spe: float
+    limit_contribution: float
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for what in ("limit_t2", "limit_spe"):
+        for what in ("limit_t2", "limit_spe", "limit_contribution"):
             object.__setattr__(self, what, number(what, value := getattr(self, what)))
             if not getattr(self, what) > 0:
                 raise ValueError(f"{what} is {shown(value)}; expected a positive number, as of PrincipalComponents.fit")
@@ -52,24 +55,25 @@ class PrincipalComponents(ReconstructionDetector):
         """Model and limits from healthy readings y (K, ..., N), at that rate of false alarms per step.
 
         The model is that of `ComponentModel.fit`, which trains on half of the data; the rest set the limits as order
-        statistics, T2 and SPE sharing the rate equally. Without a component SPE has all of it. ValueError where the data are
-        too few for the rate or the sensors, NotApplicableError for a plant of one sensor.
+        statistics, which share the rate equally; that of T2 is infinite where there is no component. ValueError where the data
+        are too few for the rate or the sensors, NotApplicableError for a plant of one sensor.
         """
         probability("false_alarm", false_alarm)
         model, _, judge = ComponentModel.fit(plant, y, lags, components)
-        unlimited = cls(plant, model, np.inf, np.inf, max_faults=max_faults)
-        t2, spe = unlimited.statistics(model.reconstruct(judge).x)
-        if not model.variances.size:
-            return replace(unlimited, limit_spe=upper_limit(spe, false_alarm))
-        limit_t2, limit_spe = (upper_limit(value, false_alarm / 2) for value in (t2, spe))
-        return replace(unlimited, limit_t2=limit_t2, limit_spe=limit_spe)
+        unlimited = cls(plant, model, np.inf, np.inf, np.inf, max_faults=max_faults)
+        healthy = unlimited.statistics(model.reconstruct(judge))
+        used = healthy if model.variances.size else healthy[1:]
+        limits = [upper_limit(value, false_alarm / len(used)) for value in used]
+        return replace(unlimited, **dict(zip(("limit_contribution", "limit_spe", "limit_t2"), limits[::-1], strict=False)))
 
-    def statistics(self, x: Array) -> tuple[Array, Array]:
-        """T2 and SPE (B,) of standardised windows x (B, D)."""
+    def statistics(self, found: Reconstruction) -> tuple[Array, Array, Array]:
+        """T2, SPE and the largest contribution (B,)."""
         p = self.model.components
-        scores = x @ p.T
-        return np.sum(scores**2 / self.model.variances, axis=-1), np.sum((x - scores @ p) ** 2, axis=-1)
+        scores = found.x @ p.T
+        t2 = np.sum(scores**2 / self.model.variances, axis=-1)
+        return t2, np.sum((found.x - scores @ p) ** 2, axis=-1), np.max(found.contribution, axis=-1)
 
-    def excess(self, x: Array) -> Array:
-        t2, spe = self.statistics(x)
-        return np.asarray(np.sqrt(np.maximum(t2 / self.limit_t2, spe / self.limit_spe)))
+    def excess(self, found: Reconstruction) -> Array:
+        t2, spe, contribution = self.statistics(found)
+        squared = np.maximum(t2 / self.limit_t2, spe / self.limit_spe)
+        return np.asarray(np.maximum(np.sqrt(squared), contribution / self.limit_contribution))

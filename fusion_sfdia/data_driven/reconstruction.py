@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
-from fusion_sfdia.data_driven.component_model import ComponentModel
+from fusion_sfdia.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.data_driven.healthy_limits import without_model
 
 Array = NDArray[Any]
@@ -20,7 +20,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class ReconstructionDetector(BatchDetector):
-    """A detector with a statistic of the standardised window x of present and lagged readings; an alarm is `excess` above 1.
+    """A detector with a statistic of windows of present and lagged readings; an alarm is an `excess` above 1.
 
     After an alarm the sensors of the largest contribution are reconstructed one by one, at most max_faults, until the statistic
     is within its limit: then these are isolated, and none where that does not come about. All readings of a sensor in the
@@ -41,8 +41,8 @@ class ReconstructionDetector(BatchDetector):
             raise ValueError(f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {n} sensors")
 
     @abstractmethod
-    def excess(self, x: Array) -> Array:
-        """The root of the statistic over its limit (B,) of standardised windows x (B, D), without threshold_scale."""
+    def excess(self, found: Reconstruction) -> Array:
+        """The root of the statistic over its limit (B,), without threshold_scale."""
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
         return (np.full((*batch, len(self.plant.sensors), self.model.lags), np.nan),)
@@ -51,7 +51,7 @@ class ReconstructionDetector(BatchDetector):
         (past,) = core
         window = np.concatenate([y[..., None], past], axis=-1).reshape(-1, y.shape[-1], self.model.lags + 1)
         found = self.model.reconstruct(window)
-        excess, known = self.excess(found.x) / self.threshold_scale, np.isfinite(window[..., 0])
+        excess, known = self.excess(found) / self.threshold_scale, np.isfinite(window[..., 0])
         isolated = self._isolate(window, excess > 1, found.contribution)
         measured = self.model.present(found.x)
         named = isolated.any(axis=-1)
@@ -79,7 +79,7 @@ class ReconstructionDetector(BatchDetector):
                 break
             suspects[np.arange(len(rows)), np.argmax(contribution, axis=-1)] = True
             rest = self.model.reconstruct(np.where(suspects[..., None], np.nan, window[rows]))
-            explained = self.excess(rest.x) <= self.threshold_scale
+            explained = self.excess(rest) <= self.threshold_scale
             isolated[rows[explained]] = suspects[explained]
             rows, suspects = rows[~explained], suspects[~explained]
             contribution = rest.contribution[~explained]
