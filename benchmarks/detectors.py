@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
@@ -25,6 +26,8 @@ from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 from fusion_sfdia.structural_residuals.structure import modules_of
+
+Array = NDArray[Any]
 
 FALSE_ALARM = 1e-3  # per step over all sensors, of every detector here
 CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign
@@ -59,6 +62,14 @@ def healthy_data(plant: Plant, checks: int = 2) -> Recording:
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(wanted / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
     return simulate(plant, CALIBRATION_STEPS, seeds, truth="model", process_noise=plant.disturbed)
+
+
+def settled_readings(plant: Plant) -> Array:
+    """Healthy readings (K, B, N) for detectors that learn how readings move together, which is another way while a run begins.
+
+    Runs as for four checks: these detectors set three limits for all sensors, on the better part of half the windows.
+    """
+    return healthy_data(plant, checks=4).y[WARM_UP:]
 
 
 def structural_residuals(plant: Plant) -> StructuralResiduals:
@@ -143,18 +154,18 @@ DETECTORS: dict[str, NamedDetector] = {
     "pca": NamedDetector(
         "principal components of healthy data in units of the sensors' noise, those above the Marchenko-Pastur edge: T2, SPE "
         "and reconstruction-based contributions, by which it isolates",
-        lambda plant: PrincipalComponents.fit(plant, healthy_data(plant).y, FALSE_ALARM),
+        lambda plant: PrincipalComponents.fit(plant, settled_readings(plant), FALSE_ALARM),
         NONE,
     ),
     "dynamic-pca": NamedDetector(
         "the same of present readings and the two before them (Ku 1995)",
-        lambda plant: PrincipalComponents.fit(plant, healthy_data(plant).y, FALSE_ALARM, lags=2),
+        lambda plant: PrincipalComponents.fit(plant, settled_readings(plant), FALSE_ALARM, lags=2),
         "3 samples",
     ),
     "one-class": NamedDetector(
         "one-class support vector machine (scikit-learn) of readings whitened by the components of pca; isolation by "
         "reconstruction of single readings",
-        lambda plant: OneClass.fit(plant, healthy_data(plant).y, FALSE_ALARM),
+        lambda plant: OneClass.fit(plant, settled_readings(plant), FALSE_ALARM),
         NONE,
     ),
     "structural-residuals": NamedDetector(
