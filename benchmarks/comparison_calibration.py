@@ -25,7 +25,8 @@ SILENT = 1e6  # thresholds are so many times as high
 CALIBRATION_SEEDS = 910_000  # the first: apart from those of any run and from those that detectors are fitted on
 CLAIMS = {  # alarms a step over all sensors, of those that have no setting false_alarm
     # what they are fitted to
-    **dict.fromkeys(("fusing-ekf", "fusing-ukf", "fusing-enkf", "limits", "pca", "structural-residuals"), 1e-3),
+    **dict.fromkeys(("fusing-ekf", "fusing-ukf", "fusing-enkf", "structural-residuals"), 1e-3),
+    **dict.fromkeys(("limits", "limits-ewma", "pca", "dynamic-pca", "one-class"), 1e-3),
     **dict.fromkeys(("adaptive-threshold", "virtual-sensors"), 0.0),  # guaranteed for bounded noise
 }
 

@@ -7,12 +7,15 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+from fusion_sfdia.data_driven.one_class import OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
@@ -27,6 +30,8 @@ from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 from fusion_sfdia.structural_residuals.structure import modules_of
+
+Array = NDArray[Any]
 
 FALSE_ALARM = 1e-3  # per step over all sensors, of every detector here
 CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign
@@ -52,15 +57,23 @@ def calibrated(bank: FusingBank) -> FusingBank:
     return calibrate(bank, healthy.t, healthy.y, healthy.u_of_runs, FALSE_ALARM, WARM_UP)
 
 
-def healthy_data(plant: Plant) -> Recording:
+def healthy_data(plant: Plant, checks: int = 2) -> Recording:
     """Healthy readings y (K, B, N) by the plant's own model, runs enough for the limits of each quantity at FALSE_ALARM.
 
     Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
     """
-    wanted = 1.5 * 4 * len(plant.quantities) / FALSE_ALARM  # two checks of each, set on every other sample
+    wanted = 1.5 * 2 * checks * len(plant.quantities) / FALSE_ALARM  # each check of each is set on every other sample
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(wanted / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
     return simulate(plant, CALIBRATION_STEPS, seeds, truth="model", process_noise=plant.disturbed)
+
+
+def settled_readings(plant: Plant) -> Array:
+    """Healthy readings (K, B, N) for detectors that learn how readings move together, which is another way while a run begins.
+
+    Runs as for four checks: these detectors set three limits for all sensors, on the better part of half the windows.
+    """
+    return healthy_data(plant, checks=4).y[WARM_UP:]
 
 
 def structural_residuals(plant: Plant) -> StructuralResiduals:
@@ -186,9 +199,26 @@ DETECTORS: dict[str, NamedDetector] = {
         lambda plant: FixedLimits.fit(plant, healthy_data(plant).y, FALSE_ALARM),
         "1 sample",
     ),
+    "limits-ewma": NamedDetector(
+        "the same with a limit on the exponentially weighted moving average of each reading, too (Lucas and Saccucci 1990)",
+        lambda plant: EwmaLimits.fit(plant, healthy_data(plant, checks=3).y, FALSE_ALARM),
+        "EWMA, factor 0.8 a sample",
+    ),
     "pca": NamedDetector(
-        "principal components of healthy data: T2 and SPE, isolation by reconstruction-based contributions",
-        lambda plant: PrincipalComponents.fit(plant, healthy_data(plant).y, FALSE_ALARM),
+        "principal components of healthy data in units of the sensors' noise, those above the Marchenko-Pastur edge: T2, SPE "
+        "and reconstruction-based contributions, by which it isolates",
+        lambda plant: PrincipalComponents.fit(plant, settled_readings(plant), FALSE_ALARM),
+        NONE,
+    ),
+    "dynamic-pca": NamedDetector(
+        "the same of present readings and the two before them (Ku 1995)",
+        lambda plant: PrincipalComponents.fit(plant, settled_readings(plant), FALSE_ALARM, lags=2),
+        "3 samples",
+    ),
+    "one-class": NamedDetector(
+        "one-class support vector machine (scikit-learn) of readings whitened by the components of pca; isolation by "
+        "reconstruction of single readings",
+        lambda plant: OneClass.fit(plant, settled_readings(plant), FALSE_ALARM),
         NONE,
     ),
     "structural-residuals": NamedDetector(

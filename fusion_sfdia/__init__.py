@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.signals import Signal as Signal
     from fusion_sfdia.core.storage import load_state as load_state
     from fusion_sfdia.core.storage import save_state as save_state
+    from fusion_sfdia.data_driven.ewma_limits import EwmaLimits as EwmaLimits
     from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
+    from fusion_sfdia.data_driven.one_class import OneClass as OneClass
     from fusion_sfdia.data_driven.pca import PrincipalComponents as PrincipalComponents
     from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
     from fusion_sfdia.evaluation.diagnose import Event as Event
@@ -84,7 +86,9 @@ _MODULES = {
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
     "evaluation.faults": ("Fault", "apply_faults:apply", "load_faults"),
     "filters.filterpy_adapter": ("plant_from_filterpy",),
+    "data_driven.ewma_limits": ("EwmaLimits",),
     "data_driven.fixed_limits": ("FixedLimits",),
+    "data_driven.one_class": ("OneClass",),
     "kalman_banks.fusing_bank": ("FusingBank",),
     "intervals.interval": ("Interval",),
     "kalman_banks.leave_one_out_bank": ("LeaveOneOutBank",),
