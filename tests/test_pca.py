@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rounding import rounding
 from scipy.stats import betabinom
 from sklearn.decomposition import PCA
 from toy_plants import Array, chain
@@ -40,17 +41,24 @@ def test_the_model_is_scikit_learns() -> None:
     y = data(2000, 2)[::2].reshape(-1, 6)
     x = (y - y.mean(axis=0)) / y.std(axis=0)
     oracle = PCA(2).fit(x)
-    np.testing.assert_allclose(DETECTOR.precision, oracle.get_precision(), rtol=1e-9, atol=1e-9)
+    # both by factorising 2000 readings: eigenvectors turn by the rounding of the covariance over the gap of the eigenvalues,
+    # the smallest of which the precision divides by
+    values = np.linalg.eigvalsh(np.cov(x.T))
+    near = rounding(values[-1] / values[0] * values[-1] / (values[-2] - values[-3]), len(x))
+    largest = np.abs(DETECTOR.precision).max()
+    np.testing.assert_allclose(DETECTOR.precision, oracle.get_precision(), rtol=0, atol=near * largest)
     s = DETECTOR.statistics(y[:50])
     scores = oracle.transform(x[:50])
-    np.testing.assert_allclose(s.t2, np.sum(scores**2 / oracle.explained_variance_, axis=-1), rtol=1e-9)
-    np.testing.assert_allclose(s.spe, np.sum((x[:50] - oracle.inverse_transform(scores)) ** 2, axis=-1), rtol=1e-9)
-    np.testing.assert_allclose(s.filled, y[:50], rtol=1e-12)
+    np.testing.assert_allclose(s.t2, np.sum(scores**2 / oracle.explained_variance_, axis=-1), rtol=0, atol=near * s.t2.max())
+    spe = np.sum((x[:50] - oracle.inverse_transform(scores)) ** 2, axis=-1)
+    np.testing.assert_allclose(s.spe, spe, rtol=0, atol=near * np.sum(x[:50] ** 2, axis=-1).max())  # a difference of squares
+    np.testing.assert_allclose(s.filled, y[:50], rtol=rounding(1, 10))
 
 
 def test_missing_readings_are_conditional_means_and_contributions_what_the_index_loses() -> None:
     """By the covariance S = P' Lambda P + noise (I - P' P): x_m = S_mo S_oo^-1 x_o, and index = x_o' S_oo^-1 x_o."""
     cov = np.linalg.inv(DETECTOR.precision)
+    near = rounding(np.linalg.cond(DETECTOR.precision) ** 2, 6 * 6)  # inverted, and a part of it solved with
     y = data(1, seed=3)
     z = (y - DETECTOR.centre) / DETECTOR.scale
 
@@ -64,11 +72,11 @@ def test_missing_readings_are_conditional_means_and_contributions_what_the_index
         s = DETECTOR.statistics(holes)
         mean = cov[np.ix_(gone, known)] @ np.linalg.solve(cov[np.ix_(known, known)], z[0, known])
         filled = (s.filled[0] - DETECTOR.centre) / DETECTOR.scale
-        np.testing.assert_allclose(filled[gone], mean, atol=1e-9)
-        assert s.t2[0] + s.spe[0] / DETECTOR.noise == pytest.approx(index(known), rel=1e-9)
+        np.testing.assert_allclose(filled[gone], mean, rtol=0, atol=near * np.abs(z).max())
+        assert s.t2[0] + s.spe[0] / DETECTOR.noise == pytest.approx(index(known), rel=near)
         for i in known:
             less = index(known[known != i]) if len(known) > 1 else 0.0
-            assert s.contribution[0, i] ** 2 == pytest.approx(index(known) - less, rel=1e-7, abs=1e-9)
+            assert s.contribution[0, i] ** 2 == pytest.approx(index(known) - less, rel=0, abs=near * index(known))
         assert not s.contribution[0, gone].any()
 
 
@@ -80,7 +88,7 @@ def test_the_score_is_the_root_of_the_larger_statistic_over_its_limit() -> None:
     d = judged(DETECTOR, y)
     s = DETECTOR.statistics(y.reshape(-1, 6))
     wanted = np.sqrt(np.maximum(s.t2 / DETECTOR.limit_t2, s.spe / DETECTOR.limit_spe)).reshape(40, 3)
-    np.testing.assert_allclose(d.score, wanted, rtol=1e-9)
+    np.testing.assert_allclose(d.score, wanted, rtol=rounding(np.linalg.cond(DETECTOR.precision), 20))
     assert d.score[5, 1] == 0.0 and not d.alarm[5, 1]
     np.testing.assert_allclose(d.measured[5, 1], DETECTOR.centre)  # all is missing: the mean
     assert np.all(d.alarm == (wanted > 1))
