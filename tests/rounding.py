@@ -24,7 +24,7 @@ def rounding(condition: float = 1.0, operations: float = 1.0) -> float:
 def rounding_of_solution(matrix: Array, terms: Array, x: Array, right_terms: Array, operations: float) -> Array:
     """Bound (n,) of the difference of two solutions x of matrix x = right whose entries are themselves sums with roundings.
 
-    eps |A^-1| (|A| |x| + |b|) componentwise (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., Theorem 7.4), with
+    eps |A^-1| (|A| |x| + |b|) componentwise (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., Theorem 7.4) with
     terms (n, n) and right_terms (n,), the sums of the magnitudes of what is added up to an entry, for |A| and |b|.
     """
     magnified: Array = np.abs(np.linalg.inv(matrix)) @ (terms @ np.abs(x) + right_terms)

@@ -63,7 +63,7 @@ def kalman(x: Array, P: Array, y: Array) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("filter_name", ["jacobian", "complex step", "ukf", "ukf 1e-3", "cubature"])
 def test_every_filter_is_the_kalman_filter_on_a_linear_model(filter_name: str) -> None:
-    """Weights of 1/alpha^2 magnify the rounding of points 'alpha' apart; of 40 stable steps of some ten sums, S well conditioned."""
+    """40 stable steps of some ten sums, S of a condition of 10; weights of 1/alpha^2 magnify the rounding."""
     points = {"ukf": SigmaPoints(0.5), "ukf 1e-3": SigmaPoints(), "cubature": SigmaPoints(1.0, 0.0, 0.0)}.get(filter_name)
     y = readings(40, 4)
     x, P = np.ones((4, 3)), np.broadcast_to(np.eye(3), (4, 3, 3))
