@@ -60,7 +60,7 @@ def healthy_data(plant: Plant) -> Recording:
 
 
 def structural_residuals(plant: Plant) -> StructuralResiduals:
-    """ValueError for a plant without scalar equations, ModuleNotFoundError without faultdiagnosistoolbox."""
+    """NotApplicableError for a plant without scalar equations, MissingPackageError without faultdiagnosistoolbox."""
     modules_of(plant)  # before anything is simulated
     healthy = healthy_data(plant)
     return StructuralResiduals.fit(plant, healthy.y, healthy.u_of_runs, FALSE_ALARM)
@@ -74,7 +74,7 @@ def bounded(plant: Plant) -> Detector:
 
 
 def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
-    """Monitoring modules with thresholds as the mode says; ValueError for a plant without modules."""
+    """Monitoring modules with thresholds as the mode says; NotApplicableError for a plant without modules."""
     detector = AdaptiveThreshold(plant)  # refuses a plant without modules
     assert plant.modules is not None
     if mode == "paper":

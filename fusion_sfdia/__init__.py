@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
     from fusion_sfdia.core.detector import Decision as Decision
     from fusion_sfdia.core.detector import Detector as Detector
+    from fusion_sfdia.core.detector import MissingPackageError as MissingPackageError
+    from fusion_sfdia.core.detector import NotApplicableError as NotApplicableError
     from fusion_sfdia.core.detector import run as run
     from fusion_sfdia.core.discretise import discretise as discretise
     from fusion_sfdia.core.discretise import linear_plant as linear_plant
@@ -72,7 +74,7 @@ _MODULES = {
     "kalman_banks.calibration": ("calibrate",),
     "kalman_banks.central_filter": ("CentralFilter",),
     "stochastic_thresholds.chebyshev": ("Chebyshev",),
-    "core.detector": ("Decision", "Detector", "run"),
+    "core.detector": ("Decision", "Detector", "MissingPackageError", "NotApplicableError", "run"),
     "evaluation.diagnose": ("Diagnosis", "Event", "diagnose"),
     "adaptive_thresholds.diagnosis_sets": ("DiagnosisLogic",),
     "core.discretise": ("discretise", "linear_plant"),

@@ -111,7 +111,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
         full = getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT)
-        return 2 if isinstance(error, ValueError | OverflowError | OSError) and not full else 1
+        at_fault = isinstance(error, ValueError | OverflowError | OSError) and not isinstance(error, ModuleNotFoundError)
+        return 2 if at_fault and not full else 1
     finally:
         signal.signal(signal.SIGTERM, terminated)
 

@@ -15,6 +15,14 @@ Array = NDArray[Any]
 State = tuple[Array, ...]
 
 
+class NotApplicableError(ValueError):
+    """A detector on a plant that lacks what its method needs: scalar equations, noise bounds, enough sensors."""
+
+
+class MissingPackageError(NotApplicableError, ModuleNotFoundError):
+    """A detector that needs a package which is not installed; the message names the extra to install."""
+
+
 @dataclass(frozen=True)
 class Decision:
     """What a detector says of one step; leading axes are the batch (and time, in a run).

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, number, probability, shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.detector import Decision, NotApplicableError, State
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, upper_limit, without_model
 
@@ -107,10 +107,10 @@ class PrincipalComponents(BatchDetector):
         probability("false_alarm", false_alarm)
         y, n = healthy_readings(plant, y), len(plant.sensors)
         train, judge = (part[np.all(np.isfinite(part), axis=-1)] for part in (y[::2], y[1::2]))
-        if n < 2 or len(train) <= n:
-            raise ValueError(
-                f"{len(train)} complete samples of {n} sensors to train on; wanted at least 2 sensors and more samples"
-            )
+        if n < 2:
+            raise NotApplicableError(f"plant {plant.name!r} has {n} sensor; principal components take at least 2")
+        if len(train) <= n:
+            raise ValueError(f"{len(train)} complete samples of {n} sensors to train on; wanted more samples than sensors")
         centre, scale = train.mean(axis=0), train.std(axis=0)
         found = PCA(svd_solver="full").fit((train - centre) / scale)
         if isinstance(components, float):
