@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -82,72 +82,105 @@ def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
     return replace(detector, margins=plant.modules.margins) if mode == "calibrated" else detector
 
 
-DETECTORS: dict[str, tuple[str, Callable[[Plant], Detector]]] = {
-    "fusing-ekf": (
+class NamedDetector(NamedTuple):
+    """A detector of the command line: what it is, how it is built for a plant, and over what its test statistic accumulates.
+
+    memory: "none" (present readings alone), "state estimate only", or how far back evidence of a fault is gathered.
+    """
+
+    about: str
+    build: Callable[[Plant], Detector]
+    memory: str
+
+
+NONE = "none"
+STATE = "state estimate only"
+
+DETECTORS: dict[str, NamedDetector] = {
+    "fusing-ekf": NamedDetector(
         "extended Kalman filters, one without each sensor, with information mixture: statistics (19), (20) of "
         "Shaheen 2024; P0 is the plant's, where the paper has the identity",
         lambda plant: fusing_bank(plant, "ekf"),
+        STATE,
     ),
-    "fusing-ukf": (
+    "fusing-ukf": NamedDetector(
         "the same of unscented filters as printed, without redrawn sigma points",
         lambda plant: fusing_bank(plant, "ukf"),
+        STATE,
     ),
-    "fusing-enkf": ("the same of ensemble filters, 40 members", lambda plant: fusing_bank(plant, "enkf")),
-    "loo-chi2": (
+    "fusing-enkf": NamedDetector(
+        "the same of ensemble filters, 40 members",
+        lambda plant: fusing_bank(plant, "enkf"),
+        STATE,
+    ),
+    "loo-chi2": NamedDetector(
         "one extended Kalman filter with exact leave-one-out chi-square statistics and sequential elimination",
         lambda plant: LeaveOneOutBank(plant, window=1, false_alarm=FALSE_ALARM),
+        STATE,
     ),
-    "loo-glr": (
+    "loo-glr": NamedDetector(
         "the same with likelihood ratios over the onsets of the last 15 samples",
         lambda plant: LeaveOneOutBank(plant, window=15, false_alarm=FALSE_ALARM),
+        "15 samples",
     ),
-    "kf-chi2": (
+    "kf-chi2": NamedDetector(
         "one extended Kalman filter with a test of each innovation; names the largest, accommodates nothing",
         lambda plant: CentralFilter(plant, false_alarm=FALSE_ALARM),
+        STATE,
     ),
-    "limits": (
+    "limits": NamedDetector(
         "fixed limits of each reading and of its change since the last, learnt from healthy data",
         lambda plant: FixedLimits.fit(plant, healthy_data(plant).y, FALSE_ALARM),
+        "1 sample",
     ),
-    "pca": (
+    "pca": NamedDetector(
         "principal components of healthy data: T2 and SPE, isolation by reconstruction-based contributions",
         lambda plant: PrincipalComponents.fit(plant, healthy_data(plant).y, FALSE_ALARM),
+        NONE,
     ),
-    "structural-residuals": (
+    "structural-residuals": NamedDetector(
         "residuals of structural analysis (faultdiagnosistoolbox), computed from the equations in their own direction, limits "
         "from healthy data, minimal diagnoses; on a plant with scalar equations",
         structural_residuals,
+        "1 sample and observers",
     ),
-    "adaptive-threshold": (
+    "adaptive-threshold": NamedDetector(
         "observers and algebraic residuals with thresholds that bounded noise cannot cross, and diagnosis sets "
         "(Kougiatsos 2024); on a plant without scalar equations what bounded noise does to predicted readings, to first order",
         bounded,
+        "observers; alarms latch",
     ),
-    "adaptive-threshold:paper": (
+    "adaptive-threshold:paper": NamedDetector(
         "the same with the constants of (10) as published",
         lambda plant: adaptive_threshold(plant, "paper"),
+        "observers; alarms latch",
     ),
-    "adaptive-threshold:calibrated": (
+    "adaptive-threshold:calibrated": NamedDetector(
         "the same with margins under which the published pattern of modules fires",
         lambda plant: adaptive_threshold(plant, "calibrated"),
+        "observers; alarms latch",
     ),
-    "chebyshev": (
+    "chebyshev": NamedDetector(
         "residuals of present readings with stochastic thresholds of 5 standard deviations, in a network by local diagnosers "
         "with consensus (Boem 2018), (15) corrected; no memory in the residuals",
         lambda plant: Chebyshev(plant, lam=0.0, alpha=CHEBYSHEV_ALPHA),
+        NONE,
     ),
-    "chebyshev:corrected": (
+    "chebyshev:corrected": NamedDetector(
         "the same with the paper's filter parameter 0.3 and 2 standard deviations; names no sensor",
         lambda plant: Chebyshev(plant, accommodate=False),
+        "residuals, factor 0.3 a sample",
     ),
-    "chebyshev:paper": (
+    "chebyshev:paper": NamedDetector(
         "the same with (15) and (17) as printed",
         lambda plant: Chebyshev(plant, mode="paper", accommodate=False),
+        "residuals, factor 0.3 a sample",
     ),
-    "virtual-sensors": (
+    "virtual-sensors": NamedDetector(
         "the modules of adaptive-threshold with guaranteed intervals of the faults, whose middles are taken off the readings "
         "before other modules get them (Kougiatsos 2022)",
         VirtualSensors,
+        "observers; intervals of a fault since its alarm",
     ),
 }
 
@@ -156,7 +189,7 @@ def build(name: str, plant: Plant) -> Detector:
     """Return the detector of that name for a plant; ValueError for an unknown name."""
     if name not in DETECTORS:
         raise ValueError(f"unknown detector {name!r}; known: {', '.join(DETECTORS)}")
-    return DETECTORS[name][1](plant)
+    return DETECTORS[name].build(plant)
 
 
 def watching(detector: Detector) -> Detector:

@@ -26,7 +26,7 @@ from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
 from fusion_sfdia.benchmarks.comparison_records import in_a_row, until
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.comparison_work import work
-from fusion_sfdia.benchmarks.detectors import DETECTORS
+from fusion_sfdia.benchmarks.detectors import DETECTORS, NamedDetector
 from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.benchmarks.scenario import Published, adjust
@@ -297,12 +297,13 @@ def test_a_piece_that_failed_costs_its_detector_the_ranks_and_no_other() -> None
 
 def test_a_plant_and_a_detector_join_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PLANTS, "chain", ("tanks in a row", "toy_plants:chain"))
-    monkeypatch.setitem(DETECTORS, "mine", ("one filter", lambda plant: CentralFilter(plant, false_alarm=0.01)))
+    mine = NamedDetector("one filter", lambda plant: CentralFilter(plant, false_alarm=0.01), "state estimate only")
+    monkeypatch.setitem(DETECTORS, "mine", mine)
     settings = tiny(plants="chain", detectors="mine,limits", faults="bias,dropout,published")
     found = summarise(settings, results(settings))
     assert {(r.plant, r.detector) for r in found.rows} == {("chain", "mine"), ("chain", "limits")}
     chapter, glossary = found.chapters
-    assert glossary.tables[1].rows[0] == ("mine", "one filter")
+    assert glossary.tables[1].rows[0] == ("mine", "state estimate only", "one filter")
     assert chapter.title == "chain" and chapter.text[0].startswith("Tanks in a row; 12 states, 12 sensors")
     for figure in found.every_figure:
         assert figure.draw().axes, figure.name
