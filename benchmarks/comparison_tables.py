@@ -11,17 +11,17 @@ from fusion_sfdia.benchmarks.comparison_measures import (
     exactly,
     measures,
     names_most,
-    sizes,
     under_departures,
     under_plant_faults,
 )
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
-from fusion_sfdia.benchmarks.comparison_protocol import PUBLISHED, TROUBLED_SIGMA
+from fusion_sfdia.benchmarks.comparison_protocol import PUBLISHED, TROUBLED_SIGMA, length_name, sizes
 from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, Standing
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Interval, Settings, Table
+from fusion_sfdia.evaluation.metrics import Estimate
 
 Standings = Mapping[str, Mapping[str, Mapping[str, Standing]]]  # plant, criterion, detector
 EVERY = "all plants"
@@ -80,6 +80,41 @@ def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
         "sensor is named. Where runs do not differ, as without any alarm, an interval counts runs, not samples. All other "
         "numbers: metrics.csv.",
     )
+
+
+def lengths_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
+    """Biases of several lengths, beside each other."""
+    lengths, tried = sorted(settings["lengths"]), dict.fromkeys(sizes(settings)) if "bias" in settings["faults"] else ()
+    header, rows = ["detector"], [[d] for d in cells]
+    for size in tried if lengths else ():
+        for what, of in (("area", area_of), ("alarm", alarm_of), ("exact", exact_of)):
+            header += [f"{size:g} sigma, {n} samples: {what}" for n in lengths]
+            for row, cell in zip(rows, cells.values(), strict=True):
+                row += [of(cell, length_name(size, n)) for n in lengths]
+    return Table(
+        "How long a fault lasts",
+        tuple(header),
+        tuple(map(tuple, rows)) if len(header) > 1 else (),
+        "The same biases, cut off after some samples. Area: under the ROC of single samples. Alarm: share of runs with one "
+        "while the fault lasts. Exact: share of its samples at which exactly the faulty sensor is isolated. In brackets 95 % "
+        "intervals.",
+        folded=True,
+    )
+
+
+def area_of(cell: Cell, name: str) -> Estimate:
+    """Area under the ROC of a condition."""
+    return cell.areas[name]
+
+
+def alarm_of(cell: Cell, name: str) -> Estimate:
+    """Share of the runs of a condition with an alarm."""
+    return cell.of(Cell.detected, name)
+
+
+def exact_of(cell: Cell, name: str) -> Estimate:
+    """Share of the samples of a condition with exact isolation."""
+    return cell.of(Cell.exact, name)
 
 
 def claim_of(cell: Cell) -> str:
