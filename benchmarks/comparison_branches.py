@@ -156,7 +156,7 @@ def deployed_walk(
     total = len(found.readings.y)
     alarms = np.zeros((recording.t.size, count), bool)
     flags, numbers = np.zeros((2, total), bool), np.empty((3, total, n))
-    seen = Outcome(*flags, np.zeros((total, n), bool), *numbers)
+    seen = Outcome(flags[0], flags[1], np.zeros((total, n), bool), numbers[0], numbers[1], numbers[2])
     for k, _, rows, decision in walk(detector, recording, found, first=first, states=states, trunk=trunk):
         now = outcome(detector.plant, decision)
         alarms[k] = now.alarm[:count]

@@ -14,8 +14,8 @@ from fusion_sfdia.benchmarks.comparison_figures import (
     draw_roc,
     other_panels,
 )
-from fusion_sfdia.benchmarks.comparison_findings import extremes, healthy_alarms, others_told, plant_findings, told_distance
-from fusion_sfdia.benchmarks.comparison_measures import exactly
+from fusion_sfdia.benchmarks.comparison_findings import extremes, healthy_alarms, others_told, plant_findings
+from fusion_sfdia.benchmarks.comparison_measures import exactly, told_distance
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, share_right
 from fusion_sfdia.benchmarks.comparison_protocol import TROUBLED_SIGMA, settle_of, sizes
 from fusion_sfdia.benchmarks.comparison_ranking import Standing

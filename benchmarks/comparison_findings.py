@@ -7,17 +7,22 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
-from fusion_sfdia.benchmarks.comparison_measures import exactly, names_most, seen, under_departures, under_plant_faults
+from fusion_sfdia.benchmarks.comparison_measures import (
+    exactly,
+    names_most,
+    seen,
+    told_distance,
+    under_departures,
+    under_plant_faults,
+)
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, length_name, sizes
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
-from fusion_sfdia.benchmarks.comparison_recordings import distance_of_truth
 from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings
 from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.scenario import Settings
 
 MOST_LEADERS = 3  # of whom the ranks by plant are told at the top
-SAME = 1e-6  # sigma: less is the same model
 RARELY = 0.01  # of samples: what is less is not told, or as hardly any
 
 
@@ -213,20 +218,14 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
         "deployed ones, which have not alarmed yet when a fault begins. All faults of sensors are among the runs that rank "
         "detectors.",
         f"Readings come from a truth that differs from the detectors' model by, at most, without noise: {truths(cells)}. Where "
-        "it does not differ, a simulation alone predicts them exactly: see how detectors stand under model mismatch. A plant with "
-        "controllers is run in closed loop. What learns from healthy recordings learns from runs of the model.",
+        "it does not differ, a simulation alone predicts them exactly: see how detectors stand under model mismatch. A plant "
+        "with controllers is run in closed loop. What learns from healthy recordings learns from runs of the model.",
     ]
 
 
 def truths(cells: Cells) -> str:
     """How far the truth is from the model, by plant."""
     return "; ".join(f"{plant} {told_distance(plant)}" for plant in dict.fromkeys(p for p, _ in cells))
-
-
-def told_distance(plant: str) -> str:
-    """How far the truth of a plant is from the model, in words."""
-    distance = distance_of_truth(plant)
-    return "nothing, it is the model itself" if distance < SAME else f"{distance:.2g} sigma"
 
 
 def left_out(cells: Cells, whole: Cells) -> list[str]:

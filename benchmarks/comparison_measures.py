@@ -9,9 +9,11 @@ import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, sizes
+from fusion_sfdia.benchmarks.comparison_recordings import distance_of_truth
 from fusion_sfdia.benchmarks.scenario import Settings
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate
 
+SAME = 1e-6  # sigma: less is the same model
 GLANCE = 8  # the first of them are shown at a glance
 
 
@@ -28,6 +30,12 @@ class Blame(NamedTuple):
 
     share: Estimate
     where: str
+
+
+def told_distance(plant: str) -> str:
+    """How far the usual truth of a plant is from the detectors' model, in words."""
+    distance = distance_of_truth(plant)
+    return "nothing: it is the model itself" if distance < SAME else f"{distance:.2g} sigma"
 
 
 def under_departures(cell: Cell) -> Blame:

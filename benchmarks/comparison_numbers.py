@@ -182,7 +182,7 @@ class Cell:
     @property
     def scale_error(self) -> float:
         """Standard error of the scale of thresholds."""
-        return (self.ends[1] - self.ends[0]) / 2
+        return float(self.ends[1] - self.ends[0]) / 2
 
     @property
     def rate_error(self) -> float:

@@ -66,7 +66,7 @@ SHARES = ("detection", "isolation", "exoneration")
 def _by_group(cell: Cell, values: Array, *, faulty: bool) -> dict[str, Array]:
     """Means (S,) over the conditions of a kind, or over all departures, which share noise and sensor."""
     found: dict[str, list[int]] = {}
-    for j in np.flatnonzero(cell["threshold"] == 0):
+    for j in np.flatnonzero(cell["threshold"] == 0).tolist():
         name, truth = str(cell["condition"][j]), str(cell["truth"][j])
         kind = cell.kinds.get(name, "bias")
         sensor_fault = not truth and kind not in ("none", "plant", "dropout")

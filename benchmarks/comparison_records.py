@@ -60,12 +60,13 @@ def record(plant: Plant, decision: Outcome, branch: Branch) -> Arrays:
     """Arrays (B,) of the runs of a branch of W samples.
 
     samples: W. alarms: samples with an alarm. first, confirmed, own: samples until the first, until the third in a row, and
-    until the first of a faulty sensor's own residual, inf for none. right, named, faulty: sensor-samples that are named and faulty, named,
-    faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a healthy sensor is. told (B,
-    Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is faulty; where several are
-    named, each has its share of the sample. judged: whether the sensor that is named most is faulty. size_error: mean |size /
-    true size - 1| where named. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty
-    sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
+    until the first of a faulty sensor's own residual, inf for none. right, named, faulty: sensor-samples that are named and
+    faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a healthy
+    sensor is. told (B, Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is
+    faulty; where several are named, each has its share of the sample. judged: whether the sensor that is named most is
+    faulty. size_error: mean |size / true size - 1| where named. Mean squared errors against the noise-free readings in the
+    sensors' variances: of the faulty sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw.
+    diverged.
     """
     isolated, active = decision.isolated, branch.active
     right = isolated & active

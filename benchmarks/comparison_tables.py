@@ -11,6 +11,7 @@ from fusion_sfdia.benchmarks.comparison_measures import (
     exactly,
     measures,
     names_most,
+    told_distance,
     under_departures,
     under_plant_faults,
 )
@@ -45,13 +46,29 @@ def choices_table(settings: Settings, cells: Cells) -> Table:
         for detector, what in chosen.items():
             cell = there[detector]
             departure, fault = under_departures(cell), under_plant_faults(cell)
-            told = (exactly(settings, cell), departure.share, departure.where, fault.share, fault.where, cell.deployed)
+            told = (
+                told_distance(plant),
+                exactly(settings, cell),
+                departure.share,
+                departure.where,
+                fault.share,
+                fault.where,
+                cell.deployed,
+            )
             rows.append((plant, what, detector, *told))
     _, large = sizes(settings)
     return Table(
         "Which to take",
         (
-            *("plant", "the one that", "detector", f"exact names, {large:g} sigma", "blame, worst departure", "which"),
+            *(
+                "plant",
+                "the one that",
+                "detector",
+                "truth off the model by",
+                f"exact names, {large:g} sigma",
+                "blame, worst departure",
+                "which",
+            ),
             *("blame, worst fault of the plant", "which", "healthy samples with an alarm"),
         ),
         tuple(rows),
@@ -69,7 +86,7 @@ def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
     counts = [sorted({line[i].n for line in found.values() if line[i].n}) for i in range(len(columns))]
     told = [f"n {n[0]}" if len(n) == 1 else f"n {n[0]} to {n[-1]}" if n else "" for n in counts]
     return Table(
-        "In numbers",
+        f"In numbers; the truth differs from the model by {told_distance(next(iter(cells.values())).plant)}",
         ("detector", *(f"{name} ({n})" if n else name for name, n in zip(columns, told, strict=True)), "false alarms claimed"),
         tuple((d, *line, claim_of(cells[d])) for d, line in found.items()),
         "In brackets 95 % intervals, n: runs. Faults are bias, drift, noise and scale; thresholds those of the common rate of "
@@ -85,7 +102,8 @@ def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
 def lengths_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
     """Biases of several lengths, beside each other."""
     lengths, tried = sorted(settings["lengths"]), dict.fromkeys(sizes(settings)) if "bias" in settings["faults"] else ()
-    header, rows = ["detector"], [[d] for d in cells]
+    header: list[str] = ["detector"]
+    rows: list[list[str | float | Interval]] = [[d] for d in cells]
     for size in tried if lengths else ():
         for what, of in (("area", area_of), ("alarm", alarm_of), ("exact", exact_of)):
             header += [f"{size:g} sigma, {n} samples: {what}" for n in lengths]
