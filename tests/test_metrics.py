@@ -115,6 +115,21 @@ def test_trial_accuracy_counted_by_hand():
     assert detection.trial_accuracy(alarm, isolated, active).value == pytest.approx(2 / 3)
 
 
+def test_a_run_is_judged_by_the_sensor_named_most_not_by_the_exact_set():
+    active = np.zeros((6, 4, 3), bool)
+    active[2:6, :, 0] = True
+    active[2:6, 3, 1] = True  # two faults in the last run
+    alarm, isolated = active.any(axis=-1), active.copy()
+    isolated[2:5, 0, 1] = True  # a healthy one, too, in 3 of 4 samples: the faulty one still leads
+    isolated[2:6, 1, 2] = True  # a tie is not right
+    isolated[0:2, 2, 1] = True  # what is named before the fault does not count
+    isolated[2:6, 3, 2] = [True, False, False, False]
+    assert detection.judged_right(alarm, isolated, active).tolist() == [True, False, True, True]
+    isolated[2:6, 3, 1] = [False, False, False, True]  # the second faulty sensor as often as a healthy one
+    assert detection.judged_right(alarm, isolated, active).tolist() == [True, False, True, False]
+    assert not detection.judged_right(np.zeros_like(alarm), isolated, active).any()
+
+
 def test_auc_is_the_chance_that_a_faulty_sample_scores_higher():
     rng = np.random.default_rng(3)
     active = (rng.random((30, 8, 3)) < 0.3) & (np.arange(8) % 2 == 0)[:, None]

@@ -52,10 +52,18 @@ def accuracy(alarm: Array, active: Array, where: Array | None = None) -> Estimat
 
 
 def trial_accuracy(alarm: Array, isolated: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Share of runs judged right as a whole, with Wilson's interval.
+    """Share of runs judged right as a whole, see `judged_right`, with Wilson's interval."""
+    right = judged_right(alarm, isolated, active, where)
+    if where is not None:
+        right = right[where.any(axis=0)]
+    return proportion(int(right.sum()), right.size)
 
-    A run with faults is right where an alarm is raised while one is active and the sensors named on more than half of
-    the samples that name any, of those with an active fault, are exactly the sensors that were faulty. A run without
+
+def judged_right(alarm: Array, isolated: Array, active: Array, where: Array | None = None) -> Array:
+    """Whether each run (B,) is judged right as a whole.
+
+    A run with a fault is right where an alarm is raised while it is active and, over the samples at which it is, the faulty
+    sensor is named more often than any other; with several, each of them more often than any healthy one. A run without
     faults is right where no alarm is raised. Shaheen 2024 does not define the accuracy of its Tables V to VII; the entries
     of V and VII (but for one) are multiples of 1/36 or 1/60, which shares of samples would not be.
     """
@@ -63,14 +71,13 @@ def trial_accuracy(alarm: Array, isolated: Array, active: Array, where: Array | 
     require_shapes(isolated=(isolated, active.shape))
     counted = np.ones_like(faulty) if where is None else where
     during = faulty & counted
-    naming = during & isolated.any(axis=-1)
-    votes = (isolated & naming[..., None]).sum(axis=0)
-    named = 2 * votes > naming.sum(axis=0)[:, None]
-    meant = (active & during[..., None]).any(axis=0)
-    hit = (alarm & during).any(axis=0) & (named == meant).all(axis=-1)
+    votes = (isolated & during[..., None]).sum(axis=0)
+    guilty = (active & during[..., None]).any(axis=0)
+    least = np.where(guilty, votes, np.iinfo(votes.dtype).max).min(axis=-1)
+    most = np.where(guilty, 0, votes).max(axis=-1)  # 0 where all are faulty: each has to be named then
+    hit = (alarm & during).any(axis=0) & (least > most)
     quiet = ~(alarm & counted).any(axis=0)
-    right = np.where(during.any(axis=0), hit, quiet)[counted.any(axis=0)]
-    return proportion(int(right.sum()), right.size)
+    return np.asarray(np.where(during.any(axis=0), hit, quiet))
 
 
 def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
