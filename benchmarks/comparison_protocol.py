@@ -49,7 +49,7 @@ SETTINGS = {
     "settle": 0,  # samples; 0: as many as the plant needs
     "window": 30,  # samples of all other faults
     "false_alarm": 1e-3,  # per step over all sensors: of all detectors when they are compared
-    "calibration_error": 0.15,  # standard error of the rate that is set, as a share of it, if samples were independent
+    "calibration_error": 1 / 6,  # standard error of the rate that is set, as a share of it, if samples were independent
     "departures": True,
     "plant_faults": True,
 }
@@ -133,7 +133,7 @@ def calibration_runs(settings: Settings, plant: str) -> int:
     """Healthy runs, each as long as a trunk, whose scores set a threshold.
 
     Of n independent samples a share p exceeds it with the relative standard error e = 1 / sqrt(n p), so that n = 1 / (p e^2):
-    44 of 44 000 samples for 1e-3 and 15 %. Samples of a run depend on each other; how far off the rate may be is measured.
+    36 of 36 000 samples for 1e-3 and a sixth. Samples of a run depend on each other; how far off the rate may be is measured.
     """
     samples = 1.0 / (settings["false_alarm"] * settings["calibration_error"] ** 2)
     return max(LEAST_RUNS, int(np.ceil(samples / judged_steps(settings, plant))))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.scenario import Arrays
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.detection_metrics import judged_right
 
 Array = NDArray[Any]
 
@@ -63,10 +64,9 @@ def record(plant: Plant, decision: Outcome, branch: Branch) -> Arrays:
     until the first of a faulty sensor's own residual, inf for none. right, named, faulty: sensor-samples that are named and
     faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a healthy
     sensor is. told (B, Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is
-    faulty; where several are named, each has its share of the sample. judged: whether the sensor that is named most is
-    faulty. size_error: mean |size / true size - 1| where named. Mean squared errors against the noise-free readings in the
-    sensors' variances: of the faulty sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw.
-    diverged.
+    faulty; where several are named, each has its share of the sample. judged: see `judged_right`. size_error: mean |size /
+    true size - 1| where named. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty
+    sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
     """
     isolated, active = decision.isolated, branch.active
     right = isolated & active
@@ -85,7 +85,7 @@ def record(plant: Plant, decision: Outcome, branch: Branch) -> Arrays:
         "exact": ((isolated == active).all(axis=-1) & active.any(axis=-1)).sum(axis=0),
         "blamed": (isolated & ~active).any(axis=-1).sum(axis=0),
         "told": told(plant, isolated, active),
-        "judged": judged(isolated, active),
+        "judged": judged_right(alarm, isolated, active),
         "size_error": _mean(np.abs(ratio - 1), sized),
         "measured": _error(plant, decision.measured, branch, active),
         "raw": _error(plant, branch.y, branch, active),
@@ -117,15 +117,6 @@ def in_a_row(alarm: Array, count: int) -> Array:
         found[earlier:] &= alarm[:-earlier]
         found[:earlier] = False
     return found
-
-
-def judged(isolated: Array, active: Array) -> Array:
-    """Runs (B,) in which the sensor that is named most is faulty at some time; isolated, active (W, B, N)."""
-    times = isolated.sum(axis=0)
-    most = np.argmax(times, axis=-1)
-    runs = np.arange(most.size)
-    faulty = np.asarray(active.any(axis=0))
-    return np.asarray((times[runs, most] > 0) & faulty[runs, most])
 
 
 def _error(plant: Plant, readings: Array, branch: Branch, where: Array) -> Array:

@@ -109,7 +109,7 @@ def paper_rows(cell: Cell, name: str, kind: str) -> list[Row]:
         if (of := np.isin(cell["sensor"][rows], members)).any():
             right = cell["judged"][rows][of]
             accuracy = published_accuracy(cell.plant, cell.detector, name, quantity)
-            add(quantity, "accuracy", proportion(int(right.sum()), right.size), accuracy)
+            add(quantity, "trial_accuracy", proportion(int(right.sum()), right.size), accuracy)
     if (stated := published_delay(cell.plant, cell.detector, name)) is not None:
         until, what, delay = stated
         add(what, "detection_delay", cell.delay(rows, until), delay)

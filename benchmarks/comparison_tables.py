@@ -160,8 +160,8 @@ def paper_table(stated: Sequence[Row]) -> Table:
         ),
         "Sizes are the papers'; onset, length, thresholds and truth are those of this comparison, so that a difference does "
         "not refute: the papers' own experiments are the scenarios pipeline/*, engine/* and network/* (fusion-sfdia run). "
-        "Accuracy: share of runs in which the sensor that is named most is the faulty one; Shaheen 2024 does not define its "
-        "own.",
+        "Trial accuracy: share of runs in which the faulty sensor is isolated more often than any other; Shaheen 2024 does not "
+        "define its own.",
         folded=True,
     )
 
