@@ -70,7 +70,7 @@ class Window:
         return _where_seen(z, np.concatenate([(z**2)[..., None, :], memory[..., :-1, :]], axis=-2), memory)
 
     def statistic(self, memory: Array) -> Array:
-        return np.sqrt(np.sum(np.where(np.isfinite(memory), memory, 0.0), axis=-2))
+        return np.asarray(np.sqrt(np.sum(np.where(np.isfinite(memory), memory, 0.0), axis=-2)))
 
     def limit(self, memory: Array, share: float) -> Array:
         quantiles = np.sqrt(chdtri(np.arange(1, self.length + 1), share))
@@ -138,7 +138,7 @@ class Ewma:
 def cusum_limit(k: float, share: float) -> float:
     """The limit h of both sums, see `Cusum`; at least LEAST, below which the approximation has no meaning."""
     grown = 4 * k**2 / share  # exp(s) - s - 1 for s = 2 k b
-    s = brentq(lambda s: np.expm1(s) - s - grown, 0.0, 2 * np.log1p(grown) + 1)
+    s = float(brentq(lambda s: np.expm1(s) - s - grown, 0.0, 2 * np.log1p(grown) + 1))
     return max(s / (2 * k) - OVERSHOOT, LEAST)
 
 
