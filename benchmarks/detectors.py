@@ -20,7 +20,7 @@ from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, Window
+from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
 from fusion_sfdia.kalman_banks.multiple_model import MultipleModel
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
 from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter
@@ -140,7 +140,7 @@ DETECTORS: dict[str, NamedDetector] = {
     "kf-window": NamedDetector(
         "one extended Kalman filter; of each sensor the sum of squares of its last 15 normalised innovations, chi-square, and "
         "a test of the present one; names and leaves out the largest, until it is readmitted",
-        lambda plant: sequential(plant, Window(15), leave_one_out=False),
+        lambda plant: sequential(plant, SumOfSquares(15), leave_one_out=False),
         "15 samples",
     ),
     "kf-cusum": NamedDetector(
@@ -157,7 +157,7 @@ DETECTORS: dict[str, NamedDetector] = {
     ),
     "loo-window": NamedDetector(
         "kf-window on normalised leave-one-out innovations, with sequential elimination",
-        lambda plant: sequential(plant, Window(15), leave_one_out=True),
+        lambda plant: sequential(plant, SumOfSquares(15), leave_one_out=True),
         "15 samples",
     ),
     "loo-cusum": NamedDetector(

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, Window, cusum_limit
+from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares, cusum_limit
 
-RULES: list[Rule] = [Shewhart(), Window(5), Cusum(1.0), Ewma(0.2)]
+RULES: list[Rule] = [Shewhart(), SumOfSquares(5), Cusum(1.0), Ewma(0.2)]
 every_rule = pytest.mark.parametrize("rule", RULES, ids=lambda rule: type(rule).__name__)
 
 
@@ -18,7 +18,7 @@ def literal(rule: Rule, z: np.ndarray) -> float:
     """The statistic of one sensor after the numbers z, as the textbook writes it."""
     if isinstance(rule, Shewhart):
         return abs(float(z[-1]))
-    if isinstance(rule, Window):
+    if isinstance(rule, SumOfSquares):
         return float(np.sqrt(sum(v**2 for v in z[-rule.length :])))
     if isinstance(rule, Cusum):
         up = down = 0.0
@@ -60,7 +60,7 @@ def alarms(rule: Rule, share: float, steps: int, runs: int) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize("rule", [Shewhart(), Window(5), Ewma(0.2)], ids=lambda rule: type(rule).__name__)
+@pytest.mark.parametrize("rule", [Shewhart(), SumOfSquares(5), Ewma(0.2)], ids=lambda rule: type(rule).__name__)
 def test_limits_that_claim_to_be_exact_are_so_at_every_step(rule: Rule) -> None:
     found = alarms(rule, 0.02, 12, 40_000)
     # runs are independent: the rate of each step is binomial; 12 steps, four standard errors
@@ -68,7 +68,7 @@ def test_limits_that_claim_to_be_exact_are_so_at_every_step(rule: Rule) -> None:
 
 
 def test_a_window_not_yet_full_has_the_chi_square_limit_of_what_it_holds() -> None:
-    rule = Window(3)
+    rule = SumOfSquares(3)
     memory = rule.start((), 1)
     for held in (1, 2, 3, 3):
         memory = rule.advance(memory, np.array([1.0]))
@@ -107,7 +107,7 @@ def test_a_limit_is_positive_and_grows_with_what_is_asked(rule: Rule) -> None:
 
 
 def test_one_sample_s_limit_is_the_gaussian_one_for_all_that_have_seen_one() -> None:
-    for rule in (Shewhart(), Window(9), Ewma(0.3)):
+    for rule in (Shewhart(), SumOfSquares(9), Ewma(0.3)):
         memory = rule.advance(rule.start((), 1), np.array([2.5]))
         ratio = rule.statistic(memory) / rule.limit(memory, 1e-3)
         assert ratio[0] == pytest.approx(2.5 / norm.isf(5e-4), rel=1e-12)
@@ -115,7 +115,7 @@ def test_one_sample_s_limit_is_the_gaussian_one_for_all_that_have_seen_one() -> 
 
 def test_settings_that_make_no_sense() -> None:
     with pytest.raises(ValueError, match="length, in samples, is 0"):
-        Window(0)
+        SumOfSquares(0)
     with pytest.raises(ValueError, match="shift is 0"):
         Cusum(0.0)
     for lam in (0.0, 1.2):

@@ -13,10 +13,10 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, Window
+from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
 
-MEMORIES: list[Rule] = [Window(15), Cusum(1.0), Ewma(0.2)]
+MEMORIES: list[Rule] = [SumOfSquares(15), Cusum(1.0), Ewma(0.2)]
 
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
@@ -38,7 +38,7 @@ def test_without_memory_and_accommodation_it_is_the_one_sample_test(leave_one_ou
 
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
-@pytest.mark.parametrize("rule", [Window(15), Ewma(0.2)], ids=["window", "ewma"])
+@pytest.mark.parametrize("rule", [SumOfSquares(15), Ewma(0.2)], ids=["window", "ewma"])
 def test_the_false_alarm_rate_of_a_sensor_is_its_share(rule: Rule, leave_one_out: bool) -> None:
     """On a linear Gaussian plant, of each sensor by itself: exactly, as innovations are white and Gaussian there."""
     plant, share, runs = chain(4), 0.02, 400

@@ -1,7 +1,7 @@
 """Sequential tests on standardised residuals z, white N(0, 1) when healthy: what each remembers of a sensor, as a recursion.
 
     Shewhart       |z|                                             (Shewhart 1931: no memory)
-    Window         sqrt(sum of the last L z^2)                     chi with L degrees of freedom
+    SumOfSquares   sqrt(sum of the last L z^2)                     chi with L degrees of freedom
     Cusum          g+ <- max(0, g+ + z - k), g- <- max(0, g- - z - k), the larger       (Page 1954)
     Ewma           e <- (1 - lam) e + lam z, over its own standard deviation            (Roberts 1959)
 
@@ -55,7 +55,7 @@ class Shewhart:
 
 
 @dataclass(frozen=True)
-class Window:
+class SumOfSquares:
     """The last `length` samples, with the chi-square quantile of as many as there have been: exact for white z."""
 
     length: int = 15
