@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.stats import binom
 from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
+from fusion_sfdia.filters.estimators import Ensemble, Unscented
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
@@ -114,5 +112,16 @@ def test_settings_that_make_no_sense() -> None:
     for rules in ((), Cusum()):
         with pytest.raises(ValueError, match="expected a tuple"):
             SequentialBank(plant, rules)  # type: ignore[arg-type]
-    assert replace(SequentialBank(plant), estimator=Extended()).most_faults == 3
-    assert SequentialBank(chain(20)).most_faults == 5
+
+
+def test_where_as_many_are_out_as_may_be_it_says_so() -> None:
+    plant = chain(12)
+    t, _, y, u = readings(plant, 60, 10, seed=6)
+    y = y.copy()
+    y[40:, :, [2, 7]] += 15.0
+    for most in (1, 2):
+        bank = SequentialBank(plant, (Shewhart(), Ewma()), max_faults=most)
+        _, d = run(bank, bank.init((10,)), t, y, u)
+        assert np.all(d.isolated[42:].sum(axis=-1) == most)
+        assert d.capped[42:50].all() == (most == 1) and not d.capped[:40].any()
+    assert SequentialBank(plant).most_faults == LeaveOneOutBank(plant).most_faults

@@ -17,6 +17,7 @@ the fault over them.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
 from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.redundancy import most_faults
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Prior, require_filter, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
@@ -54,7 +56,7 @@ class SequentialBank(BatchDetector):
     rules: what is remembered of z; alarm of any. leave_one_out: z from the other readings, too; otherwise from the model alone.
     false_alarm: probability that a healthy set of sensors begins an alarm in one step, shared equally by the sensors
     and rules (Bonferroni); a bound for a model that is true as far as the rules' limits are exact.
-    max_faults: sensors that may be out at once (None: a quarter of them, at least three, but never all).
+    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be.
     accommodate: leave faulty sensors out; without, statistics stay those of the undisturbed filter and no memory starts anew.
     """
 
@@ -80,11 +82,10 @@ class SequentialBank(BatchDetector):
                 f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
             )
 
-    @property
+    @cached_property
     def most_faults(self) -> int:
-        """Sensors that may be out at once."""
-        count = len(self.plant.sensors)
-        return self.max_faults or min(max(3, count // 4), count - 1)
+        """How many sensors may be out at once."""
+        return self.max_faults or most_faults(self.plant)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
         """x, P, the exclusions, and the memory of each rule."""
@@ -100,7 +101,7 @@ class SequentialBank(BatchDetector):
         joint = self._joint(now, core[0], prior, u, usable)
         everything = statistics(joint, y, usable)
         judged = self._test(joint, everything, y, memory)
-        found, named = self._eliminate(joint, everything, judged, y, memory, exclusion.out)
+        found, named, capped = self._eliminate(joint, everything, judged, y, memory, exclusion.out)
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
@@ -133,6 +134,7 @@ class SequentialBank(BatchDetector):
             guarded=prior.guarded,
             nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
+            capped=capped,
         )
         return (x, p, *exclusion, *memory), decision
 
@@ -156,15 +158,19 @@ class SequentialBank(BatchDetector):
 
     def _eliminate(
         self, joint: Joint, found: LeaveOneOut, judged: Judged, y: Array, memory: State, out: Array
-    ) -> tuple[LeaveOneOut, Array]:
-        """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out."""
+    ) -> tuple[LeaveOneOut, Array, Array]:
+        """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out.
+
+        Return the statistics of the rest, the sensors eliminated (..., N), and whether one above stays for want of room (...).
+        """
         named = np.zeros(found.used.shape, bool)
-        for _ in range(self.most_faults if self.leave_one_out else 1):
+        while True:
             worst = np.argmax(judged.ratio, axis=-1)
-            where = (np.max(judged.ratio, axis=-1) > 1) & (np.sum(out | named, axis=-1) < self.most_faults)
+            above = np.max(judged.ratio, axis=-1) > 1
+            room = np.sum(out | named, axis=-1) < self.most_faults
+            where = above & room & (self.leave_one_out | ~np.any(named, axis=-1))
             if not np.any(where):
-                break
+                return found, named, above & ~room
             named = named | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
             found = eliminate(found, worst, where)
             judged = self._test(joint, found, y, memory)
-        return found, named
