@@ -23,7 +23,7 @@ from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Window
+from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
 from fusion_sfdia.kalman_banks.multiple_model import MultipleModel
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
 from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter
@@ -114,8 +114,8 @@ def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
 
 
 def sequential(plant: Plant, rule: Rule, *, leave_one_out: bool) -> SequentialBank:
-    """A sequential test of the sensors of a plant at FALSE_ALARM."""
-    return SequentialBank(plant, rule, leave_one_out, false_alarm=FALSE_ALARM)
+    """A sequential test of each sensor of a plant, with one of its present sample, at FALSE_ALARM."""
+    return SequentialBank(plant, (Shewhart(), rule), leave_one_out, false_alarm=FALSE_ALARM)
 
 
 class NamedDetector(NamedTuple):
@@ -165,25 +165,26 @@ DETECTORS: dict[str, NamedDetector] = {
         STATE,
     ),
     "kf-window": NamedDetector(
-        "one extended Kalman filter; of each sensor the sum of squares of its last 15 normalised innovations, chi-square; "
-        "names and leaves out the largest, until it is readmitted",
-        lambda plant: sequential(plant, Window(15), leave_one_out=False),
+        "one extended Kalman filter; of each sensor the sum of squares of its last 15 normalised innovations, chi-square, and "
+        "a test of the present one; names and leaves out the largest, until it is readmitted",
+        lambda plant: sequential(plant, SumOfSquares(15), leave_one_out=False),
         "15 samples",
     ),
     "kf-cusum": NamedDetector(
         "the same with two-sided cumulative sums against a shift of one standard deviation (Page 1954), limits by Siegmund's "
-        "approximation",
+        "approximation, and a test of the present sample (Lucas 1982)",
         lambda plant: sequential(plant, Cusum(1.0), leave_one_out=False),
         "cumulative sums",
     ),
     "kf-ewma": NamedDetector(
-        "the same with exponentially weighted averages of weight 0.2 (Roberts 1959; Lucas and Saccucci 1990)",
+        "the same with exponentially weighted averages of weight 0.2, limits by their variance, and a test of the present "
+        "sample (Lucas and Saccucci 1990)",
         lambda plant: sequential(plant, Ewma(0.2), leave_one_out=False),
         "factor 0.8 a sample",
     ),
     "loo-window": NamedDetector(
         "kf-window on normalised leave-one-out innovations, with sequential elimination",
-        lambda plant: sequential(plant, Window(15), leave_one_out=True),
+        lambda plant: sequential(plant, SumOfSquares(15), leave_one_out=True),
         "15 samples",
     ),
     "loo-cusum": NamedDetector(

@@ -1,7 +1,7 @@
 """Sequential tests on standardised residuals z, white N(0, 1) when healthy: what each remembers of a sensor, as a recursion.
 
     Shewhart       |z|                                             (Shewhart 1931: no memory)
-    Window         sqrt(sum of the last L z^2)                     chi with L degrees of freedom
+    SumOfSquares   sqrt(sum of the last L z^2)                     chi with L degrees of freedom
     Cusum          g+ <- max(0, g+ + z - k), g- <- max(0, g- - z - k), the larger       (Page 1954)
     Ewma           e <- (1 - lam) e + lam z, over its own standard deviation            (Roberts 1959)
 
@@ -55,7 +55,7 @@ class Shewhart:
 
 
 @dataclass(frozen=True)
-class Window:
+class SumOfSquares:
     """The last `length` samples, with the chi-square quantile of as many as there have been: exact for white z."""
 
     length: int = 15
@@ -70,7 +70,7 @@ class Window:
         return _where_seen(z, np.concatenate([(z**2)[..., None, :], memory[..., :-1, :]], axis=-2), memory)
 
     def statistic(self, memory: Array) -> Array:
-        return np.sqrt(np.sum(np.where(np.isfinite(memory), memory, 0.0), axis=-2))
+        return np.asarray(np.sqrt(np.sum(np.where(np.isfinite(memory), memory, 0.0), axis=-2)))
 
     def limit(self, memory: Array, share: float) -> Array:
         quantiles = np.sqrt(chdtri(np.arange(1, self.length + 1), share))
@@ -138,7 +138,7 @@ class Ewma:
 def cusum_limit(k: float, share: float) -> float:
     """The limit h of both sums, see `Cusum`; at least LEAST, below which the approximation has no meaning."""
     grown = 4 * k**2 / share  # exp(s) - s - 1 for s = 2 k b
-    s = brentq(lambda s: np.expm1(s) - s - grown, 0.0, 2 * np.log1p(grown) + 1)
+    s = float(brentq(lambda s: np.expm1(s) - s - grown, 0.0, 2 * np.log1p(grown) + 1))
     return max(s / (2 * k) - OVERSHOOT, LEAST)
 
 
