@@ -15,7 +15,7 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test check lint format notebooks bench wheel clean
+.PHONY: env demo test test-kernels check lint format notebooks bench wheel clean
 
 env: $(DEV)
 
@@ -35,6 +35,10 @@ demo: $(RUN)
 
 test: $(DEV)
 	$(BIN)/python -m pytest -n $(WORKERS) -m 'slow or not slow'
+
+# the quick numerical tests with the linear algebra of other processors
+test-kernels: $(DEV)
+	$(BIN)/python tests/kernels.py -n $(WORKERS)
 
 lint: $(DEV)
 	$(BIN)/ruff format --check .

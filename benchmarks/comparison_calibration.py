@@ -16,52 +16,61 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
-from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.detector import Decision, Detector, NotApplicableError
 from fusion_sfdia.core.order_statistics import order_statistic
+from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.evaluation.simulate import Recording
 
 Array = NDArray[Any]
 
 SILENT = 1e6  # thresholds are so many times as high
+RESAMPLES = 200  # of runs: a standard error within 5 %
 CALIBRATION_SEEDS = 910_000  # the first: apart from those of any run and from those that detectors are fitted on
 CLAIMS = {  # alarms a step over all sensors, of those that have no setting false_alarm
     # what they are fitted to
-    **dict.fromkeys(("fusing-ekf", "fusing-ukf", "fusing-enkf", "limits", "pca", "structural-residuals"), 1e-3),
+    **dict.fromkeys(("fusing-ekf", "fusing-ukf", "fusing-enkf", "structural-residuals"), 1e-3),
+    **dict.fromkeys(("limits", "limits-ewma", "pca", "dynamic-pca", "one-class"), 1e-3),
     **dict.fromkeys(("adaptive-threshold", "virtual-sensors"), 0.0),  # guaranteed for bounded noise
 }
 
 
 class Calibrated(NamedTuple):
-    """A detector, the scale of its thresholds for the common rate, its healthy scores (K, R) at its own, and its claim."""
+    """A detector, the scale of its thresholds for the common rate, its healthy scores (K, R) at its own, and its claim.
+
+    ends: the scale less and more by a standard error, which is that of a bootstrap over the R runs.
+    """
 
     detector: Any  # a Detector that is a dataclass with threshold_scale
     scale: float
+    ends: tuple[float, float]
     scores: Array
     claim: float  # NaN for none
 
 
-class CannotRunError(ValueError):
-    """A detector that a plant cannot have, and why."""
-
-
 @lru_cache(maxsize=2)
-def calibrated(plant: str, name: str, settle: int, steps: int, seeds: int, false_alarm: float) -> Calibrated:
+def calibrated(plant: str, name: str, settle: int, steps: int, runs: int, false_alarm: float) -> Calibrated:
     """A registered detector and the scale at which it alarms at that rate, on healthy runs of `steps` samples after settling.
 
-    The order statistic whose expected exceedance by a fresh sample is at most `false_alarm`. CannotRunError for a detector
-    that the plant cannot have, that needs a package which is not installed, or whose scores cannot set a threshold.
+    The order statistic whose expected exceedance by a fresh sample is at most `false_alarm`. NotApplicableError for a detector
+    that does not apply to the plant, that needs a package which is not installed, or whose scores cannot set a threshold.
     """
-    try:
-        detector: Any = registry.detector(name, plant_of(plant))
-    except (ValueError, ModuleNotFoundError) as problem:
-        raise CannotRunError(str(problem)) from problem
-    recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + seeds)))
-    scores = silent_scores(watch(silent(detector), recording.t, recording.y, recording.u_of_runs))[settle:]
+    detector: Any = registry.detector(name, plant_of(plant))
+    recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + runs)))
+    scores = silent_scores(silent(detector), recording)[settle:]
     scale = float(order_statistic(scores.ravel(), false_alarm))
     if not 0 < scale < np.inf:
-        raise CannotRunError(
+        raise NotApplicableError(
             f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"
         )
-    return Calibrated(detector, scale, scores, claim(name, detector))
+    return Calibrated(detector, scale, standard_ends(scores, scale, false_alarm), scores, claim(name, detector))
+
+
+def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[float, float]:
+    """The scale divided and multiplied by exp of the standard error of its logarithm, over resampled runs (scores (K, R))."""
+    rng, runs = stream(0, "calibration runs"), scores.shape[1]
+    drawn = [order_statistic(scores[:, rng.integers(runs, size=runs)].ravel(), false_alarm) for _ in range(RESAMPLES)]
+    factor = float(np.exp(np.std(np.log(np.maximum(drawn, scale / 100)))))
+    return scale / factor, scale * factor
 
 
 def claim(name: str, detector: Any) -> float:
@@ -81,17 +90,22 @@ def silent(detector: Any) -> Any:
     return replace(detector, threshold_scale=SILENT * detector.threshold_scale)
 
 
-def deployed(calibration: Calibrated) -> Any:
-    """The detector with thresholds at the common rate of false alarms."""
-    return replace(calibration.detector, threshold_scale=calibration.scale * calibration.detector.threshold_scale)
+def deployed(calibration: Calibrated, scale: float | None = None) -> Any:
+    """The detector with thresholds at the common rate of false alarms, or at another scale."""
+    by = calibration.scale if scale is None else scale
+    return replace(calibration.detector, threshold_scale=by * calibration.detector.threshold_scale)
 
 
-def silent_scores(decision: Decision) -> Array:
-    """Scores (K, B) of a silent detector over its own thresholds; what diverged scores nothing."""
+def silent_score(decision: Decision) -> Array:
+    """Scores of a silent detector over its own thresholds; what diverged scores nothing."""
     return np.nan_to_num(decision.score * SILENT, nan=0.0)
 
 
-def watch(detector: Detector, t: Array, y: Array, u: Array) -> Decision:
-    """The decisions on readings y (K, B, N) at t (K,), from the start; u (K, B, m)."""
-    start = detector.init((y.shape[1],), float(t[0]) - detector.plant.dt)
-    return run(detector, start, t, y, u)[1]
+def silent_scores(detector: Detector, recording: Recording) -> Array:
+    """Scores (K, B) of a silent detector on a recording, from the start."""
+    state = detector.init((recording.y.shape[1],), float(recording.t[0]) - detector.plant.dt)
+    u, found = recording.u_of_runs, []
+    for k, t in enumerate(recording.t):  # one decision at a time is kept
+        state, decision = detector.step(state, float(t), recording.y[k], u[k])
+        found.append(silent_score(decision))
+    return np.stack(found)

@@ -15,13 +15,14 @@ from fusion_sfdia.benchmarks.comparison_figures import (
     other_panels,
 )
 from fusion_sfdia.benchmarks.comparison_findings import extremes, healthy_alarms, others_told, plant_findings
-from fusion_sfdia.benchmarks.comparison_measures import exactly, sizes
+from fusion_sfdia.benchmarks.comparison_measures import exactly, told_distance
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, share_right
-from fusion_sfdia.benchmarks.comparison_protocol import TROUBLED_SIGMA, failing_sensors
+from fusion_sfdia.benchmarks.comparison_protocol import TROUBLED_SIGMA, settle_of, sizes
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
 from fusion_sfdia.benchmarks.comparison_tables import (
     changes_table,
     cost_table,
+    lengths_table,
     numbers_table,
     paper_table,
     ranks_table,
@@ -43,7 +44,6 @@ def plant_chapter(
     """What happened on a plant. criteria: its standings. reasons: of detectors that it cannot have. stated: published rows."""
     some = next(iter(cells.values()))
     model = some.model
-    failing = [model.sensors[i].name for i in failing_sensors(model, everyone=bool(settings["all_sensors"]))]
     about = f"{PLANTS[some.plant][0]}; {len(model.states)} states, {len(model.sensors)} sensors, a sample every {model.dt:g} s."
     missing: dict[str, list[str]] = {}
     for detector, why in reasons.items():
@@ -51,6 +51,7 @@ def plant_chapter(
     absent = [f"Cannot run here: {', '.join(names)}: {why.rstrip('.')}." for why, names in missing.items()]
     tables = [
         numbers_table(settings, cells),
+        lengths_table(settings, cells),
         ranks_table(some.plant, criteria),
         paper_table([row for row in stated if row.plant == some.plant]),
         changes_table(settings, some.plant),
@@ -61,8 +62,9 @@ def plant_chapter(
         some.plant,
         [
             about[0].upper() + about[1:],
-            f"A fault lasts {settings['window']} samples, {settings['window'] * model.dt:g} s; sensors that fail in turn: "
-            f"{', '.join(failing)}.",
+            f"Truth behind the readings: differs from the detectors' model by {told_distance(some.plant)} at most.",
+            f"A fault lasts {settings['window']} samples, {settings['window'] * model.dt:g} s, where no length is named, and "
+            f"begins after {settle_of(settings, some.plant)} samples or later; all {len(model.sensors)} sensors take turns.",
             *plant_findings(settings, cells, criteria),
             *absent,
         ],
@@ -74,7 +76,7 @@ def plant_chapter(
 def figures(settings: Settings, cells: Cells) -> list[Figure]:
     """Curves, magnitudes, confusion, what else was tried, departures and cost."""
     found = [
-        roc_figure(cells),
+        roc_figure(settings, cells),
         magnitudes_figure(settings, cells),
         confusion_figure(cells),
         others_figure(cells),
@@ -84,17 +86,17 @@ def figures(settings: Settings, cells: Cells) -> list[Figure]:
     return [figure for figure in found if figure is not None]
 
 
-def roc_figure(cells: Cells) -> Figure | None:
-    """Curves of the two smallest biases."""
-    some = next(iter(cells.values()))
-    swept = [n for n in some["swept_condition"].tolist() if n.startswith("bias")][:2]
+def roc_figure(settings: Settings, cells: Cells) -> Figure | None:
+    """Curves of the small faults of each kind."""
+    some, (small, _) = next(iter(cells.values())), sizes(settings)
+    swept = [n for n in some["swept_condition"].tolist() if n == "freeze" or n in some.graded(small)]
     if not swept:
         return None
-    last = {d: c.areas[swept[-1]].value for d, c in cells.items()}
+    mean = {d: c.mean_area(small).value for d, c in cells.items()}
     return Figure(
         f"{some.plant}-roc",
         f"Receiver operating characteristics, {some.plant}",
-        f"Area under the curve, {swept[-1].replace('-', ' ')}: {extremes(last)}. The further up and left the better; what a "
+        f"Mean area under the curves of all kinds: {extremes(mean)}. The further up and left the better; what a "
         "detector finds is read at the rate of false alarms that one can stand. Thresholds swept over silent detectors; grey: "
         "chance.",
         partial(draw_roc, cells, swept),
@@ -107,7 +109,7 @@ def magnitudes_figure(settings: Settings, cells: Cells) -> Figure | None:
     some, (small, large) = next(iter(cells.values())), sizes(settings)
     if not some.graded(large):
         return None
-    seen = {d: c.detected(c.rows_of(*c.graded(small))).value for d, c in cells.items()}
+    seen = {d: c.of(Cell.detected, *c.graded(small)).value for d, c in cells.items()}
     return Figure(
         f"{some.plant}-magnitudes",
         f"Detection, isolation and delay against the size of the fault, {some.plant}",

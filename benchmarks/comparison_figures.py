@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.comparison_measures import Measure
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
-from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY
+from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY, LENGTH
 from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, MARKERS, panels
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
@@ -97,12 +97,12 @@ def draw_overview(cells: Cells, measures: Mapping[str, Measure]) -> Drawing:
 
 def draw_roc(cells: Mapping[str, Cell], conditions: Sequence[str]) -> Drawing:
     """Detection against false alarms of the silent detectors; the false-alarm axis is logarithmic."""
-    figure, axes = panels([c.replace("-", " ") for c in conditions], columns=len(conditions), width=10.5, height=4.2)
+    figure, axes = panels([c.replace("-", " ") for c in conditions], columns=3, width=11.5, height=3.4)
     look = looks(list(cells))
     for axis, name in zip(axes, conditions, strict=True):
         for detector, cell in cells.items():
             scores, active = cell.swept(name)
-            curve = metrics.roc(scores, active[..., None])
+            curve = metrics.roc(scores, active)
             style = {k: v for k, v in look[detector].items() if k != "marker"}
             axis.plot(*curve[:2], label=detector, drawstyle="steps-post", **style)
         chance = np.geomspace(1e-4, 1.0, 100)
@@ -207,7 +207,7 @@ def departure_panels(cell: Cell, biased: str) -> list[Panel]:
 
 def other_panels(cell: Cell) -> list[Panel]:
     """What is not a single fault of a size: alarms, exact names where sensors are faulty, healthy sensors named."""
-    names = [(name, name, "") for name, kind in cell.kinds.items() if kind not in (*GRADED, HEALTHY)]
+    names = [(name, name, "") for name, kind in cell.kinds.items() if kind not in (*GRADED, HEALTHY, LENGTH)]
     faulty = [column for column in names if cell.kinds[column[1]] not in ("plant", "dropout")]
     found = [
         Panel("runs with an alarm", Cell.detected, names),

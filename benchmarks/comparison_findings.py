@@ -7,15 +7,22 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
-from fusion_sfdia.benchmarks.comparison_measures import exactly, names_most, seen, sizes, under_departures, under_plant_faults
+from fusion_sfdia.benchmarks.comparison_measures import (
+    exactly,
+    names_most,
+    seen,
+    told_distance,
+    under_departures,
+    under_plant_faults,
+)
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
+from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, length_name, sizes
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
 from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings
 from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.scenario import Settings
-from fusion_sfdia.core.order_statistics import exceedance_rank
 
+MOST_LEADERS = 3  # of whom the ranks by plant are told at the top
 RARELY = 0.01  # of samples: what is less is not told, or as hardly any
 
 
@@ -23,8 +30,52 @@ def highlights(settings: Settings, cells: Cells, standings: Standings) -> list[s
     """The findings for the top of the report."""
     plants = dict.fromkeys(p for p, _ in cells)
     found = [leaders(settings, EVERY, list(cells.values()), standings[EVERY])] if EVERY in standings else []
+    found += by_plant(standings)
+    found += shortest(settings, cells)
     verdicts = [line for plant in plants for line in verdict(settings, of_plant(cells, plant))]
     return [*found, *verdicts, *broken_claims(list(cells.values()))]
+
+
+def by_plant(standings: Standings) -> list[str]:
+    """The rank on each plant of those that are first over all plants, where those are few."""
+    found = []
+    for criterion, pooled in standings.get(EVERY, {}).items():
+        best = [d for d, s in pooled.items() if s.rank == min(other.rank for other in pooled.values())]
+        if len(best) > MOST_LEADERS or not any(s.mean.n for s in pooled.values()):
+            continue
+        told = []
+        for name in best:
+            ranks = {plant: criteria[criterion] for plant, criteria in standings.items() if plant != EVERY}
+            places = [f"{place(of, name)} on {plant}" for plant, of in ranks.items() if name in of]
+            told.append(f"{name} is {', '.join(places)}")
+        found.append(f"First in {criterion} over all plants, and by plant: {'; '.join(told)}.")
+    return found
+
+
+def place(standings: Mapping[str, Standing], name: str) -> str:
+    """A rank in words, and how many share it."""
+    rank = standings[name].rank
+    shared = sum(s.rank == rank for s in standings.values())
+    return f"rank {rank}{f' with {shared - 1} more' if shared > 1 else ''}"
+
+
+def shortest(settings: Settings, cells: Cells) -> list[str]:
+    """Who finds the shortest and the longest of the small biases best, by the area under the ROC."""
+    if len(settings["lengths"]) < 2 or "bias" not in settings["faults"]:
+        return []
+    small, _ = sizes(settings)
+    short, long = (length_name(small, n) for n in (min(settings["lengths"]), max(settings["lengths"])))
+    told = []
+    for plant in dict.fromkeys(p for p, _ in cells):
+        there = of_plant(cells, plant)
+        first, last = (max(there, key=lambda d: there[d].areas[name].value) for name in (short, long))
+        values = [f"{there[d].areas[name].value:.3f}" for d, name in ((first, short), (last, short), (last, long))]
+        also = "" if first == last else f" ({last} {values[1]})"
+        told.append(f"{plant}: {first} {values[0]}{also}, {last} {values[2]}")
+    return [
+        f"A bias of {small:g} sigma of {min(settings['lengths'])} and of {max(settings['lengths'])} samples, largest areas "
+        f"under the ROC: {'; '.join(told)}."
+    ]
 
 
 def verdict(settings: Settings, cells: Mapping[str, Cell]) -> list[str]:
@@ -85,19 +136,31 @@ def first(standings: Mapping[str, Standing], flaws: Mapping[str, str], nameless:
 
 
 def broken_claims(cells: Sequence[Cell]) -> list[str]:
-    """Which detectors alarm more often at their own threshold than they claim."""
-    claimed = [cell for cell in cells if np.isfinite(cell["claim"])]
+    """Which detectors are shown to alarm more often at their own threshold than they claim; cells that repeat count once."""
+    claimed = distinct([cell for cell in cells if np.isfinite(cell["claim"])])
+    if not claimed:
+        return []
     broken = [cell for cell in claimed if cell.nominal.low > float(cell["claim"])]
     told = "; ".join(
         f"{c.detector} on {c.plant} {span([c.nominal.value])} (claims {span([float(c['claim'])])})" for c in broken
     )
-    kept = len(claimed) - len(broken)
-    if not claimed:
-        return []
-    more = f" More than claimed, beyond the interval: {told}." if broken else ""
+    every = sum(bool(np.isfinite(cell["claim"])) for cell in cells)
+    repeated = f", {every - len(claimed)} more repeat another with the same scores" if every > len(claimed) else ""
+    more = f" Shown to exceed it, beyond the interval: {told}." if broken else ""
     return [
-        f"False alarms at their own thresholds are within the claim in {kept} of {len(claimed)} cells that claim a rate.{more}"
+        f"False alarms at their own thresholds are not shown to exceed the claim in {len(claimed) - len(broken)} of "
+        f"{len(claimed)} distinct cells that claim a rate{repeated}.{more}"
     ]
+
+
+def distinct(cells: Sequence[Cell]) -> list[Cell]:
+    """Of cells on a plant that claim the same and score the same on healthy readings only the first."""
+    found: list[Cell] = []
+    for cell in cells:
+        same = (c for c in found if c.plant == cell.plant and float(c["claim"]) == float(cell["claim"]))
+        if not any(np.allclose(c["trunk"], cell["trunk"], rtol=1e-6) for c in same):
+            found.append(cell)
+    return found
 
 
 def restless(cells: Sequence[Cell]) -> list[str]:
@@ -131,24 +194,38 @@ def missed(settings: Settings, cells: Sequence[Cell]) -> list[str]:
 
 def remarks(settings: Settings, cells: Cells) -> list[str]:
     """How to read the numbers."""
-    rate, samples = settings["false_alarm"], settings["calibration_seeds"] * settings["calibration_steps"]
-    spent = max(samples - exceedance_rank(samples, rate), 0)
-    measured = span(cell.matched.value for cell in cells.values())
+    rate, aim = settings["false_alarm"], settings["calibration_error"]
+    counts = {cell.plant: cell["nominal_alarms"].size * int(cell["calibration_samples"]) for cell in cells.values()}
+    matched = span(cell.matched.value for cell in cells.values())
     deployed = span(cell.deployed.value for cell in cells.values())
     chance = span(cell.chance for cell in cells.values())
     scales = span(cell.scale for cell in cells.values())
+    errors = span(cell.calibration_error for cell in cells.values())
+    above = [c for c in cells.values() if c.matched.low > rate]
+    told = "; ".join(f"{c.detector} on {c.plant} {span([c.matched.value])}" for c in above)
     return [
-        f"Every detector's thresholds are multiplied by one number ({scales}) so that {rate:g} of healthy samples alarm: the "
-        f"order statistic of {samples} samples of other seeds that {spent} of them exceed. On the healthy trunks of the runs "
-        f"{measured} do, as long as nothing has been accused; as deployed, where some alarms last, {deployed} have an alarm. A "
-        f"fault lasts {settings['window']} samples; {chance} of healthy windows as long have one by chance.",
-        "Receiver operating characteristics are those of silent detectors, which accuse and replace nothing; all else is of "
+        f"Every detector's thresholds are multiplied by one number ({scales}) so that {rate:g} of healthy samples alarm: an "
+        f"order statistic of {span(counts.values())} healthy samples of other seeds, so many that the rate would be set to "
+        f"{aim:.0%} (standard error) if they were independent. They are not: by the differences between runs it is set to "
+        f"{errors}, as a share of the rate. Intervals of what depends on the threshold contain that.",
+        f"Audit on fresh seeds: on the healthy trunks {matched} of the samples alarm as long as nothing has been isolated; "
+        f"{f'shown to exceed {rate:g}: {told}' if told else f'no cell is shown to exceed {rate:g}'}. As deployed, where some "
+        f"alarms last, {deployed} have an alarm. Of healthy windows of {settings['window']} samples, as long as most faults, "
+        f"{chance} have one by chance.",
+        "The order of the kinds of faults is drawn for each seed, so that each meets all phases of the operation; all sensors "
+        "fail in turn. Ranks hold for the thresholds as they were set.",
+        "Receiver operating characteristics are those of silent detectors, which isolate and replace nothing; all else is of "
         "deployed ones, which have not alarmed yet when a fault begins. All faults of sensors are among the runs that rank "
         "detectors.",
-        "Readings come from the finer twin of a plant where it has one, and else from its model, so that a simulation alone "
-        "foretells them exactly: see how detectors stand where the plant is not as believed. A plant with controllers is run "
-        "in closed loop. What learns from healthy recordings learns from such runs of the model.",
+        f"Readings come from a truth that differs from the detectors' model by, at most, without noise: {truths(cells)}. Where "
+        "it does not differ, a simulation alone predicts them exactly: see how detectors stand under model mismatch. A plant "
+        "with controllers is run in closed loop. What learns from healthy recordings learns from runs of the model.",
     ]
+
+
+def truths(cells: Cells) -> str:
+    """How far the truth is from the model, by plant."""
+    return "; ".join(f"{plant} {told_distance(plant)}" for plant in dict.fromkeys(p for p, _ in cells))
 
 
 def left_out(cells: Cells, whole: Cells) -> list[str]:

@@ -8,10 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY
+from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, sizes
+from fusion_sfdia.benchmarks.comparison_recordings import distance_of_truth
 from fusion_sfdia.benchmarks.scenario import Settings
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate
 
+SAME = 1e-6  # sigma: less is the same model
 GLANCE = 8  # the first of them are shown at a glance
 
 
@@ -30,11 +32,10 @@ class Blame(NamedTuple):
     where: str
 
 
-def sizes(settings: Settings) -> tuple[float, float]:
-    """A small and a large fault of those that were tried: 3 and 10 sigma where they are among them."""
-    known = sorted(settings["magnitudes"])
-    small = 3.0 if 3.0 in known else known[0]
-    return small, 10.0 if 10.0 in known else known[-1]
+def told_distance(plant: str) -> str:
+    """How far the usual truth of a plant is from the detectors' model, in words."""
+    distance = distance_of_truth(plant)
+    return "nothing: it is the model itself" if distance < SAME else f"{distance:.2g} sigma"
 
 
 def under_departures(cell: Cell) -> Blame:
@@ -53,7 +54,7 @@ def _worst(found: Iterable[Blame]) -> Blame:
 
 def exactly(settings: Settings, cell: Cell) -> Estimate:
     """Samples under a large fault at which exactly the faulty sensor is named."""
-    return cell.exact(cell.rows_of(*cell.graded(sizes(settings)[1])))
+    return cell.of(Cell.exact, *cell.graded(sizes(settings)[1]))
 
 
 def names_most(settings: Settings, cells: Mapping[str, Cell]) -> str | None:
@@ -74,12 +75,12 @@ def measures(settings: Settings) -> dict[str, Measure]:
     bias = f"bias-{small:g}-sigma"
 
     def pooled(measure: Callable[[Cell, Any], Estimate], size: float) -> Callable[[Cell], Estimate]:
-        return lambda cell: measure(cell, cell.rows_of(*cell.graded(size)))
+        return lambda cell: cell.of(measure, *cell.graded(size))
 
     return {
         f"runs with an alarm, {large:g} sigma": Measure(pooled(Cell.detected, large)),
         f"exact names, {large:g} sigma": Measure(pooled(Cell.exact, large)),
-        f"area under the ROC, {bias.replace('-', ' ')}": Measure(lambda cell: cell.areas.get(bias, NOTHING)),
+        f"area under the ROC, {small:g} sigma, mean over kinds": Measure(lambda cell: cell.mean_area(small)),
         f"error after over before, {large:g} sigma": Measure(pooled(Cell.gain, large), less=True, decades=True),
         "blame, worst departure": Measure(lambda cell: under_departures(cell).share, less=True),
         "blame, worst fault of the plant": Measure(lambda cell: under_plant_faults(cell).share, less=True),
@@ -87,6 +88,7 @@ def measures(settings: Settings) -> dict[str, Measure]:
         "false alarms at its own threshold": Measure(lambda cell: cell.nominal, less=True, decades=True),
         f"named at all, {large:g} sigma": Measure(pooled(Cell.recall, large)),
         f"runs with an alarm, {small:g} sigma": Measure(pooled(Cell.detected, small)),
+        f"area under the ROC, {bias.replace('-', ' ')}": Measure(lambda cell: cell.areas.get(bias, NOTHING)),
         f"delay (s), {large:g} sigma": Measure(pooled(Cell.delay, large), less=True),
         f"healthy sensors named, {large:g} sigma": Measure(pooled(Cell.false_flags, large), less=True),
         f"size of the fault off (%), {large:g} sigma": Measure(pooled(Cell.size_error, large), less=True),

@@ -1,12 +1,16 @@
 """Numbers of a comparison: cells of one detector on one plant.
 
-A run is an alarm's or a name's chance once: shares of runs have Wilson's interval, means that of Student over runs. From the
-sample on at which an estimator breaks down it neither alarms nor names; its errors are left out from there, see `diverged`.
+Intervals are those of `evaluation.metrics`, one rule for each kind of number: shares of runs Wilson's, shares of samples the
+same for the variance seen between runs, means over runs Student's, areas under a ROC the jackknife over seeds. To what
+depends on the threshold comes how uncertain the threshold is: half the difference of what is seen with thresholds a standard
+error lower and higher, added in quadrature; for biases, drifts, noise and scales of the small and the large size and for
+healthy samples. From the sample on at which an estimator breaks down it neither alarms nor names; its errors are left out
+from there, see `diverged`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -18,12 +22,13 @@ from fusion_sfdia.benchmarks.comparison_protocol import GRADED, conditions
 from fusion_sfdia.benchmarks.comparison_recordings import plant_of
 from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Task
 from fusion_sfdia.evaluation import detection_metrics as metrics
-from fusion_sfdia.evaluation.metrics import LEVEL, NOTHING, Estimate, proportion, rate_over_runs
+from fusion_sfdia.evaluation.metrics import LEVEL, Estimate, mean_over_runs, proportion, rate_over_runs
 
 Array = NDArray[Any]
 
 LEAST_ERROR = 1e-3  # sigma of the noise: less is as good as none
 PER_SEED = {"trunk": 1, "swept": 2, "deployed_alarms": 0}  # the axis of seeds; of the rest it is 1 where there are two axes
+Measure = Callable[["Cell", Array], Estimate]
 
 
 class Cell:
@@ -41,15 +46,26 @@ class Cell:
         }
         self.step_seconds = float(min(p["step_seconds"] for p in parts))
         self.scale = float(parts[0]["scale"])
+        self.ends = tuple(parts[0]["ends"].tolist())
         self.sigmas = {c.name: c.sigmas for c in conditions(settings, plant)}
         self.kinds = {c.name: c.kind for c in conditions(settings, plant)}
+        self.lengths = {c.name: c.length for c in conditions(settings, plant)}
 
     def __getitem__(self, name: str) -> Array:
         return self.arrays[name]
 
-    def rows_of(self, *names: str, truth: str = "") -> Array:
-        """Indices of conditions by name."""
-        return np.flatnonzero(np.isin(self["condition"], names) & (self["truth"] == truth))
+    def rows_of(self, *names: str, truth: str = "", threshold: int = 0) -> Array:
+        """Indices of conditions by name; threshold: -1 or 1 for one a standard error lower or higher."""
+        named = np.isin(self["condition"], names) & (self["truth"] == truth)
+        return np.flatnonzero(named & (self["threshold"] == threshold))
+
+    def of(self, measure: Measure, *names: str, truth: str = "") -> Estimate:
+        """A measure of some conditions, with how uncertain the threshold makes it where that was tried for all of them."""
+        low, high = (self.rows_of(*names, truth=truth, threshold=sign) for sign in (-1, 1))
+        found = measure(self, self.rows_of(*names, truth=truth))
+        if not len(names) == low.size == high.size:
+            return found
+        return widened(found, abs(measure(self, high).value - measure(self, low).value) / 2)
 
     def graded(self, sigmas: float) -> list[str]:
         """The conditions of that size."""
@@ -74,11 +90,11 @@ class Cell:
 
     def alarms(self, rows: Array) -> Estimate:
         """Share of samples with an alarm."""
-        return self.rate("alarms", rows, self.window)
+        return self.rate("alarms", rows, self["samples"][rows])
 
     def exact(self, rows: Array) -> Estimate:
         """Share of samples at which exactly the faulty sensors are named."""
-        return self.rate("exact", rows, self.window)
+        return self.rate("exact", rows, self["samples"][rows])
 
     def recall(self, rows: Array) -> Estimate:
         """Share of faulty sensor-samples that are named, alone or among others."""
@@ -86,7 +102,7 @@ class Cell:
 
     def blame(self, rows: Array) -> Estimate:
         """Share of samples at which a healthy sensor is named."""
-        return self.rate("blamed", rows, self.window)
+        return self.rate("blamed", rows, self["samples"][rows])
 
     def delay(self, rows: Array, until: str = "first") -> Estimate:
         """Mean seconds from the onset to the first alarm, of the runs that have one; until: as in `comparison_records`.
@@ -99,7 +115,7 @@ class Cell:
 
     def false_flags(self, rows: Array) -> Estimate:
         """Share of healthy sensor-samples that are named."""
-        wrong, sensors = (self["named"] - self["right"])[rows], self.window * len(self.model.sensors)
+        wrong, sensors = (self["named"] - self["right"])[rows], self["samples"][rows] * len(self.model.sensors)
         return rate_over_runs(wrong.ravel(), (sensors - self["faulty"][rows]).ravel())
 
     def size_error(self, rows: Array) -> Estimate:
@@ -130,28 +146,49 @@ class Cell:
     @cached_property
     def areas(self) -> dict[str, Estimate]:
         """Areas under the curves of the silent detector: samples under a fault against those of the healthy trunk."""
-        found = {}
-        for name in self["swept_condition"].tolist():
-            scores, active = self.swept(name)
-            found[name] = metrics.auc(scores, active[..., None])
-        return found
+        return {name: metrics.auc(*self.swept(name)) for name in self["swept_condition"].tolist()}
+
+    def mean_area(self, sigmas: float) -> Estimate:
+        """The mean of the areas of all kinds of single faults: of those of a size, and of freezes."""
+        kinds = [n for n in self["swept_condition"].tolist() if n == "freeze" or n in self.graded(sigmas)]
+        return metrics.mean_auc([self.swept(name) for name in kinds])
 
     def swept(self, name: str) -> tuple[Array, Array]:
-        """Scores (K, S) of trunk and fault one after the other, and where the fault is."""
+        """Scores (K, S) of trunk and fault one after the other, and where the fault is (K, S, 1)."""
         (j,) = np.flatnonzero(self["swept_condition"] == name)
-        trunk, faulty = self["trunk"], self["swept"][j]
+        trunk, faulty = self["trunk"], self["swept"][j][: self.lengths[name]]
         scores = np.concatenate([trunk, faulty]).astype(float)
-        return scores, np.arange(scores.shape[0])[:, None] >= np.full(scores.shape[1], trunk.shape[0])
+        return scores, np.broadcast_to((np.arange(len(scores)) >= len(trunk))[:, None, None], (*scores.shape, 1))
 
     @property
     def nominal(self) -> Estimate:
         """Healthy samples above the detector's own threshold."""
-        return rate_over_runs(self["nominal_alarms"], np.full(self["nominal_alarms"].size, self.settings["calibration_steps"]))
+        alarms = self["nominal_alarms"]
+        return rate_over_runs(alarms, np.full(alarms.size, float(self["calibration_samples"])))
+
+    @property
+    def calibration_error(self) -> float:
+        """Standard error of the common rate as it is set, as a share of it: from the differences between calibration runs."""
+        alarms = self["calibration_alarms"].astype(float)
+        return float(alarms.std(ddof=1) / np.sqrt(alarms.size) / alarms.mean()) if alarms.any() else np.nan
 
     @property
     def deployed(self) -> Estimate:
-        """Healthy samples at which the deployed detector alarms."""
-        return rate_over_runs(self["deployed_alarms"], np.full(len(self.seeds), self["trunk"].shape[0]))
+        """Healthy samples at which the deployed detector alarms; the threshold counts in proportion to `matched`."""
+        found = rate_over_runs(self["deployed_alarms"], np.full(len(self.seeds), self["trunk"].shape[0]))
+        share = self.matched.value
+        return within(widened(found, self.rate_error * found.value / share if share > 0 else 0.0), 0.0, 1.0)
+
+    @property
+    def scale_error(self) -> float:
+        """Standard error of the scale of thresholds."""
+        return float(self.ends[1] - self.ends[0]) / 2
+
+    @property
+    def rate_error(self) -> float:
+        """Standard error of `matched` that comes from the threshold."""
+        low, high = (float((self["trunk"] > end).mean()) for end in self.ends)
+        return (low - high) / 2
 
     @property
     def chance(self) -> float:
@@ -164,19 +201,21 @@ class Cell:
     def matched(self) -> Estimate:
         """Healthy samples above the common threshold, of other seeds than set it."""
         alarms = (self["trunk"] > self.scale).sum(axis=0)
-        return rate_over_runs(alarms, np.full(alarms.size, self["trunk"].shape[0]))
+        found = rate_over_runs(alarms, np.full(alarms.size, self["trunk"].shape[0]))
+        return within(widened(found, self.rate_error), 0.0, 1.0)
 
 
 def mean(values: Array) -> Estimate:
-    """The mean over runs with Student's interval; NaN values are left out."""
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return NOTHING
-    middle = float(known.mean())
-    if known.size < 2:
-        return Estimate(middle, np.nan, np.nan, 1)
-    half = float(stats.t.ppf((1 + LEVEL) / 2, known.size - 1) * known.std(ddof=1) / np.sqrt(known.size))
-    return Estimate(middle, middle - half, middle + half, known.size)
+    """The mean over runs; NaN values are left out."""
+    known = np.isfinite(values)
+    return mean_over_runs(np.where(known, values, 0.0), known)
+
+
+def widened(e: Estimate, deviation: float) -> Estimate:
+    """The interval with another, independent source of error of that standard deviation."""
+    more = (stats.norm.ppf((1 + LEVEL) / 2) * deviation) ** 2 if np.isfinite(deviation) else 0.0
+    low, high = e.value - np.sqrt((e.value - e.low) ** 2 + more), e.value + np.sqrt((e.high - e.value) ** 2 + more)
+    return Estimate(e.value, float(low), float(high), e.n)
 
 
 def within(e: Estimate, least: float, most: float) -> Estimate:

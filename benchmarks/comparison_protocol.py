@@ -1,11 +1,11 @@
 """The protocol of the comparison: what every detector is put through on every plant, as data.
 
-A run of a seed is a healthy trunk: `settle` samples in which filters forget how they began, then one segment of `window`
-samples for each group of conditions. A condition (a fault of a kind and size) branches off the trunk where the segment of its
-group begins and lasts as long as that segment; so the conditions of a group share noise and the faulty sensor, those of
-different groups do not. Departures are runs of their own, which share the noise of one another. Sensors fail in turn, another
-one in each group and seed: with fewer seeds than take turns a kind of fault does not meet every one. All detectors see the
-same readings.
+A run of a seed is a healthy trunk: `settle_of` samples in which filters forget how they began, then one segment for each
+group of conditions, in an order that is drawn for each seed, so that no kind of fault is tied to a phase of the operation. A
+condition (a fault of a kind, size and length) branches off the trunk where the segment of its group begins; the conditions of
+a group share noise and the faulty sensor, those of different groups do not. Mismatch cases are runs of their own, which share
+the noise of one another. All sensors fail in turn: each kind goes through an order of its own, drawn once, by the seed; with
+a multiple of as many seeds as there are sensors each one fails equally often. All detectors see the same readings.
 """
 
 from __future__ import annotations
@@ -20,88 +20,133 @@ from fusion_sfdia.benchmarks.detectors import DETECTORS
 from fusion_sfdia.benchmarks.registry import PLANTS, require_known
 from fusion_sfdia.benchmarks.scenario import Array, Settings, Task, seed_blocks
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.faults import Fault
 
 GRADED = ("bias", "drift", "noise", "scale")  # kinds that have a size
 UNGRADED = ("freeze", "dropout")
 SEVERAL = ("two-faults", "three-faults")  # biases of SEVERAL_SIGMA at once
 ATTACKS = ("replay", "sign")  # on one reading: the samples before over again; its negative
+LENGTH = "length"  # biases of several lengths
 PUBLISHED = "published"  # those of the plant's papers, of their sizes
 KINDS = (*GRADED, *UNGRADED, *SEVERAL, *ATTACKS, PUBLISHED)
 SEVERAL_SIGMA = 10.0
 TROUBLED_SIGMA = 10.0  # of the bias that is to be found in spite of a departure
 HEALTHY = "none"
-PER_QUANTITY = 2  # sensors of a quantity that fail, unless all are asked for
 CHUNK = 25  # seeds in one task, which is set up once
+LEAST_RUNS = 10  # of a calibration: their differences show how uncertain it is
+USUAL_SETTLE = 100  # samples
+SETTLE = {  # where more is needed until the rate of false alarms is steady
+    "marine-engine": 400,  # its filter forgets with 145 samples (charge-air pressure); twice the rate still in samples 200-300
+}
 
 SETTINGS = {
     "plants": tuple(PLANTS),
     "detectors": tuple(DETECTORS),
     "faults": KINDS,
     "magnitudes": (1.0, 3.0, 10.0, 30.0),  # of the sensor's noise
-    "settle": 60,  # samples: the printed filters are slow to forget how they began
-    "window": 30,  # samples
+    "lengths": (2, 5, 30, 120),  # samples: of biases of a small and a large size, beside each other
+    "settle": 0,  # samples; 0: as many as the plant needs
+    "window": 30,  # samples of all other faults
     "false_alarm": 1e-3,  # per step over all sensors: of all detectors when they are compared
-    "calibration_seeds": 20,
-    "calibration_steps": 400,  # samples of each that are judged
-    "all_sensors": False,
+    "calibration_error": 1 / 6,  # standard error of the rate that is set, as a share of it, if samples were independent
     "departures": True,
     "plant_faults": True,
 }
 
 
 class Condition(NamedTuple):
-    """A fault: its name, kind and size in the sensor's sigma (NaN for none), the group whose segment and sensor it shares."""
+    """A fault: its name, kind, size in the sensor's sigma (NaN for none), samples, and the group whose segment it shares."""
 
     name: str
     kind: str
     sigmas: float
-    group: int
+    length: int
+    group: str
+
+
+def sizes(settings: Settings) -> tuple[float, float]:
+    """A small and a large fault of those that are tried: 3 and 10 sigma where they are among them."""
+    known = sorted(settings["magnitudes"])
+    return 3.0 if 3.0 in known else known[0], 10.0 if 10.0 in known else known[-1]
 
 
 def conditions(settings: Settings, plant: str) -> list[Condition]:
-    """All conditions with a right model, the healthy one first."""
-    found = [Condition(HEALTHY, HEALTHY, np.nan, 0)]
+    """All conditions with the usual truth, the healthy one first, group after group."""
+    window = int(settings["window"])
+    found = [Condition(HEALTHY, HEALTHY, np.nan, window, HEALTHY)]
     for kind in settings["faults"]:
-        group = found[-1].group + 1
         if kind in GRADED:
-            found += [Condition(f"{kind}-{m:g}-sigma", kind, m, group) for m in settings["magnitudes"]]
+            found += [Condition(f"{kind}-{m:g}-sigma", kind, m, window, kind) for m in settings["magnitudes"]]
         elif kind == PUBLISHED:
-            found += [Condition(fault.name, kind, np.nan, group) for fault in PAPER_FAULTS.get(plant, ())]
+            found += [Condition(fault.name, kind, np.nan, window, kind) for fault in PAPER_FAULTS.get(plant, ())]
         else:
-            found.append(Condition(kind, kind, SEVERAL_SIGMA if kind in SEVERAL else np.nan, group))
-    last = found[-1].group + 1
+            found.append(Condition(kind, kind, SEVERAL_SIGMA if kind in SEVERAL else np.nan, window, kind))
+    if "bias" in settings["faults"]:
+        for m in dict.fromkeys(sizes(settings)):
+            found += [Condition(length_name(m, n), LENGTH, m, n, LENGTH) for n in sorted(settings["lengths"])]
     if settings["plant_faults"]:
-        found += [Condition(fault.name, "plant", np.nan, last) for fault in PLANT_FAULTS.get(plant, ())]
+        found += [Condition(fault.name, "plant", np.nan, window, "plant") for fault in PLANT_FAULTS.get(plant, ())]
     return found
 
 
-def onset_step(settings: Settings, group: int) -> int:
-    """The first sample (from 0) of the segment of a group."""
-    return int(settings["settle"] + group * settings["window"])
+def length_name(sigmas: float, samples: int) -> str:
+    """The condition of a bias of that size and length."""
+    return f"bias-{sigmas:g}-sigma-{samples}-samples"
+
+
+def settle_of(settings: Settings, plant: str) -> int:
+    """Samples before anything is judged."""
+    return int(settings["settle"]) or SETTLE.get(plant, USUAL_SETTLE)
+
+
+def segments(settings: Settings, plant: str) -> dict[str, int]:
+    """Length of the segment of each group, in windows."""
+    found: dict[str, int] = {}
+    for c in conditions(settings, plant):
+        found[c.group] = max(found.get(c.group, 1), -(-c.length // int(settings["window"])))
+    return found
+
+
+def onsets(settings: Settings, plant: str, seed: int) -> dict[str, int]:
+    """The first sample (from 0) of the segment of each group: segments follow each other in an order of that seed."""
+    lengths = segments(settings, plant)
+    groups = list(lengths)
+    step, found = settle_of(settings, plant), {}
+    for i in stream(seed, "order of segments").permutation(len(groups)):
+        found[groups[i]] = step
+        step += lengths[groups[i]] * int(settings["window"])
+    return found
+
+
+def judged_steps(settings: Settings, plant: str) -> int:
+    """Samples of a trunk after settling."""
+    return sum(segments(settings, plant).values()) * int(settings["window"])
 
 
 def trunk_steps(settings: Settings, plant: str) -> int:
     """Samples of a trunk."""
-    return onset_step(settings, conditions(settings, plant)[-1].group + 1)
+    return settle_of(settings, plant) + judged_steps(settings, plant)
 
 
-def failing_sensors(plant: Plant, *, everyone: bool = False) -> list[int]:
-    """The sensors that fail in turn, quantity after quantity: some of each, spread evenly, or all."""
-    chosen: list[list[int]] = []
-    for members in plant.quantities.values():
-        count = members.size if everyone else min(PER_QUANTITY, members.size)
-        chosen.append([int(members[(2 * i + 1) * members.size // (2 * count)]) for i in range(count)])
-    return [one[i] for i in range(max(map(len, chosen))) for one in chosen if i < len(one)]
+def calibration_runs(settings: Settings, plant: str) -> int:
+    """Healthy runs, each as long as a trunk, whose scores set a threshold.
+
+    Of n independent samples a share p exceeds it with the relative standard error e = 1 / sqrt(n p), so that n = 1 / (p e^2):
+    36 of 36 000 samples for 1e-3 and a sixth. Samples of a run depend on each other; how far off the rate may be is measured.
+    """
+    samples = 1.0 / (settings["false_alarm"] * settings["calibration_error"] ** 2)
+    return max(LEAST_RUNS, int(np.ceil(samples / judged_steps(settings, plant))))
 
 
-def sensors_of(settings: Settings, plant: Plant, condition: Condition, seed: int) -> list[int]:
-    """The sensors that fail in a run; another one for each seed and group, none where the plant itself fails."""
+def sensors_of(plant: Plant, condition: Condition, seed: int) -> list[int]:
+    """The sensors that fail in a run, none where the plant itself fails: a drawn order of all, gone through by the seed."""
     if condition.kind == PUBLISHED and (named := paper_fault(plant, condition).sensor) is not None:
         return [plant.sensor_index(named)]
+    everyone = len(plant.sensors)
     count = {HEALTHY: 0, "plant": 0, "two-faults": 2, "three-faults": 3}.get(condition.kind, 1)
-    order = failing_sensors(plant, everyone=settings["all_sensors"])
-    return [order[(seed + condition.group + j) % len(order)] for j in range(min(count, len(order)))]
+    order = stream(0, "order of sensors", condition.group).permutation(everyone)
+    return [int(order[(seed + j) % everyone]) for j in range(min(count, everyone))]
 
 
 def paper_fault(plant: Plant, condition: Condition) -> PaperFault:
@@ -110,15 +155,15 @@ def paper_fault(plant: Plant, condition: Condition) -> PaperFault:
     return found
 
 
-def faults_of(settings: Settings, plant: Plant, condition: Condition, seed: int, onset: float, signal: Array) -> list[Fault]:
-    """The sensor faults of a run from `onset` (s) on; signal (window, N): what is true meanwhile."""
-    length = settings["window"] * plant.dt
+def faults_of(plant: Plant, condition: Condition, seed: int, onset: float, signal: Array) -> list[Fault]:
+    """The sensor faults of a run from `onset` (s) on; signal (samples, N): what is true meanwhile."""
+    length = condition.length * plant.dt
     found = []
-    for i in sensors_of(settings, plant, condition, seed):
+    for i in sensors_of(plant, condition, seed):
         name, sigma = plant.sensors[i].name, float(plant.sensor_sigma[i])
         size = condition.sigmas * sigma
         match condition.kind:
-            case "bias" | "two-faults" | "three-faults":
+            case "bias" | "length" | "two-faults" | "three-faults":
                 found.append(Fault(name, "bias", onset, length, size))
             case "drift":  # reaches its size half-way and holds it
                 found.append(Fault(name, "drift", onset, length, size, rise=length / 2))
@@ -159,15 +204,14 @@ def check(settings: Settings) -> None:
     magnitudes = settings["magnitudes"]
     if not magnitudes or min(magnitudes) <= 0 or len(set(magnitudes)) < len(magnitudes):
         raise ValueError(f"setting magnitudes is {magnitudes}; wanted positive numbers, each once, such as 1,3,10,30")
-    for name, least in (("settle", 1), ("window", 2), ("calibration_seeds", 2), ("calibration_steps", 1)):
+    if len(set(settings["lengths"])) < len(settings["lengths"]) or min(settings["lengths"], default=1) < 1:
+        raise ValueError(f"setting lengths is {settings['lengths']}; expected whole numbers of samples from 1, each once")
+    for name, least in (("settle", 0), ("window", 2)):
         if settings[name] < least:
             raise ValueError(f"setting {name} is {settings[name]}; wanted at least {least}")
-    samples = settings["calibration_seeds"] * settings["calibration_steps"]
-    if not 1 / samples <= settings["false_alarm"] < 1:
-        raise ValueError(
-            f"setting false_alarm is {settings['false_alarm']:g}; {samples} samples of calibration_seeds x calibration_steps "
-            f"can set rates from {1 / samples:g} to less than 1"
-        )
+    for name in ("false_alarm", "calibration_error"):
+        if not 0 < settings[name] < 1:
+            raise ValueError(f"setting {name} is {settings[name]:g}; expected a number above 0 and below 1")
 
 
 def departures(settings: Settings, plant: str) -> list[str]:

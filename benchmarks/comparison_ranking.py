@@ -38,7 +38,7 @@ def detection(cell: Cell) -> dict[str, Array]:
 
 def isolation(cell: Cell) -> dict[str, Array]:
     """Share of samples at which exactly the faulty sensors are named."""
-    return _by_group(cell, cell["exact"] / cell.window, faulty=True)
+    return _by_group(cell, cell["exact"] / cell["samples"], faulty=True)
 
 
 def accommodation(cell: Cell) -> dict[str, Array]:
@@ -49,7 +49,7 @@ def accommodation(cell: Cell) -> dict[str, Array]:
 
 def exoneration(cell: Cell) -> dict[str, Array]:
     """Share of samples at which no healthy sensor is named: under departures, faults of the plant, missing readings."""
-    return _by_group(cell, 1 - cell["blamed"] / cell.window, faulty=False)
+    return _by_group(cell, 1 - cell["blamed"] / cell["samples"], faulty=False)
 
 
 CRITERIA: dict[str, Callable[[Cell], dict[str, Array]]] = {
@@ -66,7 +66,8 @@ SHARES = ("detection", "isolation", "exoneration")
 def _by_group(cell: Cell, values: Array, *, faulty: bool) -> dict[str, Array]:
     """Means (S,) over the conditions of a kind, or over all departures, which share noise and sensor."""
     found: dict[str, list[int]] = {}
-    for j, (name, truth) in enumerate(zip(cell["condition"].tolist(), cell["truth"].tolist(), strict=True)):
+    for j in np.flatnonzero(cell["threshold"] == 0).tolist():
+        name, truth = str(cell["condition"][j]), str(cell["truth"][j])
         kind = cell.kinds.get(name, "bias")
         sensor_fault = not truth and kind not in ("none", "plant", "dropout")
         if sensor_fault and faulty:

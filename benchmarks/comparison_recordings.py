@@ -1,8 +1,9 @@
 """Readings of a comparison: what a plant shows from a truth that no detector knows, as recordings.
 
-The truth is the finer twin of a plant where it has one, in closed loop where it has controllers, which read healthy sensors.
-The power network is disturbed by its process noise, as its paper says; the others are not: the pipeline's belongs to 21 nodes,
-and on the finer grid of the truth it is another.
+The truth is the high-fidelity model of a plant where it has one, in closed loop where it has controllers, which read healthy
+sensors. The power network is disturbed by its process noise, as its paper says; the others are not: the pipeline's belongs to
+21 nodes, and on the finer grid of the truth it is another. What the papers operate ends after 80 s (loads of the network) and
+2700 s (demand of the pipeline); here it comes again, so that faults meet every phase of it.
 """
 
 from __future__ import annotations
@@ -18,8 +19,43 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording, simulate
+from fusion_sfdia.models.gas_pipeline import demand
+from fusion_sfdia.models.gas_pipeline_physics import INLET_PRESSURE, INLET_TEMPERATURE
+from fusion_sfdia.models.power_network import power_network
+from fusion_sfdia.models.power_network_parameters import LoadStep, load_steps
 
 Array = NDArray[Any]
+
+
+DEMAND_PERIOD = 3600.0  # s: the ramps of the plant's demand, and back to where it began
+DISTANCE_STEPS = 400
+LOAD_PERIOD, LOAD_REPEATS = 100.0, 20  # s: the load steps come again with the opposite sign, and so on
+
+
+def repeated_demand(t: float) -> Array:
+    """The pipeline's inputs that act from t on: 300 to 450 kg/s and down to 350 as in `demand`, then to 300 in 600 s, again."""
+    ahead = t + plant_of("gas-pipeline").dt
+    within = ahead % DEMAND_PERIOD
+    back = 25.0 * (1.0 - float(np.cos(np.pi * np.clip((within - 2850.0) / 600.0, 0.0, 1.0))))
+    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(within) - back])
+
+
+def repeated_loads(scenario: str) -> tuple[LoadStep, ...]:
+    """The load steps of a scenario of B18 over and over, every other time with the opposite sign, so that loads stay small."""
+    return tuple(
+        step._replace(time=step.time + k * LOAD_PERIOD, change=(-1) ** k * step.change)
+        for k in range(LOAD_REPEATS)
+        for step in load_steps(scenario)
+    )
+
+
+@cache
+def usual_truth(name: str) -> Plant:
+    """What usually makes the readings."""
+    return power_network(loads=repeated_loads("1")) if name == "power-network" else plant_of(name)
+
+
+OPERATIONS: dict[str, Callable[[float], Array]] = {"gas-pipeline": repeated_demand}  # others have the truth's own
 
 
 @cache
@@ -43,12 +79,13 @@ def simulated(
     inputs: Callable[[float], Array] | None = None,
     lost: tuple[float, tuple[float, ...]] | None = None,
 ) -> Recording:
-    """Readings from the finer twin of a truth (None: of the plant) under inputs (None: the truth's operation).
+    """Readings from the high-fidelity model of a truth (None: the usual one) under inputs (None: the usual ones).
 
     lost: from a time (s) on other inputs act than those that are known, the known ones times these factors.
     """
     of = plant_of(plant)
-    model = of if truth is None else truth
+    model = usual_truth(plant) if truth is None else truth
+    inputs = OPERATIONS.get(plant) if inputs is None else inputs
     if lost is not None and model.feedback is not None:
         raise ValueError(f"plant {model.name!r} has controllers, which would see what is lost; give it a fault of its own")
     finest, to_states = (model, None) if model.finer is None else model.finer()
@@ -57,12 +94,22 @@ def simulated(
     if lost is None:
         return run(inputs=inputs)
     t = np.arange(steps) * of.dt
-    known = np.array([model.input_at(float(s)) for s in t])
+    known = np.array([(inputs or model.input_at)(float(s)) for s in t])
     acting = np.where((t >= lost[0] - 1e-6 * of.dt)[:, None], known * np.asarray(lost[1]), known)
     return replace(run(inputs=acting), u=known)
 
 
-def beginning(recording: Recording, steps: int) -> Recording:
-    """The first samples of a recording."""
-    names = ("t", "u", "y", "signal", "x")
-    return replace(recording, **{n: a[:steps] for n in names if (a := getattr(recording, n)) is not None})
+@cache
+def distance_of_truth(plant: str) -> float:
+    """Largest difference of noise-free readings of the usual truth from those of the model, in the sensors' sigma.
+
+    Over DISTANCE_STEPS samples of the usual operation, without process noise, controllers reading the same noise.
+    """
+    of, usual = plant_of(plant), usual_truth(plant)
+    run = partial(simulate, of, DISTANCE_STEPS, (0,), inputs=OPERATIONS.get(plant))
+    finest, to_states = (usual, None) if usual.finer is None else usual.finer()
+    signals = [
+        run(truth=replace(truth, sensors=of.sensors), to_states=mapped).signal
+        for truth, mapped in ((finest, to_states), (replace(usual, finer=None), None))
+    ]
+    return float(np.max(np.abs(signals[0] - signals[1]) / of.sensor_sigma))

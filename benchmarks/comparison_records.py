@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.scenario import Arrays
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.detection_metrics import judged_right
 
 Array = NDArray[Any]
 
@@ -32,24 +33,48 @@ class Branch(NamedTuple):
     size: Array
 
 
-def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
+class Outcome(NamedTuple):
+    """What is kept of Decisions, (W, B) or (W, B, N), N sensors."""
+
+    alarm: Array
+    diverged: Array
+    isolated: Array
+    scores: Array
+    fault_size: Array
+    measured: Array
+
+
+def outcome(plant: Plant, decision: Decision) -> Outcome:
+    """What is kept of a Decision."""
+    n = len(plant.sensors)
+    return Outcome(
+        decision.alarm,
+        decision.diverged,
+        decision.isolated[..., :n],
+        decision.scores,
+        decision.fault_size[..., :n],
+        decision.measured,
+    )
+
+
+def record(plant: Plant, decision: Outcome, branch: Branch) -> Arrays:
     """Arrays (B,) of the runs of a branch of W samples.
 
-    alarms: samples with an alarm. first, confirmed, own: samples until the first, until the third in a row, and until the first
-    of a faulty sensor's own residual, inf for none. right, named, faulty: sensor-samples that are named and faulty, named,
-    faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a healthy sensor is. told (B,
-    Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is faulty; where several are
-    named, each has its share of the sample. judged: whether the sensor that is named most is faulty. size_error: mean |size /
+    samples: W. alarms: samples with an alarm. first, confirmed, own: samples until the first, until the third in a row, and
+    until the first of a faulty sensor's own residual, inf for none. right, named, faulty: sensor-samples that are named and
+    faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a healthy
+    sensor is. told (B, Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is
+    faulty; where several are named, each has its share of the sample. judged: see `judged_right`. size_error: mean |size /
     true size - 1| where named. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty
     sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
     """
-    count = len(plant.sensors)
-    isolated, active = decision.isolated[..., :count], branch.active
+    isolated, active = decision.isolated, branch.active
     right = isolated & active
     alarm = decision.alarm
-    sized = right & np.isfinite(decision.fault_size[..., :count]) & np.isfinite(branch.size) & (branch.size != 0)
-    ratio = np.where(sized, decision.fault_size[..., :count], 1.0) / np.where(sized, branch.size, 1.0)
+    sized = right & np.isfinite(decision.fault_size) & np.isfinite(branch.size) & (branch.size != 0)
+    ratio = np.where(sized, decision.fault_size, 1.0) / np.where(sized, branch.size, 1.0)
     return {
+        "samples": np.full(alarm.shape[1], alarm.shape[0]),
         "alarms": alarm.sum(axis=0),
         "first": until(alarm),
         "confirmed": until(in_a_row(alarm, CONFIRMATIONS)),
@@ -60,7 +85,7 @@ def record(plant: Plant, decision: Decision, branch: Branch) -> Arrays:
         "exact": ((isolated == active).all(axis=-1) & active.any(axis=-1)).sum(axis=0),
         "blamed": (isolated & ~active).any(axis=-1).sum(axis=0),
         "told": told(plant, isolated, active),
-        "judged": judged(isolated, active),
+        "judged": judged_right(alarm, isolated, active),
         "size_error": _mean(np.abs(ratio - 1), sized),
         "measured": _error(plant, decision.measured, branch, active),
         "raw": _error(plant, branch.y, branch, active),
@@ -94,15 +119,6 @@ def in_a_row(alarm: Array, count: int) -> Array:
     return found
 
 
-def judged(isolated: Array, active: Array) -> Array:
-    """Runs (B,) in which the sensor that is named most is faulty at some time; isolated, active (W, B, N)."""
-    times = isolated.sum(axis=0)
-    most = np.argmax(times, axis=-1)
-    runs = np.arange(most.size)
-    faulty = np.asarray(active.any(axis=0))
-    return np.asarray((times[runs, most] > 0) & faulty[runs, most])
-
-
 def _error(plant: Plant, readings: Array, branch: Branch, where: Array) -> Array:
     """Mean squared error (B,) in variances of the sensors' noise; NaN where there is no reading."""
     square = (readings - branch.signal) ** 2 / plant.sensor_cov
@@ -116,17 +132,6 @@ def _mean(values: Array, where: Array) -> Array:
     return np.asarray(np.where(counted > 0, total / np.maximum(counted, 1), np.nan))
 
 
-def labelled(arrays: Arrays, condition: Sequence[str], truth: str, sensors: Sequence[Sequence[int]]) -> Arrays:
-    """The arrays of a batch, conditions one after the other, as (conditions, S), with their names, truth and first sensors."""
-    shaped = {k: a.reshape(len(condition), -1, *a.shape[1:]) for k, a in arrays.items()}
-    first = [one[0] if one else -1 for one in sensors]
-    return shaped | {
-        "condition": np.array(condition),
-        "truth": np.array([truth] * len(condition)),
-        "sensor": np.array(first).reshape(len(condition), -1),
-    }
-
-
 def join(parts: Sequence[Arrays]) -> Arrays:
-    """Batches of conditions one below the other."""
-    return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
+    """Conditions (S, ...) one below the other."""
+    return {name: np.stack([p[name] for p in parts]) for name in parts[0]}

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, PUBLISHED
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, Measure, confusion, widened
+from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, PUBLISHED, sizes
 from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
 from fusion_sfdia.benchmarks.results import Published, Row
 from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
@@ -18,8 +18,6 @@ Array = NDArray[Any]
 
 SCENARIO = "comparison"
 POOLED = "graded"  # bias, drift, noise and scale of one size
-
-Measure = Callable[[Cell, Array], Estimate]
 
 # metrics of the runs of some conditions: where sensors are faulty, of several kinds of one size also more, and where none is
 SINGLE: dict[str, Measure] = {
@@ -59,14 +57,15 @@ def rows_of_cell(cell: Cell) -> list[Row]:
     def add(fault: str, quantity: str, metric: str, e: Estimate) -> None:
         found.append(Row(SCENARIO, cell.plant, cell.detector, fault, quantity, metric, *e))
 
-    def add_all(fault: str, quantity: str, measures: Mapping[str, Measure], rows: Array) -> None:
+    def add_all(fault: str, quantity: str, measures: Mapping[str, Measure], *names: str, truth: str = "") -> None:
         for metric, measure in measures.items():
-            add(fault, quantity, metric, measure(cell, rows))
+            add(fault, quantity, metric, cell.of(measure, *names, truth=truth))
 
     def exactly(value: float) -> Estimate:
         return Estimate(value, np.nan, np.nan, 0)
 
-    add(HEALTHY, "all", "threshold_scale", exactly(cell.scale))
+    add(HEALTHY, "all", "threshold_scale", widened(Estimate(cell.scale, cell.scale, cell.scale, 0), cell.scale_error))
+    add(HEALTHY, "all", "calibration_error", exactly(cell.calibration_error))
     add(HEALTHY, "all", "nominal_false_alarm_probability", cell.nominal)
     if np.isfinite(cell["claim"]):
         add(HEALTHY, "all", "claimed_false_alarm_probability", exactly(float(cell["claim"])))
@@ -76,17 +75,19 @@ def rows_of_cell(cell: Cell) -> list[Row]:
     add(HEALTHY, "all", "state_size", exactly(float(cell["state_bytes"])))
     for name, kind in cell.kinds.items():
         innocent = kind in (HEALTHY, "plant")
-        add_all(name, "all", INNOCENT if innocent else DROPOUT if kind == "dropout" else SINGLE, cell.rows_of(name))
+        add_all(name, "all", INNOCENT if innocent else DROPOUT if kind == "dropout" else SINGLE, name)
         if kind in (PUBLISHED, "plant"):
             found += paper_rows(cell, name, kind)
     for size in cell.settings["magnitudes"]:
         if members := cell.graded(size):
-            add_all(f"{POOLED}-{size:g}-sigma", "all", SEVERAL, cell.rows_of(*members))
+            add_all(f"{POOLED}-{size:g}-sigma", "all", SEVERAL, *members)
     for name, area in cell.areas.items():
         add(name, "all", "auc", area)
+    for size in dict.fromkeys(sizes(cell.settings)):
+        add(f"{POOLED}-{size:g}-sigma", "all", "auc", cell.mean_area(size))
     for truth in cell.truths:
         for name in dict.fromkeys(cell["condition"][cell["truth"] == truth].tolist()):
-            add_all(name, truth, INNOCENT if name == HEALTHY else SINGLE, cell.rows_of(name, truth=truth))
+            add_all(name, truth, INNOCENT if name == HEALTHY else SINGLE, name, truth=truth)
     quantities = list(cell.model.quantities)
     for quantity, samples in zip(quantities, confusion(cell), strict=True):
         for named, hits in zip(("none", *(f"another {n}" for n in quantities), "the right one"), samples.T, strict=True):
@@ -108,7 +109,7 @@ def paper_rows(cell: Cell, name: str, kind: str) -> list[Row]:
         if (of := np.isin(cell["sensor"][rows], members)).any():
             right = cell["judged"][rows][of]
             accuracy = published_accuracy(cell.plant, cell.detector, name, quantity)
-            add(quantity, "accuracy", proportion(int(right.sum()), right.size), accuracy)
+            add(quantity, "trial_accuracy", proportion(int(right.sum()), right.size), accuracy)
     if (stated := published_delay(cell.plant, cell.detector, name)) is not None:
         until, what, delay = stated
         add(what, "detection_delay", cell.delay(rows, until), delay)

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_recordings import plant_of, simulated
+from fusion_sfdia.benchmarks.comparison_recordings import repeated_loads, simulated
 from fusion_sfdia.benchmarks.network_published import GOVERNOR
-from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.models.gas_pipeline import demand, gas_pipeline
@@ -27,8 +25,8 @@ from fusion_sfdia.models.marine_engine_faults import ProcessFault
 from fusion_sfdia.models.marine_engine_parameters import engine_parameters
 from fusion_sfdia.models.power_network import power_network
 from fusion_sfdia.models.power_network_operation import AreaFault
-from fusion_sfdia.models.power_network_parameters import NetworkParameters, load_network, load_steps
-from fusion_sfdia.models.two_tanks import Tanks, tank_physics, two_tanks
+from fusion_sfdia.models.power_network_parameters import NetworkParameters, load_network
+from fusion_sfdia.models.two_tanks import two_tanks
 
 Array = NDArray[Any]
 
@@ -38,7 +36,7 @@ PIPELINE, ENGINE, NETWORK, TANKS = "gas-pipeline", "marine-engine", "power-netwo
 
 
 class Departure(NamedTuple):
-    """Healthy runs of another plant, or in another operation: record(steps, seeds)."""
+    """Healthy runs of another plant, or in another operation: record(steps, seeds, s from which they are judged)."""
 
     name: str
     why: str
@@ -62,13 +60,6 @@ def _engine(**factors: float) -> Plant:
     return marine_engine(parameters=c._replace(**{k: f * getattr(c, k) for k, f in factors.items()}))
 
 
-def _tanks(outlet: float) -> Plant:
-    usual, physics = plant_of(TANKS), replace(tank_physics(), parameters=Tanks(outlet=outlet * Tanks().outlet))
-    return discretise(
-        physics, usual.sensors, dt=usual.dt, x0=usual.x0, initial_cov=usual.initial_cov, process_cov=usual.process_cov
-    )
-
-
 def _slopes(factor: float) -> NetworkParameters:
     c = load_network()
     return replace(c, slope=c.slope * factor)
@@ -83,16 +74,24 @@ def _constants(column: int, factor: float) -> NetworkParameters:
     return replace(c, constants=constants)
 
 
+def _network(c: NetworkParameters | None = None, scenario: str = "1", faults: tuple[AreaFault, ...] = ()) -> Plant:
+    return power_network(c or load_network(), loads=repeated_loads(scenario), faults=faults)
+
+
 def _of(plant: str, truth: Callable[[], Plant]) -> Callable[..., Recording]:
-    return lambda steps, seeds: simulated(plant, steps, seeds, truth=truth())
+    return lambda steps, seeds, onset: simulated(plant, steps, seeds, truth=truth())
+
+
+def _under(plant: str, inputs: Callable[[float], Array]) -> Callable[..., Recording]:
+    return lambda steps, seeds, onset: simulated(plant, steps, seeds, inputs=inputs)
 
 
 def _swinging_demand(t: float) -> Array:
     return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(0.0) + 60.0 * np.sin(2 * np.pi * (t + 10.0) / 900.0)])
 
 
-def _less_fuel(t: float) -> Array:
-    return np.array([1.0 if t < 0.5 - 1e-9 else 0.95])
+def _less_fuel(steps: int, seeds: tuple[int, ...], onset: float) -> Recording:
+    return simulated(ENGINE, steps, seeds, inputs=lambda t: np.array([1.0 if t < onset - 0.1 - 1e-9 else 0.95]))
 
 
 DEPARTURES: dict[str, tuple[Departure, ...]] = {
@@ -115,7 +114,7 @@ DEPARTURES: dict[str, tuple[Departure, ...]] = {
         Departure(
             "demand swings",
             "another day: by 60 kg/s about 300 within 900 s, as fast as the usual ramps",
-            partial(simulated, PIPELINE, inputs=_swinging_demand),
+            _under(PIPELINE, _swinging_demand),
         ),
     ),
     ENGINE: (
@@ -136,31 +135,33 @@ DEPARTURES: dict[str, tuple[Departure, ...]] = {
         ),
         Departure(
             "fuel 100 to 95 %",
-            "a step of the fuel setting after 0.5 s",
-            partial(simulated, ENGINE, inputs=_less_fuel),
+            "a step of the fuel setting 0.1 s before",
+            _less_fuel,
         ),
     ),
     NETWORK: (
         Departure(
             "slopes +10 %",
             "another flow over the ties: slopes are those of a sine where it works",
-            _of(NETWORK, lambda: power_network(_slopes(1.1))),
+            _of(NETWORK, lambda: _network(_slopes(1.1))),
         ),
         Departure(
             "inertias 10 % off",
             "which units of an area are running is not known exactly",
-            _of(NETWORK, lambda: power_network(_constants(0, 1.1))),
+            _of(NETWORK, lambda: _network(_constants(0, 1.1))),
         ),
         Departure(
             "droops 10 % off",
             "governors as set and as they act differ by dead bands and limits",
-            _of(NETWORK, lambda: power_network(_constants(1, 1.1))),
+            _of(NETWORK, lambda: _network(_constants(1, 1.1))),
         ),
-        Departure("other load steps", "those of B18, scenario 2", _of(NETWORK, lambda: power_network(loads=load_steps("2")))),
+        Departure("other load steps", "those of B18, scenario 2", _of(NETWORK, lambda: _network(scenario="2"))),
     ),
     TANKS: (
-        Departure("outlets -5 %", "coefficients of discharge are known to some 5 %", _of(TANKS, lambda: _tanks(0.95))),
-        Departure("inflow swings", "by 20 % within 1200 s", partial(simulated, TANKS, inputs=two_tanks(swing=0.2).operation)),
+        Departure(
+            "outlets -5 %", "coefficients of discharge are known to some 5 %", _of(TANKS, lambda: two_tanks(outlet=0.95))
+        ),
+        Departure("inflow swings", "by 20 % within 1200 s", _of(TANKS, lambda: two_tanks(swing=0.2))),
     ),
 }
 
@@ -178,7 +179,7 @@ def _ailing(kind: str, severity: float) -> Callable[..., Recording]:
 
 def _area(fault: AreaFault) -> Callable[..., Recording]:
     def record(steps: int, seeds: tuple[int, ...], onset: float) -> Recording:
-        return simulated(NETWORK, steps, seeds, truth=power_network(faults=[replace(fault, onset=onset)]))
+        return simulated(NETWORK, steps, seeds, truth=_network(faults=(replace(fault, onset=onset),)))
 
     return record
 
@@ -206,15 +207,13 @@ PLANT_FAULTS: dict[str, tuple[PlantFault, ...]] = {
 }
 
 
-@lru_cache(maxsize=8)
-def departed(plant: str, name: str, steps: int, seeds: tuple[int, ...]) -> Recording:
-    """Readings of a departure by name, the same for all detectors."""
+def departed(plant: str, name: str, steps: int, seeds: tuple[int, ...], onset: float) -> Recording:
+    """Readings of a departure by name, which are judged from `onset` (s) on."""
     (found,) = (d for d in DEPARTURES[plant] if d.name == name)
-    return found.record(steps, seeds)
+    return found.record(steps, seeds, onset)
 
 
-@lru_cache(maxsize=8)
 def failing(plant: str, name: str, steps: int, seeds: tuple[int, ...], onset: float) -> Recording:
-    """Readings of a plant that fails at the onset (s), the same for all detectors."""
+    """Readings of a plant that fails at the onset (s)."""
     (found,) = (f for f in PLANT_FAULTS[plant] if f.name == name)
     return found.record(steps, seeds, onset)

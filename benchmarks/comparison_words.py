@@ -36,6 +36,10 @@ def words(detectors: Sequence[str]) -> Chapter:
         "Words and detectors",
         tables=[
             Table("Words", ("word", "what it means here"), tuple(WORDS.items())),
-            Table("Detectors", ("detector", "what it is"), tuple((d, DETECTORS[d][0]) for d in detectors)),
+            Table(
+                "Detectors",
+                ("detector", "memory", "what it is"),
+                tuple((d, DETECTORS[d].memory, DETECTORS[d].about) for d in detectors),
+            ),
         ],
     )

@@ -1,182 +1,210 @@
 """The work of a comparison: one detector on one plant, calibrated to the common rate of false alarms and put through all.
 
-Until the first alarm the deployed and the silent detector have the same state, so a branch of the deployed one begins with that
-of the silent trunk: as one that has not alarmed yet. What it does on healthy readings, where some alarms last, is told apart.
+Until the first alarm the deployed and the silent detector have the same state, so a branch of the deployed one begins with
+that of the silent trunk: as one that has not alarmed yet. What it does on healthy readings, where some alarms last, is
+reported apart.
 """
 
 from __future__ import annotations
 
+import json
 import time
 import tracemalloc
 from collections.abc import Sequence
-from itertools import groupby
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_calibration import (
-    Calibrated,
-    CannotRunError,
-    calibrated,
-    deployed,
-    silent,
-    silent_scores,
-)
+from fusion_sfdia.benchmarks.comparison_branches import Branches, Run, branches, deployed_walk, silent_walk
+from fusion_sfdia.benchmarks.comparison_calibration import Calibrated, calibrated, deployed, silent
 from fusion_sfdia.benchmarks.comparison_protocol import (
+    GRADED,
     HEALTHY,
+    LENGTH,
     TROUBLED_SIGMA,
     Condition,
+    calibration_runs,
     conditions,
     departures,
-    faults_of,
-    onset_step,
+    judged_steps,
+    onsets,
     sensors_of,
+    settle_of,
+    sizes,
     trunk_steps,
 )
-from fusion_sfdia.benchmarks.comparison_recordings import beginning, healthy, plant_of
-from fusion_sfdia.benchmarks.comparison_records import Branch, join, labelled, record
-from fusion_sfdia.benchmarks.comparison_truths import departed, failing
+from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
+from fusion_sfdia.benchmarks.comparison_records import Branch, Outcome, join, record
+from fusion_sfdia.benchmarks.comparison_truths import departed
 from fusion_sfdia.benchmarks.scenario import Arrays, Task
-from fusion_sfdia.core.batch_detector import CLOCK
-from fusion_sfdia.core.detector import Decision, Detector, State, run
+from fusion_sfdia.core.detector import Detector, NotApplicableError, State
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.faults import apply
 from fusion_sfdia.evaluation.simulate import Recording
 
 Array = NDArray[Any]
 
-SWEPT = ("bias",)  # of which receiver operating characteristics are drawn
 TIMED_STEPS = 10
 
 
-class Trunk(NamedTuple):
-    """A healthy recording, the silent detector's scores (K, S) on it, and its states before the samples asked for."""
+class Labelled(NamedTuple):
+    """A condition, the truth behind it ("" for the usual one), and its runs, one a seed."""
+
+    condition: Condition
+    truth: str
+    members: tuple[int, ...]
+
+
+class Material(NamedTuple):
+    """What all detectors are given: a recording, its branches, and which runs belong to which condition."""
 
     recording: Recording
-    scores: Array
-    states: dict[int, State]
+    branches: Branches
+    labels: tuple[Labelled, ...]
 
 
 def work(task: Task) -> Arrays:
-    """All of one detector on one plant, or the `reason` why there is nothing.
+    """All of one detector on one plant, or the `reason` why it does not apply.
 
-    Of the conditions (J, S): the arrays of `comparison_records`, condition, truth ("" for the plant's own). Of the silent
-    detector: trunk (K, S), its scores at nominal thresholds after settling, and swept (J', W, S) in swept_condition (J',).
-    deployed_alarms (S,): its samples with an alarm of the deployed one. scale, claim, nominal_alarms (R,) of calibration runs
-    of calibration_steps; step_seconds, batch_seconds (of a run in a batch), state_bytes, step_bytes. Seconds and step_bytes
-    differ from one call to the next; all else has the same bits for the same task.
+    Of the conditions (J, S): the arrays of `comparison_records`, condition, truth ("" for the usual one), threshold (0; -1 and
+    1 for thresholds a standard error lower and higher). Of the silent detector: trunk (K, S), its scores at nominal thresholds
+    after settling, and swept (J', W, S) in swept_condition (J'), NaN where a condition is over. deployed_alarms (S,): samples
+    with an alarm of the deployed one on the trunk. scale, ends (2,), claim; of the calibration runs, calibration_samples each,
+    nominal_alarms (R,) and calibration_alarms (R,), above the own and the common threshold. step_seconds, batch_seconds (of a
+    run in a batch), state_bytes, step_bytes: seconds and step_bytes differ from one call to the next, all else has the same
+    bits for the same task.
     """
+    name, settle = task["plant"], settle_of(task, task["plant"])
+    steps, runs = judged_steps(task, name), calibration_runs(task, name)
     try:
-        calibration = calibrated(
-            task["plant"], task["detector"], task["settle"], task["calibration_steps"], task["calibration_seeds"],
-            task["false_alarm"],
-        )  # fmt: skip
-    except CannotRunError as problem:
+        calibration = calibrated(name, task["detector"], settle, steps, runs, task["false_alarm"])
+    except NotApplicableError as problem:
         return {"reason": np.array(str(problem))}
-    found = conditions(task, task["plant"])
-    recording = healthy(task["plant"], trunk_steps(task, task["plant"]), tuple(task["seeds"]))
+    key = json.dumps({k: v for k, v in task.items() if k != "detector"}, sort_keys=True)
+    usual = usual_material(key)
+    recording, found, labels = usual
+    swept = [label for label in labels if is_swept(task, label.condition)]
     start = time.process_time()
-    trunk = follow(silent(calibration.detector), recording, {onset_step(task, c.group) for c in found})
-    seconds = (time.process_time() - start) / trunk.scores.size
-    groups = [list(members) for _, members in groupby(found, key=lambda c: c.group)]
-    usual = [branch_out(task, calibration, trunk, members) for members in groups]
-    swept = [members for members in groups if members[0].kind in SWEPT]
+    to_sweep = found.some(sorted({i for label in swept for i in label.members}))
+    kept = {settle, *(run.onset for run in found.runs)}
+    quiet = silent_walk(silent(calibration.detector), recording, to_sweep, kept)
+    seconds = (time.process_time() - start) / (quiet.trunk.size + int(np.isfinite(quiet.runs).sum()))
+    alarms, seen = deployed_walk(deployed(calibration), recording, found, quiet.states, settle, trunk=True)
+    parts = [labelled(calibration.detector.plant, usual, labels, seen)]
+    headline = [label for label in labels if is_headline(task, label.condition)]
+    to_vary = found.some([i for label in headline for i in label.members])
+    for sign, scale in zip((-1, 1), calibration.ends, strict=True):
+        _, varied = deployed_walk(deployed(calibration, scale), recording, to_vary, quiet.states, settle)
+        parts += [labelled(calibration.detector.plant, usual, headline, varied, sign)] if headline else []
+    if departures(task, name):
+        parts.append(mistaken(calibration, mismatch_material(key), settle))
     return {
-        **join([*usual, *(mistaken(task, calibration, name) for name in departures(task, task["plant"]))]),
-        "trunk": trunk.scores[task["settle"] :].astype(np.float32),
-        "swept": np.concatenate([swept_scores(task, calibration, trunk, members) for members in swept] or [_NOTHING]),
-        "swept_condition": np.array([c.name for members in swept for c in members]),
+        **{k: np.concatenate([part[k] for part in parts]) for k in parts[0]},
+        "trunk": quiet.trunk[settle:].astype(np.float32),
+        "swept": swept_scores(found, swept, quiet.runs),
+        "swept_condition": np.array([label.condition.name for label in swept]),
         "scale": np.array(calibration.scale),
+        "ends": np.array(calibration.ends),
         "claim": np.array(calibration.claim),
         "nominal_alarms": (calibration.scores > 1).sum(axis=0),
-        "deployed_alarms": deployed_alarms(task, calibration, trunk),
+        "calibration_alarms": (calibration.scores > calibration.scale).sum(axis=0),
+        "calibration_samples": np.array(steps),
+        "deployed_alarms": alarms[settle:].sum(axis=0),
         "batch_seconds": np.array(seconds),
         **cost(calibration.detector, recording),
     }
 
 
-_NOTHING = np.empty((0, 0, 0), np.float32)
+def is_swept(task: Task, condition: Condition) -> bool:
+    """Whether areas under ROCs are taken: of all single faults at a small and a large size, of freezes and of lengths."""
+    return condition.kind in (LENGTH, "freeze") or (condition.kind in GRADED and condition.sigmas in sizes(task))
 
 
-def follow(detector: Detector, recording: Recording, stops: set[int]) -> Trunk:
-    """Run along a recording and keep the states before the samples `stops`."""
-    runs = recording.y.shape[1]
-    u = recording.u_of_runs
-    state = detector.init((runs,), float(recording.t[0]) - detector.plant.dt)
-    scores, states = [], {}
-    for k, t in enumerate(recording.t):
-        if k in stops:
-            states[k] = state
-        state, decision = detector.step(state, float(t), recording.y[k], u[k])
-        scores.append(silent_scores(decision))
-    return Trunk(recording, np.stack(scores), states)
+def is_headline(task: Task, condition: Condition) -> bool:
+    """Whether it is run at thresholds a standard error lower and higher, too."""
+    return condition.kind in GRADED and condition.sigmas in sizes(task)
 
 
-def branched(state: State, copies: int) -> State:
-    """The state of a batch so many times side by side."""
-    return (*state[:CLOCK], *(np.concatenate([a] * copies) for a in state[CLOCK:]))
+@lru_cache(maxsize=1)
+def usual_material(key: str) -> Material:
+    """The usual recording and all conditions, for a task (JSON) without its detector."""
+    task = json.loads(key)
+    plant, seeds = plant_of(task["plant"]), tuple(task["seeds"])
+    recording = healthy(plant.name, trunk_steps(task, plant.name), seeds)
+    found = conditions(task, plant.name)
+    starts = [onsets(task, plant.name, seed) for seed in seeds]
+    longest = {(c.group, c.sigmas): c for c in sorted(found, key=lambda c: c.length) if c.kind == LENGTH}
+    runs: dict[Run, int] = {}
+    labels = []
+    for c in found:
+        carrier = longest.get((c.group, c.sigmas), c)  # a shorter bias is the beginning of a longer one
+        own = [Run(carrier, b, starts[b][c.group], carrier.length) for b in range(len(seeds))]
+        labels.append(Labelled(c, "", tuple(runs.setdefault(run, len(runs)) for run in own)))
+    return Material(recording, branches(plant, recording, list(runs), task["window"]), tuple(labels))
 
 
-def readings(task: Task, plant: Plant, recording: Recording, members: Sequence[Condition]) -> Branch:
-    """The readings of the segment that the conditions share, one condition after the other along the batch."""
-    onset, window, seeds = onset_step(task, members[0].group), task["window"], tuple(task["seeds"])
-    before = slice(max(0, onset - window), onset + window)  # what a replay repeats
-    shown = [plant_fault(task, c.group, c.name) if c.kind == "plant" else recording for c in members]
-    y, signal = (np.concatenate([getattr(r, what)[before] for r in shown], axis=1) for what in ("y", "signal"))
-    lists = [
-        faults_of(task, plant, c, seed, float(recording.t[onset]), recording.signal[onset : onset + window, b])
-        for c in members
-        for b, seed in enumerate(seeds)
+@lru_cache(maxsize=1)
+def mismatch_material(key: str) -> Material:
+    """All mismatch cases as one recording, each healthy and with a bias after settling."""
+    task = json.loads(key)
+    plant, seeds, window = plant_of(task["plant"]), tuple(task["seeds"]), task["window"]
+    settle, names = settle_of(task, plant.name), departures(task, plant.name)
+    parts = [departed(plant.name, name, settle + window, seeds, settle * plant.dt) for name in names]
+    y, signal, u = (np.concatenate([getattr(p, k) for p in parts], axis=1) for k in ("y", "signal", "u_of_runs"))
+    recording = replace(parts[0], y=y, signal=signal, u=u, x=None, seeds=seeds * len(names))
+    tried = [
+        Condition(HEALTHY, HEALTHY, np.nan, window, "mismatch"),
+        Condition(f"bias-{TROUBLED_SIGMA:g}-sigma", "bias", TROUBLED_SIGMA, window, "mismatch"),
     ]
-    changed = apply(plant, recording.t[before], y, lists, seeds * len(members), signal=signal)
-    now = slice(onset - before.start, None)
-    u = np.concatenate([r.u_of_runs[onset : onset + window] for r in shown], axis=1)
-    return Branch(u, changed.y[now], y[now], signal[now], changed.active[now], changed.size[now])
+    runs: list[Run] = []
+    labels = []
+    for d, name in enumerate(names):
+        for c in tried:
+            members = range(len(runs), len(runs) + len(seeds))
+            runs += [Run(c, d * len(seeds) + b, settle, window) for b in range(len(seeds))]
+            labels.append(Labelled(c, name, tuple(members)))
+    return Material(recording, branches(plant, recording, runs, window), tuple(labels))
 
 
-def run_on(task: Task, detector: Any, trunk: Trunk, members: Sequence[Condition]) -> tuple[Branch, Decision]:
-    """A detector on the conditions of a group, all at once, from where its trunk has brought it."""
-    branch, onset = readings(task, detector.plant, trunk.recording, members), onset_step(task, members[0].group)
-    t = trunk.recording.t[onset : onset + task["window"]]
-    return branch, run(detector, branched(trunk.states[onset], len(members)), t, branch.y, branch.u)[1]
+def mistaken(calibration: Calibrated, material: Material, settle: int) -> Arrays:
+    """What a detector makes of truths that depart from what it was made for."""
+    recording, found, labels = material
+    quiet = silent_walk(silent(calibration.detector), beginning(recording, settle + 1), found.some([]), {settle})
+    _, seen = deployed_walk(deployed(calibration), recording, found, quiet.states, settle)
+    return labelled(calibration.detector.plant, material, labels, seen)
 
 
-def branch_out(task: Task, calibration: Calibrated, trunk: Trunk, members: Sequence[Condition], truth: str = "") -> Arrays:
-    """What the deployed detector makes of the conditions of a group."""
-    plant = calibration.detector.plant
-    branch, decision = run_on(task, deployed(calibration), trunk, members)
-    sensors = [sensors_of(task, plant, c, seed) for c in members for seed in task["seeds"]]
-    return labelled(record(plant, decision, branch), [c.name for c in members], truth, sensors)
+def beginning(recording: Recording, steps: int) -> Recording:
+    """The first samples of a recording."""
+    names = ("t", "u", "y", "signal")
+    return replace(recording, x=None, **{name: getattr(recording, name)[:steps] for name in names})
 
 
-def swept_scores(task: Task, calibration: Calibrated, trunk: Trunk, members: Sequence[Condition]) -> Array:
-    """Scores (J, W, S) of the silent detector at nominal thresholds, under the faults of a group."""
-    _, decision = run_on(task, silent(calibration.detector), trunk, members)
-    scores = silent_scores(decision).reshape(task["window"], len(members), -1)
-    return np.asarray(scores.transpose(1, 0, 2), np.float32)
+def labelled(plant: Plant, material: Material, labels: Sequence[Labelled], seen: Outcome, threshold: int = 0) -> Arrays:
+    """The records of conditions (J, S) with their names, truths, thresholds and first faulty sensors (-1 for none)."""
+    found, records, sensors = material.branches, [], []
+    for condition, _, members in labels:
+        rows = found.of(members, condition.length)
+        records.append(record(plant, Outcome(*(a[rows] for a in seen)), Branch(*(a[rows] for a in found.readings))))
+        seeds = [material.recording.seeds[found.runs[i].b] for i in members]
+        sensors.append([(sensors_of(plant, condition, seed) or [-1])[0] for seed in seeds])
+    return join(records) | {
+        "condition": np.array([label.condition.name for label in labels]),
+        "truth": np.array([label.truth for label in labels]),
+        "threshold": np.full(len(labels), threshold),
+        "sensor": np.array(sensors),
+    }
 
 
-def mistaken(task: Task, calibration: Calibrated, name: str) -> Arrays:
-    """Healthy and with a bias, where the truth departs from what the detector was made for."""
-    members = [Condition(HEALTHY, HEALTHY, np.nan, 0), Condition(f"bias-{TROUBLED_SIGMA:g}-sigma", "bias", TROUBLED_SIGMA, 0)]
-    recording = departed(task["plant"], name, task["settle"] + task["window"], tuple(task["seeds"]))
-    trunk = follow(silent(calibration.detector), beginning(recording, task["settle"] + 1), {task["settle"]})
-    return branch_out(task, calibration, trunk._replace(recording=recording), members, name)
-
-
-def plant_fault(task: Task, group: int, name: str) -> Recording:
-    """Readings of a run whose plant fails where the segment of the group begins."""
-    onset = (onset_step(task, group) - 1e-6) * plant_of(task["plant"]).dt  # with the last healthy reading, but for rounding
-    return failing(task["plant"], name, trunk_steps(task, task["plant"]), tuple(task["seeds"]), onset)
-
-
-def deployed_alarms(task: Task, calibration: Calibrated, trunk: Trunk) -> Array:
-    """Samples with an alarm (S,) of the deployed detector on the healthy trunk after settling, latched ones too."""
-    recording, settle = trunk.recording, task["settle"]
-    y, u = recording.y[settle:], recording.u_of_runs[settle:]
-    _, decision = run(deployed(calibration), trunk.states[settle], recording.t[settle:], y, u)
-    return np.asarray(decision.alarm.sum(axis=0))
+def swept_scores(found: Branches, swept: Sequence[Labelled], scores: Array) -> Array:
+    """Scores (J, W, S) of the silent detector under some conditions, NaN where one is over."""
+    longest = max((label.condition.length for label in swept), default=0)
+    kept = np.full((len(swept), longest, len(swept[0].members) if swept else 0), np.nan, np.float32)
+    for j, (condition, _, members) in enumerate(swept):
+        kept[j, : condition.length] = scores[found.of(members, condition.length)]
+    return kept
 
 
 def cost(detector: Detector, recording: Recording) -> Arrays:

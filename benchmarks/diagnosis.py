@@ -29,6 +29,7 @@ def diagnose_log(
     *,
     absent_sensors: bool = False,
     other_columns: bool = False,
+    nominal_inputs: bool = False,
     force: bool = False,
 ) -> Diagnosis:
     """Diagnose a log with the detector of a name and write FILES into the folder `out`.
@@ -37,7 +38,7 @@ def diagnose_log(
     `diagnose` does.
     """
     require_free(out, force=force)
-    log = read_log(data, plant, absent_sensors=absent_sensors, other_columns=other_columns)
+    log = read_log(data, plant, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs)
     with_detector = detector(named, plant)
     try:
         found = diagnose(with_detector, *log)
@@ -66,7 +67,7 @@ def write_diagnosis(out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[
         for e in found.events:
             table.writerow((e.hypothesis, repr(e.start), repr(e.end), repr(e.size), e.unit, str(e.open).lower()))
     write_log(out / "reconstructed.csv", plant, found.t, found.decisions.measured, u)
-    write_figure(out, "diagnosis", lambda: draw(plant, y, found))
+    write_figure(out, "diagnosis", lambda: draw(plant, np.where(found.decisions.absurd, np.nan, y), found))
 
 
 def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:

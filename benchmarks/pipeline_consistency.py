@@ -16,6 +16,7 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     OURS,
     PAPER,
     SETTLE,
+    SINGLE,
     Results,
     bar_series,
     row,
@@ -33,7 +34,7 @@ BUDGETS = (1e-1, 1e-2, 1e-3)
 
 def consistency_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Detectors at each budget on truth that obeys the filter's model; the paper's banks for their covariance."""
-    audited = ({"detector": d, "budget": b} for d in (*OURS, "kf-chi2") for b in BUDGETS)
+    audited = ({"detector": d, "budget": b} for d in (*OURS, SINGLE) for b in BUDGETS)
     return tasks(settings, (*audited, *({"detector": d, "budget": 0.0} for d in PAPER)), seeds)
 
 

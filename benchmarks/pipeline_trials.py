@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.detectors import build, watching
+from fusion_sfdia.benchmarks.detectors import build, fusing_bank, watching
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.plots import Bars
 from fusion_sfdia.benchmarks.results import Row
@@ -29,12 +29,15 @@ Shown = Mapping[tuple[str, str], Estimate | None]
 PLANT = "gas-pipeline"
 PAPER = ("fusing-ekf", "fusing-ukf", "fusing-enkf")
 OURS = ("loo-chi2", "loo-glr")
+SINGLE = "kf-chi2"
 SENSORS = 63
 SETTLE = 30  # samples that are not judged: the filters forget their initial covariance
 AFTERMATH = 40  # samples after a fault in which a filter that trusted it recovers: left out where thresholds are swept
 CHUNK = 25  # runs in one task
 # truth: the paper's readings come from the filter's own model ("model"), others may come from a finer grid ("finer")
-COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "tenth", "truth": "model"}
+# process_noise: of the paper's filters, as printed ("nine-tenths" of the sensors' sigma) or the other reading; ours have OWN
+COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "nine-tenths", "truth": "model"}
+OWN = "tenth"  # the plant's own process noise
 
 KNOWN = {  # what the settings that name something may name
     "snr": tuple(SIGMA),
@@ -61,7 +64,8 @@ def initial(detector: str) -> str:
 @cache
 def detector_on_pipeline(name: str, snr: str, process_noise: str) -> Detector:
     """A named detector on the paper's pipeline, built (and calibrated) once for all tasks of a process."""
-    return build(name, gas_pipeline(snr=snr, process_noise=process_noise, initial=initial(name)))
+    plant = gas_pipeline(snr=snr, process_noise=process_noise, initial=initial(name))
+    return fusing_bank(plant, name.removeprefix("fusing-")) if name in PAPER else build(name, plant)
 
 
 def steps(settings: Settings) -> int:
@@ -81,10 +85,18 @@ def check(settings: Settings) -> None:
 
 
 def tasks(settings: Settings, cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
-    """One task a cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `check` refuses."""
+    """One task a cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `check` refuses.
+
+    The setting process_noise is one of the paper's filters: the other detectors have the plant's own.
+    """
     check(settings)
     common = {name: settings[name] for name in COMMON if name in settings}
-    return [common | cell | {"seeds": block} for cell in cells for block in seed_blocks(seeds, CHUNK)]
+    own = {"process_noise": OWN}
+    return [
+        common | (own if cell["detector"] in (*OURS, SINGLE) else {}) | cell | {"seeds": block}
+        for cell in cells
+        for block in seed_blocks(seeds, CHUNK)
+    ]
 
 
 def trial(task: Task, detector: Detector | None = None, truth: Plant | None = None) -> Arrays:

@@ -126,7 +126,7 @@ def detector(name: str, of: Plant) -> Detector:
     """Return a detector with its usual settings on a plant; ValueError for an unknown name."""
     from fusion_sfdia.benchmarks.detectors import DETECTORS
 
-    return DETECTORS[require_known("detector", name, DETECTORS)][1](of)
+    return DETECTORS[require_known("detector", name, DETECTORS)].build(of)
 
 
 def fault(text: str) -> tuple[str, str | None]:
@@ -150,7 +150,7 @@ def listing() -> dict[str, list[dict[str, str]]]:
 
     return {
         "plants": [_entry(name, about) for name, (about, _) in PLANTS.items()],
-        "detectors": [_entry(name, about) for name, (about, _) in DETECTORS.items()],
+        "detectors": [_entry(name, entry.about) for name, entry in DETECTORS.items()],
         "faults": [
             *(_entry(name, preset.description, use=DRAWN) for name, preset in PRESETS.items()),
             *(_entry(name, about, use=LISTED) for name, about in FAULT_KINDS.items()),

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
     from fusion_sfdia.core.detector import Decision as Decision
     from fusion_sfdia.core.detector import Detector as Detector
+    from fusion_sfdia.core.detector import MissingPackageError as MissingPackageError
+    from fusion_sfdia.core.detector import NotApplicableError as NotApplicableError
     from fusion_sfdia.core.detector import run as run
     from fusion_sfdia.core.discretise import discretise as discretise
     from fusion_sfdia.core.discretise import linear_plant as linear_plant
@@ -31,7 +33,9 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.signals import Signal as Signal
     from fusion_sfdia.core.storage import load_state as load_state
     from fusion_sfdia.core.storage import save_state as save_state
+    from fusion_sfdia.data_driven.ewma_limits import EwmaLimits as EwmaLimits
     from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
+    from fusion_sfdia.data_driven.one_class import OneClass as OneClass
     from fusion_sfdia.data_driven.pca import PrincipalComponents as PrincipalComponents
     from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
     from fusion_sfdia.evaluation.diagnose import Event as Event
@@ -72,7 +76,7 @@ _MODULES = {
     "kalman_banks.calibration": ("calibrate",),
     "kalman_banks.central_filter": ("CentralFilter",),
     "stochastic_thresholds.chebyshev": ("Chebyshev",),
-    "core.detector": ("Decision", "Detector", "run"),
+    "core.detector": ("Decision", "Detector", "MissingPackageError", "NotApplicableError", "run"),
     "evaluation.diagnose": ("Diagnosis", "Event", "diagnose"),
     "adaptive_thresholds.diagnosis_sets": ("DiagnosisLogic",),
     "core.discretise": ("discretise", "linear_plant"),
@@ -82,7 +86,9 @@ _MODULES = {
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
     "evaluation.faults": ("Fault", "apply_faults:apply", "load_faults"),
     "filters.filterpy_adapter": ("plant_from_filterpy",),
+    "data_driven.ewma_limits": ("EwmaLimits",),
     "data_driven.fixed_limits": ("FixedLimits",),
+    "data_driven.one_class": ("OneClass",),
     "kalman_banks.fusing_bank": ("FusingBank",),
     "intervals.interval": ("Interval",),
     "kalman_banks.leave_one_out_bank": ("LeaveOneOutBank",),

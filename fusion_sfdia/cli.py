@@ -77,6 +77,9 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--absent-sensors", action="store_true", help="take sensors without a column as missing throughout")
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
     one.add_argument(
+        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
+    )
+    one.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
@@ -136,7 +139,8 @@ def _done(chosen: argparse.Namespace) -> int:
 
         print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
         full = getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT)
-        return 2 if isinstance(error, ValueError | OverflowError | OSError) and not full else 1
+        at_fault = isinstance(error, ValueError | OverflowError | OSError) and not isinstance(error, ModuleNotFoundError)
+        return 2 if at_fault and not full else 1
 
 
 def _list(chosen: argparse.Namespace) -> int:
@@ -244,6 +248,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
             out,
             absent_sensors=chosen.absent_sensors,
             other_columns=chosen.other_columns,
+            nominal_inputs=chosen.nominal_inputs,
             force=chosen.force,
         )
     for warning in told:

@@ -7,6 +7,14 @@ An outlet obeys Torricelli's law v = sqrt(2 g level), so that outlet = (discharg
 are alike: at rest inflow = flow_12 = flow_out and level_1 = level_2 = (inflow / outlet)^2. About that level a tank follows its
 inflow with the time constant 2 area sqrt(level) / outlet. All numbers here are chosen, none is from a paper: 0.6 litres a
 second at a level of 1 m, time constants of 167 s, noise of a hundredth.
+
+The truth behind simulated readings differs a little, as a rig does from its data sheet. Its outlets are short pipes: with the
+kinetic head goes a viscous one, proportional to the flow (Hagen 1839, Poiseuille 1840),
+
+    level = (1 - VISCOUS) (flow / outlet)^2 + VISCOUS sqrt(LEVEL) flow / outlet,
+
+which is Torricelli's law at LEVEL, and their bores are TOLERANCE off, the upper one wider, the lower one narrower. At rest
+its levels are 0.4 % low and 0.4 % high, 0.4 standard deviations of a reading.
 """
 
 from __future__ import annotations
@@ -35,6 +43,10 @@ SWING_PERIOD = 1200.0  # s, some seven time constants: the levels nearly follow
 GAIN = 0.05  # 1/s, of the observers: levels integrate what flows, so that only their gains make errors decay
 NOISE = 0.01  # sigma of each sensor over its value at rest
 BOUND = 4.0  # of each sensor's error, in sigma
+STEP = 5.0  # s
+VISCOUS = 0.02  # share of the head that friction in the outlets takes at rest
+TOLERANCE = 0.002  # by which each outlet differs from its nominal value: a bore is made to a thousandth of its diameter
+FINER = 4  # substeps of the truth in one
 STATES = ("level_1", "level_2")
 ALGEBRAIC = ("flow_12", "flow_out")
 
@@ -44,6 +56,9 @@ class Tanks(NamedTuple):
 
     area: float = 0.05  # m2
     outlet: float = 6e-4  # m2.5/s, flow per root of level
+
+
+NOMINAL = Tanks()
 
 
 @equation
@@ -102,27 +117,52 @@ def tank_physics() -> Physics:
     )
 
 
-def tank_modules() -> Modules:
+def tank_modules(c: Tanks = NOMINAL) -> Modules:
     """A monitoring module for each measured variable."""
     return Modules(
         equations=EQUATIONS,
         rates=np.zeros(len(STATES)),
-        nominal=dict.fromkeys(STATES, LEVEL) | dict.fromkeys(ALGEBRAIC, INFLOW),
-        parameters=Tanks(),
+        nominal=dict.fromkeys(STATES, (INFLOW / c.outlet) ** 2) | dict.fromkeys(ALGEBRAIC, INFLOW),
+        parameters=c,
         inputs=("inflow",),
         names={"level_1": "M(1,1)", "flow_12": "M(1,2)", "level_2": "M(2,1)", "flow_out": "M(2,2)"},
         gains=dict.fromkeys(STATES, GAIN),
     )
 
 
-def two_tanks(*, swing: float = 0.0) -> Plant:
+def true_outlets(c: Tanks) -> Array:
+    """The outlets of the truth (2,), m2.5/s."""
+    return c.outlet * np.array([1.0 + TOLERANCE, 1.0 - TOLERANCE])
+
+
+def _true_flows(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
+    half = VISCOUS * np.sqrt(LEVEL) / (2 * (1 - VISCOUS))  # of the quadratic equation for flow / outlet
+    return np.asarray(true_outlets(c) * (np.sqrt(half**2 + x / (1 - VISCOUS)) - half))
+
+
+def true_physics(c: Tanks) -> Physics:
+    """The truth: outlets with friction, off by their tolerance."""
+    return replace(tank_physics(), phi=_true_flows, parameters=c, equations={})
+
+
+def rest_of_truth(c: Tanks) -> Array:
+    """Levels of the truth at which both flows are INFLOW, m."""
+    ratio = INFLOW / true_outlets(c)
+    return np.asarray((1 - VISCOUS) * ratio**2 + VISCOUS * np.sqrt(LEVEL) * ratio)
+
+
+def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
     """Return the tanks as a plant with the states level_1, level_2 (m); both levels and both flows are measured.
 
     swing: share of the nominal inflow by which its operation moves it up and down, a sine of SWING_PERIOD; 0 for rest.
-    ValueError unless it is from 0 to 0.5, with which no tank runs dry or over.
+    outlet: of both outlets, over the nominal one. ValueError unless swing is from 0 to 0.5 and outlet from 0.8 to 1.2, with
+    which no tank runs dry or over.
     """
     if not 0 <= swing <= 0.5:
         raise ValueError(f"swing is {swing}; wanted a share of the nominal inflow from 0 to 0.5")
+    if not 0.8 <= outlet <= 1.2:
+        raise ValueError(f"outlet is {outlet}; expected a factor of the nominal outlets from 0.8 to 1.2")
+    c = NOMINAL._replace(outlet=outlet * NOMINAL.outlet)
     sensors = [
         Sensor(name, variable, unit, sigma=NOISE * value, bound=BOUND * NOISE * value, owner=owner, quantity=quantity)
         for name, variable, unit, value, owner, quantity in (
@@ -132,12 +172,20 @@ def two_tanks(*, swing: float = 0.0) -> Plant:
             ("q2", "flow_out", "m3/s", INFLOW, "lower", "flow"),
         )
     ]
-    plant = discretise(
-        tank_physics(),
-        sensors,
-        dt=5.0,
-        x0=np.full(2, LEVEL),
-        initial_cov=np.full(2, (NOISE * LEVEL) ** 2),
-        process_cov=np.full(2, (0.1 * NOISE * LEVEL) ** 2),
-    )
-    return replace(plant, modules=tank_modules(), operation=partial(_inflow, swing) if swing else None)
+    start, change = np.full(2, (NOISE * LEVEL) ** 2), np.full(2, (0.1 * NOISE * LEVEL) ** 2)
+    operation = partial(_inflow, swing) if swing else None
+    physics, x0 = replace(tank_physics(), parameters=c), np.full(2, (INFLOW / c.outlet) ** 2)
+    plant = discretise(physics, sensors, dt=STEP, x0=x0, initial_cov=start, process_cov=change)
+    return replace(plant, modules=tank_modules(c), operation=operation, finer=partial(_truth, plant, c, operation))
+
+
+def _truth(plant: Plant, c: Tanks, operation: Callable[[float], Array] | None) -> tuple[Plant, Callable[[Array], Array]]:
+    twin = discretise(
+        true_physics(c), plant.sensors, dt=STEP, substeps=FINER, x0=rest_of_truth(c),
+        initial_cov=plant.initial_cov, process_cov=plant.process_cov,
+    )  # fmt: skip
+    return replace(twin, operation=operation), _same_states
+
+
+def _same_states(x: Array) -> Array:
+    return x

@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from kernels import NOT_NUMERICAL
 
 # the folders of fusion_sfdia, and those from which the modules of each import beside their own: no school knows another
 FOLDERS: dict[str, set[str]] = {
@@ -153,3 +154,7 @@ def test_no_path_of_a_machine_is_written_down() -> None:
             continue
         text = path.read_text(encoding="utf-8")
         assert not (found := pattern.search(text)), f"{path.name}: {found and text[found.start() : found.end() + 30]}"
+
+
+def test_files_left_out_of_the_runs_with_other_kernels_are_there(root: Path) -> None:
+    assert {name for name in NOT_NUMERICAL if not (root / "tests" / name).is_file()} == set()

@@ -1,6 +1,7 @@
 """Thresholds from healthy data: exact quantiles, shared by quantity."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from toy_plants import chain, readings, tanks
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.kalman_banks.calibration import calibrate
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
 
 def test_each_quantity_takes_its_share_of_the_data_above_its_threshold() -> None:
@@ -67,3 +70,11 @@ def test_too_few_samples_name_how_many_are_wanted() -> None:
     enough = replace(calibrate(bank, t, y, u, false_alarm=0.1), accommodate=False)
     _, d = run(enough, enough.init((2,)), t, y, u)
     np.testing.assert_array_equal(d.scores[20:].max(axis=(0, 1)), np.ones(4))
+
+
+@pytest.mark.parametrize("kind", [LeaveOneOutBank, CentralFilter])
+def test_only_what_has_no_thresholds_of_its_own_is_calibrated(kind: Any) -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 40, 2, seed=0)
+    with pytest.raises(ValueError, match=f"bank is a {kind.__name__}; only a FusingBank is calibrated here, .* false_alarm"):
+        calibrate(kind(plant), t, y, u)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rounding import rounding
 from scipy.stats import norm
 from toy_plants import chain, readings, tanks
 
@@ -28,12 +29,15 @@ def test_on_a_linear_plant_it_is_the_textbook_kalman_filter() -> None:
         innovation = y[k] - h @ x
         gain = p @ h.T @ np.linalg.inv(s)
         x, p = x + gain @ innovation, (np.eye(5) - gain @ h) @ p
-        # thirty steps of well-conditioned algebra with numbers of order 1
-        np.testing.assert_allclose(got.estimate[k], x, atol=1e-11)
-        np.testing.assert_allclose(got.covariance[k], p, atol=1e-11)  # type: ignore[index]
-        np.testing.assert_allclose(got.residual[k], innovation, atol=1e-11)
-        np.testing.assert_allclose(got.threshold[k], norm.isf(1e-3 / 4 / 2) * np.sqrt(np.diag(s)), rtol=1e-11)
-        assert got.nis[k] == pytest.approx(innovation @ np.linalg.solve(s, innovation) / 4, rel=1e-9)
+        # k + 1 stable steps of sums over five states and four readings, numbers of order 1 to 10
+        tolerance = rounding(10 * np.linalg.cond(s), (k + 1) * (5 + 4))
+        np.testing.assert_allclose(got.estimate[k], x, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(got.covariance[k], p, rtol=0, atol=tolerance)  # type: ignore[arg-type, index]
+        np.testing.assert_allclose(got.residual[k], innovation, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(got.threshold[k], norm.isf(1e-3 / 4 / 2) * np.sqrt(np.diag(s)), rtol=tolerance)
+        squared = innovation @ np.linalg.solve(s, innovation)  # its terms are at most 2 |d| |S^-1 d| apart
+        near = tolerance * 2 * np.abs(np.linalg.solve(s, innovation)).sum()
+        assert got.nis[k] == pytest.approx(squared / 4, rel=0, abs=near)
 
 
 @pytest.mark.parametrize("false_alarm", [0.02, 0.2])

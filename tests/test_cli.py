@@ -339,3 +339,15 @@ def test_an_option_takes_plain_numbers(capsys: pytest.CaptureFixture[str], text:
     with pytest.raises(SystemExit):
         main(["simulate", "--out", "x.csv", "--steps", text])
     assert "argument --steps: invalid integer value" in capsys.readouterr().err
+
+
+def test_inputs_that_a_log_lacks_are_assumed_only_when_asked_for(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = "".join(f"{5 * k},1.0,1.0,6e-4,6e-4\n" for k in range(1, 9))
+    Path("log.csv").write_text("time,l1,l2,q12,q2\n" + rows, encoding="utf-8")
+    command = ("diagnose", "--plant", "two-tanks", "--detector", "kf-chi2", "--data", "log.csv")
+    code, out, err = call(capsys, *command)
+    assert (code, out) == (2, "") and "no column for the inputs 'inflow'" in err and "--nominal-inputs" in err
+    code, out, err = call(capsys, *command, "--nominal-inputs")
+    assert code == 0 and "8 readings" in out
+    assert err.startswith("fusion-sfdia: warning: log.csv: no column for the inputs 'inflow'; their nominal values")

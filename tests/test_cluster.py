@@ -73,7 +73,7 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_machine(
     tmp_path: Path, cluster: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Four pieces; when the first comes back, one of the two processes is killed. Parts hold times too, which differ."""
-    quick = "calibration_seeds=2 calibration_steps=50 false_alarm=0.02 departures=no plant_faults=no magnitudes=10 settle=20"
+    quick = "calibration_error=0.3 lengths=2 false_alarm=0.02 departures=no plant_faults=no magnitudes=10 settle=20"
     command = [
         "compare",
         "--plants",

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rounding import rounding
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.plant import Array
@@ -65,6 +66,38 @@ def test_as_printed_the_deviation_of_shared_states_is_too_small() -> None:
     sharers = 1 + np.bincount(AT.node)
     assert np.all(ratios(own, s)[sharers > 2, 0] > 1 + ERROR) and np.all(ratios(own, s)[:, 0] > 1 - ERROR)
     np.testing.assert_array_equal(s[..., 1:], healthy_run("corrected")[1][..., 1:])  # of others it is the same
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_each_deviation_is_that_of_its_own_receivers_noise(missing: bool) -> None:
+    """Without memory s^2 is the variance of the receiver's reading, of w, and of every reading by its share of the estimate.
+
+    Noises are unlike in all copies, shares are found by moving each reading by 1: estimates are linear in them. What is missing
+    is held with an error of a standard deviation of up to `doubt`, which adds its share of that to s.
+    """
+    rng = np.random.default_rng(6)
+    noise, shared_noise = rng.uniform(1e-4, 1e-1, AREAS.noise.shape), rng.uniform(1e-4, 1e-1, 34)
+    unlike = replace(AREAS, noise=noise, shared_noise=shared_noise)
+    count, zero = 60 + 34, np.zeros((1, 15))
+    doubt = np.where(rng.random(count) < 0.2, rng.uniform(0.01, 0.1, count), 0.0) if missing else np.zeros(count)
+
+    def ahead(held: Array) -> tuple[Array, Array]:
+        """Estimates and deviations (94,) of own readings, then of copies, after these readings."""
+        given = (a.reshape(1, 15, 4) if k == 0 else a[None] for v in (held, doubt) for k, a in enumerate(np.split(v, [60])))
+        rest = (np.zeros(s) for s in ((1, 15, 4), (1, 34)) * 2)
+        found = foretell(unlike, Diagnosers(*given, *rest), zero, zero, 0.0, "corrected")
+        return tuple(np.concatenate([a.ravel(), b.ravel()]) for a, b in (found[:2], found[2:4]))  # type: ignore[return-value]
+
+    start = rng.standard_normal(count)
+    at_start, deviation = ahead(start)
+    read_variance = np.where(doubt > 0, 0.0, np.concatenate([noise.ravel(), shared_noise]))
+    share = np.stack([ahead(start + e)[0] - at_start for e in np.eye(count)], axis=-1)
+    own_noise = np.concatenate([noise.ravel(), shared_noise])
+    own_process = np.concatenate([AREAS.process_variance.ravel(), AREAS.process_variance[AT.neighbour, 0]])
+    expected = np.sqrt(share**2 @ read_variance + own_process + own_noise) + np.abs(share) @ doubt
+    # shares are differences of sums of some ten terms; that of a reading in two ways (as copy, in the drive) is in one number
+    size = np.abs(at_start).max() + np.abs(start).max()
+    assert np.all(np.abs(deviation - expected) <= rounding(size / np.sqrt(own_noise.min()), 100))
 
 
 def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.core.detector import Decision, check_reading, run, stack
+from fusion_sfdia.benchmarks.detectors import build
+from fusion_sfdia.core.detector import Decision, MissingPackageError, NotApplicableError, check_reading, run, stack
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
 
 def decision(residual: list[float], threshold: list[float], isolated: list[bool]) -> Decision:
@@ -107,3 +110,27 @@ def test_readings_that_do_not_fit_are_named(y: np.ndarray, u: np.ndarray, batch:
 @pytest.mark.parametrize("u_shape", [(1,), (1, 1), (2, 1), (3, 2, 1), (3, 1, 1)])
 def test_inputs_that_broadcast_fit(u_shape: tuple[int, ...]) -> None:
     check_reading(tanks(), np.full((3, 2, 4), np.nan), np.zeros(u_shape), (3, 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "plant", "message"),
+    [
+        ("adaptive-threshold:paper", chain(3), "scalar equations"),
+        ("virtual-sensors", chain(3), "scalar equations"),
+        ("structural-residuals", chain(3), "scalar equations"),
+        ("fusing-ekf", chain(1), "at least 2"),
+        ("pca", chain(1), "at least 2"),
+    ],
+)
+def test_a_plant_that_lacks_what_a_method_needs_is_told_apart_from_other_errors(name: str, plant: Plant, message: str) -> None:
+    with pytest.raises(NotApplicableError, match=message):
+        build(name, plant)
+    assert issubclass(NotApplicableError, ValueError)
+    assert issubclass(MissingPackageError, NotApplicableError)
+    assert issubclass(MissingPackageError, ModuleNotFoundError)
+
+
+def test_a_wrong_setting_is_no_matter_of_the_plant() -> None:
+    with pytest.raises(ValueError, match="threshold_scale") as raised:
+        LeaveOneOutBank(chain(3), threshold_scale=-1.0)
+    assert not isinstance(raised.value, NotApplicableError)

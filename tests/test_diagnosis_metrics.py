@@ -165,7 +165,8 @@ def test_the_smallest_fault_of_runs():
     detected = np.array([[1, 1, 0, 0], [0, 0, 0, 0], [0, 1, 0, 1], [1, 1, 0, 1]], bool)
     found = smallest_detected(sizes, detected)
     assert found.value == pytest.approx((3 + 2 + 2) / 3) and found.n == 3
-    assert 2 <= found.low <= found.value <= found.high <= 3
+    half = 4.302653 * np.std([3, 2, 2], ddof=1) / np.sqrt(3)  # Student's 0.975 point of 2 degrees of freedom
+    assert (found.high - found.low) / 2 == pytest.approx(half, rel=1e-6)
     assert smallest_detected(sizes, np.zeros((4, 2), bool)).n == 0
     assert smallest_detected(np.empty(0), np.zeros((0, 2), bool)).n == 0
 

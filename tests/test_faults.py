@@ -139,10 +139,6 @@ def test_relative_size_is_of_the_noise_free_signal_and_keeps_its_sign():
     signal = np.full_like(Y, -50.0)
     found = faulted(Fault("s0", "bias", 3.0, 2.0, 0.1, relative=True), signal=signal)
     np.testing.assert_allclose(found.size[2:4, 0], 5.0, rtol=1e-12)
-    missing = Y.copy()
-    missing[2, 0] = np.nan
-    with pytest.raises(ValueError, match=r"missing reading at 3 s; pass signal"):
-        faulted(Fault("s0", "bias", 3.0, 2.0, 0.1, relative=True), y=missing)
 
 
 def test_noise_and_spikes_have_the_stated_size():
@@ -331,3 +327,25 @@ def test_faults_drawn_for_a_log_are_apart_and_within_it():
         draw_apart([("weak-bias", "level")] * 3, plant, 70, 0)
     with pytest.raises(ValueError, match="unknown quantity 'levle'"):
         draw_apart([("weak-bias", "levle")], plant, 70, 0)
+
+
+@pytest.mark.parametrize(
+    ("missing", "wanted"),
+    [([], 4.0), ([3], 3.0), ([2, 3, 4], 2.0), ([0, 1, 2, 3], 5.0), ([0, 1, 2, 3, 4, 5, 6], 8.0)],
+)
+def test_a_relative_fault_without_a_reading_at_its_onset_refers_to_the_last_known_one(
+    missing: list[int], wanted: float
+) -> None:
+    """Readings 1, 2, .. 9, the onset at the fourth, and of those known the last until it, or the first after it."""
+    plant = chain(1)
+    t = np.arange(1.0, 10.0)
+    y = t[:, None].copy()
+    y[missing] = np.nan
+    found = apply(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)])
+    known = np.isfinite(y[3:, 0])
+    np.testing.assert_allclose(found.size[3:, 0][known], -0.5 * wanted, rtol=1e-12)
+    assert np.isnan(found.y[missing]).all()
+    true = apply(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)], signal=t[:, None])
+    np.testing.assert_allclose(true.size[3:, 0][known], -2.0, rtol=1e-12)  # the signal, where it is given
+    with pytest.raises(ValueError, match="relative to a sensor that was never read; pass signal"):
+        apply(plant, t, np.full_like(y, np.nan), [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)])

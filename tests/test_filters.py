@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rounding import rounding
 
 from fusion_sfdia.filters import ekf, ukf
 from fusion_sfdia.filters.gaussian import Joint, condition, dense
@@ -62,7 +63,7 @@ def kalman(x: Array, P: Array, y: Array) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("filter_name", ["jacobian", "complex step", "ukf", "ukf 1e-3", "cubature"])
 def test_every_filter_is_the_kalman_filter_on_a_linear_model(filter_name: str) -> None:
-    """alpha = 1e-3 divides differences of 1e-3 by 1e-6: rounding grows from 1e-15 to some 1e-10."""
+    """40 stable steps of some ten sums, S of a condition of 10; weights of 1/alpha^2 magnify the rounding."""
     points = {"ukf": SigmaPoints(0.5), "ukf 1e-3": SigmaPoints(), "cubature": SigmaPoints(1.0, 0.0, 0.0)}.get(filter_name)
     y = readings(40, 4)
     x, P = np.ones((4, 3)), np.broadcast_to(np.eye(3), (4, 3, 3))
@@ -75,11 +76,12 @@ def test_every_filter_is_the_kalman_filter_on_a_linear_model(filter_name: str) -
             x, P, _ = ukf.predict(points, x, P, f, Q)
             joint = ukf.joint(points, x, P, h, R)
         x, P = condition(joint, reading)[:2]
-    tolerance = 1e-9 if filter_name == "ukf 1e-3" else 1e-12
+    magnified = 1.0 if points is None else 1 / points.alpha**2
+    tolerance = rounding(magnified * 10, 40 * 10)
     for b in range(4):
         wanted_x, wanted_P = kalman(np.ones(3), np.eye(3), y[:, b])
-        np.testing.assert_allclose(x[b], wanted_x, atol=tolerance)
-        np.testing.assert_allclose(P[b], wanted_P, atol=tolerance)
+        np.testing.assert_allclose(x[b], wanted_x, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(P[b], wanted_P, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("redraw", [True, False, None])
@@ -101,10 +103,11 @@ def test_a_batch_is_its_elements(redraw: bool | None) -> None:
     y = readings(10, 2, 3)
     start_x = np.random.default_rng(0).standard_normal((2, 3, 3))
     x, P = run(start_x, np.broadcast_to(0.1 * np.eye(3), (2, 3, 3, 3)), y)
+    tolerance = rounding(10 / points.alpha**2, 10 * 10)  # ten steps of some ten sums, of numbers up to 10, weights of 1/alpha^2
     for index in np.ndindex(2, 3):
         alone = run(start_x[index], 0.1 * np.eye(3), y[:, *index])
-        np.testing.assert_allclose(x[index], alone[0], atol=1e-10)
-        np.testing.assert_allclose(P[index], alone[1], atol=1e-10)
+        np.testing.assert_allclose(x[index], alone[0], rtol=0, atol=tolerance)
+        np.testing.assert_allclose(P[index], alone[1], rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("settings", [(1.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.5, 2.0, 0.0), (0.1, 2.0, 1.0), (1.0, 2.0, 0.5)])
@@ -120,18 +123,18 @@ def test_moments_relative_to_the_centre_are_the_usual_weighted_sums(settings: tu
     Wc = W.copy()
     W[0] = 1 - n / spread
     Wc[0] = W[0] + 1 - alpha**2 + beta
-    np.testing.assert_allclose(W @ X, x, atol=1e-12)
-    np.testing.assert_allclose((X - x).T @ (W[:, None] * (X - x)), P, atol=1e-12)
+    cancel = rounding(3 * np.abs(W).sum(), 3 * (2 * n + 1))  # weights of up to 1/alpha^2 = 100 cancel; numbers of up to 3
+    np.testing.assert_allclose(W @ X, x, rtol=0, atol=cancel)
+    np.testing.assert_allclose((X - x).T @ (W[:, None] * (X - x)), P, rtol=0, atol=cancel)
     mean, cov, propagated = ukf.predict(points, x, P, bend, Q)
     np.testing.assert_array_equal(propagated, bend(X))
-    # the weights of up to 1/alpha^2 = 100 cancel in the usual sums: 1e-14 at best
-    np.testing.assert_allclose(mean, W @ bend(X), atol=1e-12)
+    np.testing.assert_allclose(mean, W @ bend(X), rtol=0, atol=cancel)
     e = bend(X) - W @ bend(X)
-    np.testing.assert_allclose(cov, e.T @ (Wc[:, None] * e) + np.diag(Q), atol=1e-12)
+    np.testing.assert_allclose(cov, e.T @ (Wc[:, None] * e) + np.diag(Q), rtol=0, atol=3 * cancel)
     joint = ukf.joint(points, mean, cov, look, R, propagated)
     z = look(propagated) - W @ look(propagated)
-    np.testing.assert_allclose(joint.S, z.T @ (Wc[:, None] * z) + np.diag(R), atol=1e-12)
-    np.testing.assert_allclose(joint.C, e.T @ (Wc[:, None] * z), atol=1e-12)
+    np.testing.assert_allclose(joint.S, z.T @ (Wc[:, None] * z) + np.diag(R), rtol=0, atol=3 * cancel)
+    np.testing.assert_allclose(joint.C, e.T @ (Wc[:, None] * z), rtol=0, atol=3 * cancel)
 
 
 def test_without_redraw_the_readings_do_not_know_of_the_process_noise() -> None:
@@ -139,9 +142,10 @@ def test_without_redraw_the_readings_do_not_know_of_the_process_noise() -> None:
     points, P = SigmaPoints(0.5), np.eye(3)
     x, predicted, propagated = ukf.predict(points, np.ones(3), P, f, Q)
     printed, redrawn = ukf.joint(points, x, predicted, h, R, propagated), ukf.joint(points, x, predicted, h, R)
-    np.testing.assert_allclose(printed.S, H @ F @ P @ F.T @ H.T + np.diag(R), atol=1e-12)
-    np.testing.assert_allclose(redrawn.S, H @ (F @ P @ F.T + np.diag(Q)) @ H.T + np.diag(R), atol=1e-12)
-    np.testing.assert_allclose(redrawn.C - printed.C, np.diag(Q) @ H.T, atol=1e-12)
+    near = {"rtol": 0.0, "atol": rounding(10 / points.alpha**2, 30)}  # of numbers up to 10; four products of three terms
+    np.testing.assert_allclose(printed.S, H @ F @ P @ F.T @ H.T + np.diag(R), **near)
+    np.testing.assert_allclose(redrawn.S, H @ (F @ P @ F.T + np.diag(Q)) @ H.T + np.diag(R), **near)
+    np.testing.assert_allclose(redrawn.C - printed.C, np.diag(Q) @ H.T, **near)
 
 
 def test_the_unscented_covariance_is_positive_where_weighted_sums_cancel() -> None:
@@ -156,10 +160,11 @@ def test_a_state_known_exactly_keeps_the_unscented_filter_going() -> None:
     """Zero variances have no Cholesky factor; the square root of a singular covariance serves."""
     P = np.diag([1.0, 0.0, 0.0])
     x, P, _ = ukf.predict(SigmaPoints(0.5), np.ones(3), P, lambda s: s, np.array([0.0, 0.0, 0.1]))
-    np.testing.assert_allclose(P, np.diag([1.0, 0.0, 0.1]), atol=1e-12)
+    near = {"rtol": 0.0, "atol": rounding(10 / 0.5**2, 30)}  # weights of 1/alpha^2, numbers of up to 10
+    np.testing.assert_allclose(P, np.diag([1.0, 0.0, 0.1]), **near)
     found = condition(ukf.joint(SigmaPoints(0.5), x, P, h, R), np.array([2.0, 2.0]))
     exact = condition(Joint(x, P, h(x), H @ P @ H.T + np.diag(R), P @ H.T), np.array([2.0, 2.0]))
-    np.testing.assert_allclose(found.x, exact.x, atol=1e-12)
+    np.testing.assert_allclose(found.x, exact.x, **near)
 
 
 def test_units_change_nothing_beyond_rounding() -> None:
@@ -191,8 +196,10 @@ def test_units_change_nothing_beyond_rounding() -> None:
     for points in (None, SigmaPoints(0.5)):
         ones = run(np.ones(3), np.ones(2), points)
         other = run(state, reading, points)
-        np.testing.assert_allclose(other[0], ones[0], rtol=1e-9)
-        np.testing.assert_allclose(other[1], ones[1], rtol=1e-9)
+        # units round each number once more in each of 20 steps; states are of 1, P up to 100 times worse conditioned
+        near = rounding(100 / 0.5**2, 20 * 30)
+        np.testing.assert_allclose(other[0], ones[0], rtol=near, atol=near)
+        np.testing.assert_allclose(other[1], ones[1], rtol=near, atol=near)
 
 
 def test_the_filter_is_consistent() -> None:
@@ -225,7 +232,7 @@ def test_a_diverged_element_leaves_the_others_alone() -> None:
     assert np.isnan(found.x[1]).all()
     alone_x, alone_P, _ = ukf.predict(points, x[0], P[0], bend, Q)
     alone = condition(ukf.joint(points, alone_x, alone_P, look, R), y[0])
-    np.testing.assert_allclose(found.x[[0, 2]], np.stack([alone.x, alone.x]), atol=1e-13)
+    np.testing.assert_allclose(found.x[[0, 2]], np.stack([alone.x, alone.x]), rtol=0, atol=rounding(10 / 0.5**2, 30))
 
 
 @pytest.mark.parametrize(

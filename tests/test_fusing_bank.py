@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rounding import rounding
 from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.core.detector import run
@@ -43,6 +44,36 @@ def test_algebra_equals_the_literal_bank_with_missing_readings(plant: Plant, est
     np.testing.assert_allclose(a.covariance / scale, b.covariance / scale, atol=tolerance, rtol=0)
     np.testing.assert_array_equal(a.isolated, b.isolated)
     assert not a.diverged.any() and np.isnan(a.residual[6, 2])
+
+
+@pytest.mark.parametrize("sensors", [4, 7])
+def test_the_residual_is_the_printed_variance_of_what_the_local_filters_expect(sensors: int) -> None:
+    """(19) of Shaheen 2024 as it stands, a sum of N squares over N, from N textbook filters that miss one reading each."""
+    plant = chain(4, sensors=sensors)
+    t, _, y, u = readings(plant, 12, 1, seed=7)
+    y = y[:, 0].copy()
+    y[5, 1] = np.nan
+    bank = FusingBank(plant, Extended(), thresholds=(np.inf,) * sensors)
+    f = plant.step_jacobian_at(0.0, plant.x0, u[0, 0], 1.0)
+    h = plant.output_jacobian_at(0.0, plant.x0, u[0, 0])
+    state = bank.init()
+    for k in range(12):
+        x, p = state[-2:]
+        x, p = f @ x, f @ p @ f.T + np.diag(plant.process_cov)
+        expected = []
+        for i in range(sensors):
+            rows = np.isfinite(y[k]) & (np.arange(sensors) != i)
+            s = h[rows] @ p @ h[rows].T + np.diag(plant.sensor_cov[rows])
+            local = x + p @ h[rows].T @ np.linalg.solve(s, (y[k] - h @ x)[rows])
+            expected.append(h @ local)
+        state, d = bank.step(state, float(t[k]), y[k], u[0, 0])
+        for j in range(sensors):
+            mean = sum(e[j] for e in expected) / sensors
+            variance = sum((e[j] - mean) ** 2 for e in expected) / sensors
+            # differences of numbers up to those read, after solving with S
+            near = rounding(np.linalg.cond(s) * np.nanmax(np.abs(y)), 4 * (4 + sensors))
+            printed = np.nan if np.isnan(y[k, j]) else np.sqrt(variance)
+            assert d.residual[j] == pytest.approx(printed, rel=0, abs=near, nan_ok=True)
 
 
 def test_unequal_beta_runs_literally_and_equal_beta_given_in_full_does_not() -> None:

@@ -43,22 +43,34 @@ def test_what_is_written(tmp_path):
 
 
 def test_header_with_and_without_units_in_any_order(tmp_path):
-    path = log(tmp_path, "\ufeffq2 [m3/s], l1 ,time [s],l2[m],q12\r\n4,1,5,2,3\r\n\r\n,NaN,6, 2 ,nan\r\n")
+    path = log(tmp_path, "\ufeffq2 [m3/s], l1 ,time [s],inflow,l2[m],q12\r\n4,1,5,7e-4,2,3\r\n\r\n,NaN,6,8e-4, 2 ,nan\r\n")
     found = read_log(path, tanks())
     np.testing.assert_array_equal(found.t, [5, 6])
+    np.testing.assert_array_equal(found.u, [[7e-4], [8e-4]])
     np.testing.assert_array_equal(found.y, [[1, 2, 3, 4], [np.nan, 2, np.nan, np.nan]])
+
+
+def test_inputs_without_a_column_are_assumed_only_where_that_is_asked_for(tmp_path):
+    path = log(tmp_path, HEADER + "\n" + ROW)
+    with pytest.raises(ValueError, match=r"no column for the inputs 'inflow' of plant 'two-tanks'; .* --nominal-inputs"):
+        read_log(path, tanks())
+    with pytest.warns(UserWarning, match=r"no column for the inputs 'inflow'; their nominal values of plant 'two-tanks' stand"):
+        found = read_log(path, tanks(), nominal_inputs=True)
+    np.testing.assert_array_equal(found.u, [[6e-4]])
 
 
 def test_inputs_default_to_the_plants_operation_since_the_reading_before(tmp_path):
     plant = replace(tanks(), operation=lambda t: np.array([t]))
-    found = read_log(log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n40,1,1,1,1\n"), plant)
+    path = log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n40,1,1,1,1\n")
+    with pytest.warns(UserWarning, match="its usual operation of plant"):
+        found = read_log(path, plant, nominal_inputs=True)
     np.testing.assert_array_equal(found.u, [[5], [10], [12], [35]])
     given_input = read_log(log(tmp_path, HEADER + ",inflow\n10,1,1,1,1,7e-4\n"), plant)
     np.testing.assert_array_equal(given_input.u, [[7e-4]])
 
 
 def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
-    path = log(tmp_path, "time,l1,weather\n1,1.0,fine\n")
+    path = log(tmp_path, "time,l1,weather,inflow\n1,1.0,fine,6e-4\n")
     found = read_log(path, tanks(), absent_sensors=True, other_columns=True)
     np.testing.assert_array_equal(found.y, [[1, np.nan, np.nan, np.nan]])
     with pytest.raises(ValueError, match=r"no column for the sensors 'l2', 'q12', 'q2' .* --absent-sensors"):
@@ -97,7 +109,7 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
 def test_what_is_wrong_is_named(tmp_path, text, message):
     path = log(tmp_path, text)
     with pytest.raises(ValueError, match=message) as caught:
-        read_log(path, tanks())
+        read_log(path, tanks(), nominal_inputs=True)
     assert str(path) in str(caught.value)
 
 

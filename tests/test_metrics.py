@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binom, binomtest, norm
+from scipy.stats import binom, binomtest, norm, ttest_1samp
 from scipy.stats import t as student
 from sklearn.metrics import roc_auc_score
 from toy_plants import chain, tanks
@@ -14,6 +14,7 @@ from fusion_sfdia.evaluation import estimation_metrics as estimation
 from fusion_sfdia.evaluation import isolation_metrics as isolation
 from fusion_sfdia.evaluation.metrics import (
     NOTHING,
+    bootstrap_over_runs,
     mean_over_runs,
     proportion,
     rate_over_runs,
@@ -112,6 +113,21 @@ def test_trial_accuracy_counted_by_hand():
     assert detection.trial_accuracy(alarm, isolated, active).value == 1
     isolated[:, 0] = False
     assert detection.trial_accuracy(alarm, isolated, active).value == pytest.approx(2 / 3)
+
+
+def test_a_run_is_judged_by_the_sensor_named_most_not_by_the_exact_set():
+    active = np.zeros((6, 4, 3), bool)
+    active[2:6, :, 0] = True
+    active[2:6, 3, 1] = True  # two faults in the last run
+    alarm, isolated = active.any(axis=-1), active.copy()
+    isolated[2:5, 0, 1] = True  # a healthy one, too, in 3 of 4 samples: the faulty one still leads
+    isolated[2:6, 1, 2] = True  # a tie is not right
+    isolated[0:2, 2, 1] = True  # what is named before the fault does not count
+    isolated[2:6, 3, 2] = [True, False, False, False]
+    assert detection.judged_right(alarm, isolated, active).tolist() == [True, False, True, True]
+    isolated[2:6, 3, 1] = [False, False, False, True]  # the second faulty sensor as often as a healthy one
+    assert detection.judged_right(alarm, isolated, active).tolist() == [True, False, True, False]
+    assert not detection.judged_right(np.zeros_like(alarm), isolated, active).any()
 
 
 def test_auc_is_the_chance_that_a_faulty_sample_scores_higher():
@@ -228,7 +244,7 @@ def test_nothing_to_count_is_nan_with_n_zero():
     assert not isolation.isolation_confusion(healthy, healthy, none_counted).any()
 
 
-def test_one_run_has_a_value_without_a_bootstrap():
+def test_one_run_has_a_value_without_an_interval():
     value, low, high, n = mean_over_runs(np.array([3.0]), np.array([2]))
     assert (value, n) == (1.5, 1)
     assert np.isnan([low, high]).all()
@@ -288,21 +304,68 @@ def test_interval_of_a_rate_covers_the_truth_though_samples_of_a_run_depend(p, c
     assert abs(covered / 2000 - 0.95) <= 0.01 + 3 * 0.005
 
 
-def test_bootstrap_interval_of_a_mean_covers_the_truth():
-    """Exponential runs, 40 of them: BCa errs by O(1/B), about 0.01 here, beside three standard errors of 0.011."""
+def test_interval_of_a_mean_is_students_and_of_a_ratio_that_of_its_residuals():
+    rng = np.random.default_rng(1)
+    values, counts = rng.exponential(1.0, 25), rng.integers(1, 9, 25)
+    alike = mean_over_runs(values, np.ones(25))
+    oracle = ttest_1samp(values, 0.0).confidence_interval(0.95)
+    np.testing.assert_allclose(alike[:3], [values.mean(), oracle.low, oracle.high], rtol=1e-12)
+    ratio = mean_over_runs(values * counts, counts)
+    r = np.sum(values * counts) / np.sum(counts)
+    # the variance of the mean of residuals s - r n, over the mean count
+    half = student.ppf(0.975, 24) * np.std(values * counts - r * counts, ddof=1) / np.sqrt(25) / counts.mean()
+    np.testing.assert_allclose(ratio, [r, r - half, r + half, 25], rtol=1e-12)
+    assert mean_over_runs(np.full(5, 2.0), np.ones(5)) == (2.0, 2.0, 2.0, 5)
+
+
+def test_interval_of_a_mean_covers_the_truth():
+    """Normal runs, 5 of them, of which Student's interval covers exactly 95 %; three standard errors of 400 trials."""
+    rng = np.random.default_rng(8)
+    covered = 0
+    for _ in range(400):
+        found = mean_over_runs(rng.normal(2.0, 1.0, 5), np.ones(5))
+        covered += found.low <= 2.0 <= found.high
+    assert abs(covered / 400 - 0.95) <= 3 * 0.011
+
+
+def test_interval_of_a_median_covers_the_truth_and_repeats_with_its_seed():
+    """Exponential runs, 40 of them: BCa errs by O(1/B), about 0.03 for a median, beside three standard errors of 0.011."""
     rng = np.random.default_rng(8)
     covered = 0
     for k in range(400):
-        found = mean_over_runs(rng.exponential(2.0, 40), np.ones(40), k)
-        covered += found.low <= 2.0 <= found.high
-    assert abs(covered / 400 - 0.95) <= 0.01 + 3 * 0.011
+        values = rng.exponential(2.0, 40)
+        found = bootstrap_over_runs(lambda runs, v=values: np.median(v[runs], axis=-1), 40, k)
+        covered += found.low <= 2.0 * np.log(2) <= found.high
+    assert abs(covered / 400 - 0.95) <= 0.03 + 3 * 0.011
+    assert found == bootstrap_over_runs(lambda runs: np.median(values[runs], axis=-1), 40, 399)
 
 
-def test_bootstrap_repeats_with_its_seed_and_has_no_width_where_all_agree():
-    values = np.random.default_rng(1).exponential(1.0, 25)
-    assert mean_over_runs(values, np.ones(25), 3) == mean_over_runs(values, np.ones(25), 3)
-    assert mean_over_runs(values, np.ones(25), 3) != mean_over_runs(values, np.ones(25), 4)
-    assert mean_over_runs(np.full(5, 2.0), np.ones(5)) == (2.0, 2.0, 2.0, 5)
+def test_the_variance_of_a_rate_is_that_between_runs_by_its_formula():
+    """Three runs: without B/(B - 1) the variance would be two thirds of it. Written out from Korn and Graubard (1998)."""
+    hits, samples = np.array([1, 4, 7]), np.array([20, 20, 20])
+    p = 12 / 60
+    variance = ((0.05 - p) ** 2 + (0.2 - p) ** 2 + (0.35 - p) ** 2) / (3 * 2)  # of a mean of three: s^2 / 3, s^2 over B - 1
+    z = norm.ppf(0.975)
+    n = min(p * (1 - p) / variance, 60) * (z / student.ppf(0.975, 2)) ** 2
+    centre, half = (p + z**2 / (2 * n)) / (1 + z**2 / n), z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + (z / n / 2) ** 2)
+    np.testing.assert_allclose(rate_over_runs(hits, samples), [p, centre - half, centre + half, 3], rtol=1e-12)
+
+
+def test_mean_of_areas_is_the_mean_and_its_interval_that_of_means_without_each_run():
+    rng = np.random.default_rng(6)
+    active = np.zeros((20, 12, 1), bool)
+    active[8:15] = True
+    curves = [(rng.standard_normal((20, 12)) + size * active[..., 0], active) for size in (0.5, 2.0)]
+    found, each = detection.mean_auc(curves), [detection.auc(*curve) for curve in curves]
+    assert found.value == pytest.approx(np.mean([e.value for e in each]), rel=1e-12)
+    rest = [np.delete(np.arange(12), run) for run in range(12)]
+    areas = np.mean([[detection.auc(s[:, r], a[:, r]).value for r in rest] for s, a in curves], axis=0)
+    variance = 11 / 12 * np.sum((areas - areas.mean()) ** 2)
+    z, p = norm.ppf(0.975), found.value
+    n = p * (1 - p) / variance * (z / student.ppf(0.975, 11)) ** 2
+    half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + (z / n / 2) ** 2)
+    assert (found.high - found.low) / 2 == pytest.approx(half, rel=1e-9)
+    assert detection.mean_auc([]).n == 0
 
 
 def test_rmse_by_hand_and_as_the_frobenius_norm():

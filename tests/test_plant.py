@@ -1,5 +1,6 @@
 """Signals, sensors, physics and plants: what they hold, what they compute, and what they refuse."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -7,11 +8,14 @@ import numpy as np
 import pytest
 from toy_plants import chain, tank_physics, tanks
 
+from fusion_sfdia.benchmarks import registry
+from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.discretise import linear_plant
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.physics import Block, Physics
 from fusion_sfdia.core.plant import Plant, diagonal, require_covariance
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 
 NAN, INF = float("nan"), float("inf")
 
@@ -213,3 +217,89 @@ def test_the_jacobian_of_a_step_is_that_of_its_substeps() -> None:
 def test_physics_without_algebraic_variables_needs_no_phi() -> None:
     physics = Physics("decay", (Signal("a"),), lambda t, x, z, u, c: -x)
     assert physics.phi is None and physics.algebraic == ()
+
+
+def roots(output: Any, x0: float = 2.0) -> Plant:
+    """A random walk read through a function of the state."""
+    return Plant(
+        name="walk",
+        states=(Signal("x0"),),
+        sensors=(Sensor("s", "x0", sigma=0.1), Sensor("r", "x0", sigma=0.1)),
+        step=lambda t, x, u, dt: 0.99 * x,
+        output=lambda t, x, u: np.concatenate([output(x), 2 * output(x)], axis=-1),
+        dt=1.0,
+        x0=np.array([x0]),
+        initial_cov=np.array([0.25]),
+        process_cov=np.array([0.01]),
+    )
+
+
+NOT_ANALYTIC = {
+    "abs": (np.abs, lambda x: x),
+    "sign": (lambda x: x * np.sign(x), lambda x: x),
+    "interp": (lambda x: np.interp(x, [0.0, 10.0], [0.0, 30.0]), lambda x: 3 * x),
+    "real": (lambda x: np.real(x) ** 2, lambda x: x**2),
+    "hidden": (lambda x: x**2 + 1e-3 * np.abs(x), lambda x: x**2 + 1e-3 * x),
+}
+
+
+@pytest.mark.parametrize(("output", "same"), NOT_ANALYTIC.values(), ids=NOT_ANALYTIC)
+def test_where_the_complex_step_is_wrong_differences_stand_for_it(output: Any, same: Any) -> None:
+    plant, analytic = roots(output), roots(same)
+    x, u = np.array([[1.9], [2.3]]), np.zeros((2, 0))
+    # central differences of width eps^(1/3) sigma: of second order, exact for a quadratic but for rounding, 4 eps^(2/3)
+    np.testing.assert_allclose(plant.output_jacobian_at(0.0, x, u), analytic.output_jacobian_at(0.0, x, u), rtol=1e-8)
+    t, y = np.arange(1.0, 31.0), analytic.output(0.0, np.full((30, 1), 1.5), u) + 0.0
+    found, wanted = (run(CentralFilter(p), CentralFilter(p).init(), t, y, np.zeros((30, 0)))[1] for p in (plant, analytic))
+    np.testing.assert_allclose(found.estimate, wanted.estimate, rtol=1e-6)
+    assert abs(found.estimate[-1, 0] - 1.5) < 0.1  # it moves: 2 would be no filter at all
+
+
+def test_a_step_that_the_complex_step_cannot_take_is_differentiated_all_the_same() -> None:
+    def capped(t: float, x: Any, u: Any, dt: float) -> Any:
+        return np.array([[math.copysign(min(abs(v), 9.0), v)] for v in x.ravel()]).reshape(x.shape)
+
+    plant = replace(roots(lambda x: x), step=capped)
+    found = plant.step_jacobian_at(0.0, np.array([[1.5], [9.5]]), np.zeros((2, 0)), 1.0)
+    np.testing.assert_allclose(found[:, 0, 0], [1.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "output",
+    [
+        lambda x: np.where(x > 2.0, 5 * (x - 2.0), 0.0),  # a valve that opens at x0
+        lambda x: np.maximum(x, 2.0),
+        lambda x: np.clip(x, 1.9, 2.1),
+        lambda x: 1e6 + x,
+        lambda x: np.exp(-50 * x) * np.sin(20 * x),
+    ],
+)
+def test_what_the_complex_step_can_differentiate_keeps_it(output: Any) -> None:
+    plant = roots(output)
+    x, u = np.array([[1.95], [2.05]]), np.zeros((2, 0))
+    exact = complex_step_jacobian(lambda p: plant.output(0.0, p, u[:, None]), x)
+    np.testing.assert_array_equal(plant.output_jacobian_at(0.0, x, u), exact)
+
+
+@pytest.mark.parametrize("name", ["gas-pipeline", "marine-engine", "power-network", "two-tanks"])
+def test_our_plants_are_analytic(name: str) -> None:
+    plant = registry.plant(name)
+    assert plant._complex_step_holds == (True, True)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"step": lambda t, x, u, dt: x[..., :1]}, r"step of plant 'chain' gives shape \(2, 1, 1\) .*; expected \(2, 1, 3\)"),
+        ({"step": lambda t, x, u, dt: x[0]}, r"step of plant 'chain' gives shape \(1, 3\)"),
+        ({"output": lambda t, x, u: x[..., :2]}, r"output of plant 'chain' gives shape \(2, 1, 2\) .*; expected \(2, 1, 3\)"),
+        ({"output": lambda t, x, u: np.zeros(3)}, r"output of plant 'chain' gives shape \(3,\)"),
+        (
+            {"step": lambda t, x, u, dt: np.array([x[0], x[1], x[2]])},
+            "step of plant 'chain' fails .*: index 2 is out of bounds",
+        ),
+    ],
+)
+def test_models_of_another_shape_are_refused_when_the_plant_is_built(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(chain(3), **change)

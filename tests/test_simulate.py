@@ -77,6 +77,7 @@ def test_timing_of_states_inputs_and_models():
     plant = walk(
         step=step, output=output, inputs=(Signal("rate"),), operation=lambda t: np.array([t]), dt=2.0, fixed_dt=False,
     )  # fmt: skip
+    called.clear(), seen.clear()  # the plant has tried both once, for their shapes
     found = simulate(plant, 3, [0], t0=100.0)
     np.testing.assert_array_equal(found.t, [102, 104, 106])
     np.testing.assert_array_equal(found.u, [[100], [102], [104]])
@@ -261,7 +262,7 @@ def test_leaving_the_limits_names_seed_time_state_and_cure():
         ({"seeds": None}, "seeds are None; wanted"),
         ({"seeds": np.array(3)}, "wanted several integers"),
         ({"times": 2.5}, "times is 2.5; wanted a whole number"),
-        ({"times": "ten"}, "times is 'ten'; wanted a number of steps"),
+        ({"times": "ten"}, "times is 'ten'; wanted an array of numbers"),
         ({"times": 10**30}, "at most 1000000000"),
         ({"truth": "fine"}, "wanted 'finer', 'model' or a plant"),
         ({"truth": 3}, "truth is 3; wanted 'finer', 'model' or a plant"),
@@ -270,7 +271,7 @@ def test_leaving_the_limits_names_seed_time_state_and_cure():
         ({"start": np.zeros(5)}, "start has shape"),
         ({"truth": chain()}, "truth has the sensors"),
         ({"truth": replace(tanks(), dt=3.0)}, "divided by a whole number"),
-        ({"truth": replace(tanks(), inputs=())}, "truth has the inputs"),
+        ({"truth": replace(tanks(), inputs=(Signal("feed"),))}, "truth has the inputs"),
     ],
 )
 def test_bad_arguments(arguments, message):

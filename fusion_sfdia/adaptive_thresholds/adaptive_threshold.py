@@ -37,7 +37,7 @@ from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, modu
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, monitor, verdict
 from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.detector import Decision, NotApplicableError, State
 from fusion_sfdia.core.equation import COMPLEX_STEP, argument_names
 from fusion_sfdia.core.modules import Modules, ObserverBound
 
@@ -79,16 +79,18 @@ class AdaptiveThreshold(BatchDetector):
         measured = [s.measures for s in plant.sensors]
         for variable in modules.equations:
             if len(several := [s.name for s in plant.sensors if s.measures == variable]) > 1:
-                raise ValueError(
+                raise NotApplicableError(
                     f"sensors {', '.join(several)} all read {variable}; a module compares one: build the plant with one of them"
                 )
         if sorted(measured) != sorted(modules.equations):
-            raise ValueError(
+            raise NotApplicableError(
                 f"plant {plant.name!r} has sensors of {', '.join(measured)}, equations of {', '.join(modules.equations)}; "
                 "wanted one sensor for each equation"
             )
         if unbounded := [s.name for s in plant.sensors if not np.isfinite(s.noise_bound)]:
-            raise ValueError(f"sensors {', '.join(unbounded)} have no noise bound; an adaptive threshold needs one: give bound")
+            raise NotApplicableError(
+                f"sensors {', '.join(unbounded)} have no noise bound; an adaptive threshold needs one: give bound"
+            )
         if self.bounds not in METHODS:
             raise ValueError(f"bounds is {shown(self.bounds)}; known: {', '.join(METHODS)}")
         for what, known in (("observer_bounds", modules.states), ("drift", modules.states), ("margins", modules.equations)):
@@ -100,7 +102,7 @@ class AdaptiveThreshold(BatchDetector):
     @property
     def _modules(self) -> Modules:
         if self.plant.modules is None:
-            raise ValueError(
+            raise NotApplicableError(
                 f"plant {self.plant.name!r} does not say its scalar equations; give Plant(modules=Modules(...)) or take "
                 "another detector"
             )
@@ -242,7 +244,7 @@ class AdaptiveThreshold(BatchDetector):
 def nested(decision: Decision, batch: tuple[int, ...]) -> Decision:
     """The decision of a batch of one axis as one of that shape."""
     told = (getattr(decision, f.name) for f in fields(Decision))
-    shaped: list[Any] = [None if a is None else a.reshape(*batch, *a.shape[1:]) for a in told]
+    shaped: list[Any] = [a if a is None or not a.ndim else a.reshape(*batch, *a.shape[1:]) for a in told]
     return Decision(*shaped)
 
 

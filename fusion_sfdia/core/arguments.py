@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from datetime import date, timedelta
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ def number(what: str, value: object) -> float:
     """Return a real number as a float, NaN and infinities too; ValueError for text, None, truth values and arrays."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    if isinstance(value, bool) or not isinstance(value, float | int | np.floating | np.integer):
+    if isinstance(value, bool | np.timedelta64) or not isinstance(value, float | int | np.floating | np.integer):
         raise ValueError(f"{what} is {shown(value)}; wanted a number")
     return float(value)
 
@@ -31,7 +32,7 @@ def whole(what: str, value: object, least: int) -> int:
     """Return an integer of at least `least`; ValueError for anything else, 2.0 too."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+    if isinstance(value, bool | np.timedelta64) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{what} is {shown(value)}; wanted a whole number of at least {least}")
     return int(value)
 
@@ -46,17 +47,28 @@ def probability(what: str, value: object) -> float:
 def floats(what: str, value: Any) -> Array:
     """Return an array, or nested lists of numbers, as an array of floats, None and what is masked as NaN.
 
-    ValueError for text, complex numbers and rows of unlike length.
+    ValueError for text, complex numbers, dates, whose numbers are nanoseconds or the like, and rows of unlike length.
     """
     if type(value) is np.ndarray and value.dtype == np.float64:
         return value
+    cure = ""
     try:
-        given = np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
-        if given.dtype.kind in "biufO":
+        given = np.asarray(value)
+        if _dated(given):
+            cure = ": of dates the seconds since the first, (t - t[0]) / np.timedelta64(1, 's')"
+        elif isinstance(value, np.ma.MaskedArray):
+            return np.ma.filled(value.astype(float), np.nan)
+        elif given.dtype.kind in "biufO":
             return given.astype(float)
     except (TypeError, ValueError):
         pass
-    raise ValueError(f"{what} is {shown(value)}; wanted an array of numbers")
+    raise ValueError(f"{what} is {shown(value)}; wanted an array of numbers{cure}")
+
+
+def _dated(given: Array) -> bool:
+    """Whether an array holds dates or durations, of NumPy, pandas or the standard library."""
+    first = given.flat[0] if given.dtype.kind == "O" and given.size else None
+    return given.dtype.kind in "Mm" or isinstance(first, date | timedelta | np.datetime64 | np.timedelta64)
 
 
 def batch_shape(batch: object) -> tuple[int, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from fusion_sfdia.core.arguments import floats, number
+from fusion_sfdia.core.equation import difference_jacobian
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -19,6 +21,7 @@ Array = NDArray[Any]
 
 MAX_SWEEPS = 200
 ALGEBRAIC_TOLERANCE = 1e-13  # relative change of a sweep at which the fixed point is taken as reached
+LARGEST_CHANGE = 0.1  # of a deviation within a step: the error of a step's noise variance, see `largest_step`
 
 
 def runge_kutta_4(slope: Callable[[float, Array], Array], t: float, x: Array, dt: float) -> Array:
@@ -109,12 +112,52 @@ def constant(matrix: Array, *arguments: Any) -> Array:
     return matrix
 
 
-def _linear_step(f: Array, g: Array, t: float, x: Array, u: Array, dt: float) -> Array:
-    return np.asarray(x @ f.T + u @ g.T)
+def _linear_step(f: Array, g: Array, offset: Array, t: float, x: Array, u: Array, dt: float) -> Array:
+    return np.asarray(x @ f.T + u @ g.T + offset)
 
 
-def _linear_output(h: Array, t: float, x: Array, u: Array) -> Array:
-    return np.asarray(x @ h.T)
+def _linear_output(h: Array, d: Array | None, offset: Array, t: float, x: Array, u: Array) -> Array:
+    return np.asarray(x @ h.T + offset if d is None else x @ h.T + u @ d.T + offset)
+
+
+def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
+    """Raise ValueError unless f and phi give one number for each state and algebraic variable, which RK4 would broadcast."""
+    x = np.broadcast_to(x0, (2, 1, x0.size)).copy()
+    z = np.broadcast_to([s.nominal for s in physics.algebraic], (2, 1, len(physics.algebraic))).astype(float)
+    for what, like, kind in (("phi", z, "algebraic variable"), ("f", x, "state")):
+        function = getattr(physics, what)
+        if function is None:
+            continue
+        try:
+            with np.errstate(all="ignore"):
+                found = np.shape(function(0.0, x, z, u[None], physics.parameters))
+        except ArithmeticError:
+            continue  # no number at x0: for the runs to say
+        fits = found[-1:] == like.shape[-1:] and len(found) <= 3 and np.broadcast_shapes(found, like.shape) == like.shape
+        if not fits:
+            raise ValueError(
+                f"{what} of {physics.name!r} gives shape {found} for states {x.shape}; expected {like.shape}: one number for "
+                f"each {kind}, with a batch as leading axes (np.stack([...], axis=-1))"
+            )
+
+
+def largest_step(model: _Integrated, dt: float, x0: Array, scale: Array, u: Array) -> float:
+    """Largest step (s) for which a step's noise is that of the process: max(dt, 0.1 / |D^-1 A D|), A = df/dx at x0.
+
+    A step adds Q dt' to the covariance, the physics the integral of exp(A s) Q exp(A' s) over it. To first order they differ
+    by (A Q + Q A') dt'^2 / 2, at most |D^-1 A D| dt' of Q in units D = diag(scale) of the states: with 0.1, a tenth of the
+    variance, a twentieth of sigma. There a substep of Runge-Kutta 4 errs by 0.1^5 / 120 of a deviation, far within its
+    stability (2.78). inf for a pure integrator, of which the noise is exact; dt itself is taken as chosen.
+    """
+    with np.errstate(all="ignore"):
+        try:
+            a = difference_jacobian(lambda p: model.slope(0.0, p, u), x0, scale)
+        except ArithmeticError:
+            return dt
+        change = a / scale[:, None] * scale
+        if not np.all(np.isfinite(change)):
+            return dt
+        return float(np.maximum(dt, LARGEST_CHANGE / np.linalg.norm(change, 2)))
 
 
 def discretise(
@@ -129,12 +172,14 @@ def discretise(
     process_bound: Array | None = None,
     operation: Callable[[float], Array] | None = None,
     decay: Array | None = None,
+    max_dt: float | None = None,
 ) -> Plant:
     """Return the plant that integrates physics by RK4 with inputs held, each sensor reading a state or algebraic variable.
 
     x0 (n,), covariances (n,) or (n, n) in SI; dt in seconds, divided into `substeps`. decay: rates a (n,) of states that
-    follow x' = -a x + h, in 1/s; with them it integrates by the exponential midpoint rule. Raises ValueError for a sensor of
-    an unknown variable, less than one substep or a rate that is not positive.
+    follow x' = -a x + h, in 1/s; with them it integrates by the exponential midpoint rule. max_dt: the longest step in one go,
+    None for `largest_step`; `diagnose` steps through longer gaps by dt. Raises ValueError for a sensor of an unknown variable,
+    f or phi of another shape, less than one substep or a rate that is not positive.
     """
     if substeps < 1:
         raise ValueError(f"substeps is {substeps}; a step of {physics.name!r} takes at least 1")
@@ -147,9 +192,14 @@ def discretise(
     if decay is not None and not (np.shape(decay) == (n,) and np.all(np.isfinite(decay)) and np.all(decay > 0)):
         raise ValueError(f"decay of {physics.name!r} is {decay}; wanted {n} positive rates in 1/s, one a state")
     model = _Integrated(physics, picks, substeps, decay)
+    x0 = floats(f"x0 of {physics.name!r}", x0)
+    u = np.array([s.nominal for s in physics.inputs]) if operation is None else floats("the input of operation", operation(0.0))
+    fits = x0.shape == (n,) and u.shape == (len(physics.inputs),)  # Plant refuses what does not
+    if fits:
+        _require_rates(physics, x0, u)
     only_states = bool(np.all(picks < n))
     selection = np.eye(n)[picks[picks < n]]
-    return Plant(
+    plant = Plant(
         name=physics.name,
         states=physics.states,
         inputs=physics.inputs,
@@ -158,13 +208,15 @@ def discretise(
         output=partial(picked, picks) if only_states else model.output,
         output_jacobian=partial(constant, selection) if only_states else None,
         dt=dt,
-        x0=np.asarray(x0, dtype=float),
+        max_dt=np.inf if max_dt is None else number("max_dt", max_dt),
+        x0=x0,
         initial_cov=np.asarray(initial_cov, dtype=float),
         process_cov=np.asarray(process_cov, dtype=float),
         process_bound=process_bound,
         operation=operation,
         blocks=physics.blocks,
     )
+    return plant if max_dt is not None else replace(plant, max_dt=largest_step(model, dt, x0, plant.state_scale, u))
 
 
 def linear_plant(
@@ -178,26 +230,41 @@ def linear_plant(
     initial_cov: Array,
     process_cov: Array,
     input_matrix: Array | None = None,
+    offset: Array | None = None,
+    feedthrough: Array | None = None,
+    output_offset: Array | None = None,
     states: Sequence[Signal] | None = None,
     inputs: Sequence[Signal] = (),
 ) -> Plant:
-    """Return the plant x+ = F x + G u, y = H x, with F (n, n), G (n, m), H (N, n); its dt is fixed."""
+    """Return the plant x+ = F x + G u + c, y = H x + D u + d, its dt fixed; what is not given of G, c, D, d is 0.
+
+    transition F (n, n), input_matrix G (n, m), offset c (n,); readout H (N, n), feedthrough D (N, m), output_offset d (N,): of
+    a model linearised about an operating point (x*, u*), c = f(x*, u*) - F x* - G u* and d likewise. D acts on the input that
+    acted until the reading. ValueError for shapes that do not fit and entries that are not finite.
+    """
     f, h = np.asarray(transition, dtype=float), np.asarray(readout, dtype=float)
     n = f.shape[0] if f.ndim else 0
-    g = np.zeros((n, len(inputs))) if input_matrix is None else np.asarray(input_matrix, dtype=float)
-    if f.shape != (n, n) or h.shape != (len(sensors), n) or g.shape != (n, len(inputs)):
+    count, m = len(sensors), len(inputs)
+    g, c, d, e = (
+        np.zeros(shape) if a is None else np.asarray(a, dtype=float)
+        for a, shape in ((input_matrix, (n, m)), (offset, (n,)), (feedthrough, (count, m)), (output_offset, (count,)))
+    )
+    if f.shape != (n, n) or h.shape != (count, n) or g.shape != (n, m):
+        raise ValueError(f"F {f.shape}, G {g.shape}, H {h.shape} do not fit {n} states, {m} inputs and {count} sensors")
+    if c.shape != (n,) or d.shape != (count, m) or e.shape != (count,):
         raise ValueError(
-            f"F {f.shape}, G {g.shape}, H {h.shape} do not fit {n} states, {len(inputs)} inputs and {len(sensors)} sensors"
+            f"offset {c.shape}, feedthrough {d.shape}, output_offset {e.shape} do not fit {n} states, {m} inputs and {count} "
+            f"sensors; expected {(n,)}, {(count, m)}, {(count,)}"
         )
-    if not all(np.all(np.isfinite(a)) for a in (f, g, h)):
-        raise ValueError(f"F, G or H of plant {name!r} has entries that are not finite; give numbers")
+    if not all(np.all(np.isfinite(a)) for a in (f, g, h, c, d, e)):
+        raise ValueError(f"F, G, H, D or an offset of plant {name!r} has entries that are not finite; give numbers")
     return Plant(
         name=name,
         states=tuple(states or (Signal(f"x{i}") for i in range(n))),
         inputs=tuple(inputs),
         sensors=tuple(sensors),
-        step=partial(_linear_step, f, g),
-        output=partial(_linear_output, h),
+        step=partial(_linear_step, f, g, c),
+        output=partial(_linear_output, h, None if feedthrough is None else d, e),
         step_jacobian=partial(constant, f),
         output_jacobian=partial(constant, h),
         dt=dt,

@@ -8,6 +8,7 @@ its operations allow, intervals; compiled code may call it too, and then it is c
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -53,6 +54,32 @@ def complex_step_jacobian(function: Callable[[Array], Array], x: Array) -> Array
     n = x.shape[-1]
     perturbed = x[..., None, :] + 1j * COMPLEX_STEP * np.eye(n)
     return np.swapaxes(function(perturbed).imag / COMPLEX_STEP, -1, -2)
+
+
+def complex_step_holds(function: Callable[[Array], Array], x: Array, scale: Array) -> bool:
+    """Whether the complex step agrees with central differences along one direction at each of the points x (B, n).
+
+    Not so for abs, sign, interp and whatever else drops the imaginary part or does not take complex numbers. With
+    D(h) = (f(x + h d) - f(x - h d)) / 2h, the error of D(h/2) is (D(h/2) - D(h)) / 3 to leading order (Richardson) and
+    rounding, of f and of x, over h; ten times their sum is allowed, so that a kink between the points passes. scale (n,) is
+    the size of a change that matters, of which h = eps^(1/5) balances both. Values that are not finite do not count.
+    """
+    eps = np.finfo(float).eps
+    h = eps ** (1 / 5)
+    direction = scale * np.where(np.arange(scale.size) % 2, -1.0, 1.0) * np.linspace(0.5, 1.0, scale.size)
+    with np.errstate(all="ignore"):
+        ahead, behind, half_ahead, half_behind = (function(x + part * h * direction) for part in (1.0, -1.0, 0.5, -0.5))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", np.exceptions.ComplexWarning)
+                exact = np.imag(function(x + 1j * COMPLEX_STEP * direction)) / COMPLEX_STEP
+        except Exception:  # whatever a function that takes real numbers raises of complex ones
+            return False
+        wide, narrow = (ahead - behind) / (2 * h), (half_ahead - half_behind) / h
+        steepness = np.max(np.abs(x / direction), axis=-1, keepdims=True)  # of f in x, where f changes by `narrow` over d
+        rounding = eps / h * (np.maximum(np.abs(ahead), np.abs(behind)) + steepness * np.abs(narrow))
+        sound = np.abs(exact - narrow) <= 10 * (np.abs(narrow - wide) / 3 + 4 * rounding)
+    return bool(np.all(sound | ~np.isfinite(wide) | ~np.isfinite(narrow)))
 
 
 def difference_jacobian(function: Callable[[Array], Array], x: Array, scale: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.arguments import floats, number, require_unique, shown
-from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Block
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -35,7 +35,9 @@ class Plant:
     its diagonal (n,) or as a matrix (n, n): `initial_cov` of x0, `process_cov` of w over one nominal dt (it grows in
     proportion to dt). Sensors are fixed for life: a missing reading is NaN, never another set of sensors.
 
-    step_jacobian(t, x, u, dt) and output_jacobian(t, x, u) are optional; the complex step gives them otherwise.
+    step_jacobian(t, x, u, dt) and output_jacobian(t, x, u) are optional; the complex step gives them otherwise, and central
+    differences (to some 1e-10) where it does not hold because of abs, sign, interp or the like: both are compared once, at
+    points about x0. At a kink itself, |x| at 0, differences give the mean of both slopes.
     operation(t) is the input that a simulation applies when it is given none; feedback(t, y, u) what controllers make of it at
     t, from the readings y (..., N) of that time: the input (..., m) that acts from t on. None in open loop.
     finer(): a truer twin with the same sensors and inputs (a finer grid, say) and the map from its states to these, from
@@ -101,6 +103,28 @@ class Plant:
             raise ValueError(
                 f"plant {self.name!r}: process_bound has shape {np.shape(bound)}; wanted ({n},) numbers of at least 0"
             )
+        self._require_shapes()
+
+    def _require_shapes(self) -> None:
+        """Raise ValueError unless step and output take a batch of states; where x0 has no step, it is for the runs to say."""
+        n, count = len(self.states), len(self.sensors)
+        x, u = np.broadcast_to(self.x0, (2, 1, n)).copy(), self.input_at(0.0)[None]
+        for what, wanted, arguments in (("step", (2, 1, n), (x, u, self.dt)), ("output", (2, 1, count), (x, u))):
+            try:
+                with np.errstate(all="ignore"):
+                    found = np.shape(getattr(self, what)(0.0, *arguments))
+            except ArithmeticError:
+                continue
+            except (IndexError, TypeError, ValueError) as error:
+                raise ValueError(
+                    f"{what} of plant {self.name!r} fails for states {x.shape} and inputs {u.shape}: {error}; write it for "
+                    "batches, which are leading axes: x[..., 0]"
+                ) from error
+            if found != wanted:
+                raise ValueError(
+                    f"{what} of plant {self.name!r} gives shape {found} for states {x.shape}; expected {wanted}: one number "
+                    f"for each {'state' if what == 'step' else 'sensor'}, with a batch as leading axes (x[..., 0])"
+                )
 
     @cached_property
     def sensor_names(self) -> tuple[str, ...]:
@@ -154,7 +178,7 @@ class Plant:
         if dt > self.max_dt * (1 + 1e-9):
             raise ValueError(
                 f"a step of {dt:g} s; the largest admissible step of plant {self.name!r} is {self.max_dt:.4g} s: "
-                "feed NaN readings in between, or build the plant with more substeps"
+                "feed NaN readings in between, as diagnose does, or build the plant with more substeps or another max_dt"
             )
 
     def process_cov_over(self, dt: float) -> Array:
@@ -165,13 +189,28 @@ class Plant:
         """F = d step / d x, (..., n, n)."""
         if self.step_jacobian is not None:
             return self._of_shape("step_jacobian", self.step_jacobian(t, x, u, dt), len(self.states))
-        return complex_step_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x)
+        if self._complex_step_holds[0]:
+            return complex_step_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x)
+        return difference_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x, self.state_scale)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
         """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
         if self.output_jacobian is not None:
             return self._of_shape("output_jacobian", self.output_jacobian(t, x, u), len(self.sensors))
-        return complex_step_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x)
+        if self._complex_step_holds[1]:
+            return complex_step_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x)
+        return difference_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x, self.state_scale)
+
+    @cached_property
+    def _complex_step_holds(self) -> tuple[bool, bool]:
+        """Of step and output, at points within the spread of x0: at x0 itself a valve may just not act."""
+        spread = self.state_scale * np.random.default_rng(0).standard_normal((4, len(self.states)))
+        x = self.x0 + (self.guard(self.x0 + spread)[0] - self.x0) / 2  # not on a limit of the model
+        u = self.input_at(0.0)
+        return (
+            self.step_jacobian is not None or complex_step_holds(lambda p: self.step(0.0, p, u, self.dt), x, self.state_scale),
+            self.output_jacobian is not None or complex_step_holds(lambda p: self.output(0.0, p, u), x, self.state_scale),
+        )
 
     def _of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
         if np.shape(jacobian)[-2:] != (rows, len(self.states)):

@@ -6,6 +6,7 @@ alarm (K, B) bool; active (K, B, N) bool, where a fault acts; isolated (K, B, N)
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,10 +52,18 @@ def accuracy(alarm: Array, active: Array, where: Array | None = None) -> Estimat
 
 
 def trial_accuracy(alarm: Array, isolated: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Share of runs judged right as a whole, with Wilson's interval.
+    """Share of runs judged right as a whole, see `judged_right`, with Wilson's interval."""
+    right = judged_right(alarm, isolated, active, where)
+    if where is not None:
+        right = right[where.any(axis=0)]
+    return proportion(int(right.sum()), right.size)
 
-    A run with faults is right where an alarm is raised while one is active and the sensors named on more than half of
-    the samples that name any, of those with an active fault, are exactly the sensors that were faulty. A run without
+
+def judged_right(alarm: Array, isolated: Array, active: Array, where: Array | None = None) -> Array:
+    """Whether each run (B,) is judged right as a whole.
+
+    A run with a fault is right where an alarm is raised while it is active and, over the samples at which it is, the faulty
+    sensor is named more often than any other; with several, each of them more often than any healthy one. A run without
     faults is right where no alarm is raised. Shaheen 2024 does not define the accuracy of its Tables V to VII; the entries
     of V and VII (but for one) are multiples of 1/36 or 1/60, which shares of samples would not be.
     """
@@ -62,14 +71,13 @@ def trial_accuracy(alarm: Array, isolated: Array, active: Array, where: Array | 
     require_shapes(isolated=(isolated, active.shape))
     counted = np.ones_like(faulty) if where is None else where
     during = faulty & counted
-    naming = during & isolated.any(axis=-1)
-    votes = (isolated & naming[..., None]).sum(axis=0)
-    named = 2 * votes > naming.sum(axis=0)[:, None]
-    meant = (active & during[..., None]).any(axis=0)
-    hit = (alarm & during).any(axis=0) & (named == meant).all(axis=-1)
+    votes = (isolated & during[..., None]).sum(axis=0)
+    guilty = (active & during[..., None]).any(axis=0)
+    least = np.where(guilty, votes, np.iinfo(votes.dtype).max).min(axis=-1)
+    most = np.where(guilty, 0, votes).max(axis=-1)  # 0 where all are faulty: each has to be named then
+    hit = (alarm & during).any(axis=0) & (least > most)
     quiet = ~(alarm & counted).any(axis=0)
-    right = np.where(during.any(axis=0), hit, quiet)[counted.any(axis=0)]
-    return proportion(int(right.sum()), right.size)
+    return np.asarray(np.where(during.any(axis=0), hit, quiet))
 
 
 def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
@@ -86,11 +94,26 @@ def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
 
 def auc(scores: Array, active: Array, where: Array | None = None) -> Estimate:
     """Area under the ROC, P(score of a faulty sample > of a healthy one) + P(equal) / 2, with a jackknife over runs."""
+    area = _area(scores, active, where)
+    return NOTHING if area is None else jackknife_over_runs(area, scores.shape[1])
+
+
+def mean_auc(curves: Sequence[tuple[Array, Array]]) -> Estimate:
+    """The mean of the areas under several ROCs of the same runs, each of scores and active, with a jackknife over runs."""
+    areas = [_area(scores, active, None) for scores, active in curves]
+    known = [area for area in areas if area is not None]
+    if not known or len({scores.shape[1] for scores, _ in curves}) > 1:
+        return NOTHING
+    return jackknife_over_runs(lambda w: np.mean([area(w) for area in known], axis=0), curves[0][0].shape[1])
+
+
+def _area(scores: Array, active: Array, where: Array | None) -> Callable[[Array], Array] | None:
+    """The area under the ROC for weights w (..., R) of the runs; None without faulty or without healthy samples."""
     score, truth, run = _labelled(scores, active, where)
     runs = scores.shape[1]
     positives, negatives = (np.bincount(run[truth == kind], minlength=runs).astype(float) for kind in (True, False))
     if positives.sum() == 0 or negatives.sum() == 0:
-        return NOTHING
+        return None
     wins = np.stack([_wins(score[truth], run[truth], score[~truth & (run == b)], runs) for b in range(runs)], axis=-1)
     overall = float(wins.sum() / (positives.sum() * negatives.sum()))
 
@@ -100,7 +123,7 @@ def auc(scores: Array, active: Array, where: Array | None = None) -> Estimate:
         won = ((w @ wins) * w).sum(axis=-1)
         return np.asarray(np.where(pairs > 0, won / np.where(pairs > 0, pairs, 1.0), overall))
 
-    return jackknife_over_runs(area, runs)
+    return area
 
 
 def false_alarms(alarm: Array, active: Array, where: Array | None = None) -> int:
@@ -117,27 +140,27 @@ def missed_detection_rate(alarm: Array, active: Array) -> Estimate:
     return rate_over_runs(_by_run(found, missed, alarm.shape[1]), _by_run(found, np.ones(len(found)), alarm.shape[1]))
 
 
-def detection_delay(t: Array, alarm: Array, active: Array, rng: np.random.Generator | int = 0) -> Estimate:
+def detection_delay(t: Array, alarm: Array, active: Array) -> Estimate:
     """Mean seconds from a fault's first sample to the first alarm during it, over the faults that are detected.
 
     An alarm that was already there counts as one at the first sample. Read it beside missed_detection_rate.
     """
     _faulty(alarm, active)
-    return _delay(t, np.broadcast_to(alarm[..., None], active.shape), active, rng)
+    return _delay(t, np.broadcast_to(alarm[..., None], active.shape), active)
 
 
-def isolation_delay(t: Array, isolated: Array, active: Array, rng: np.random.Generator | int = 0) -> Estimate:
+def isolation_delay(t: Array, isolated: Array, active: Array) -> Estimate:
     """Mean seconds from a fault's first sample to the first on which its sensor is named, over the faults that are."""
     require_shapes(isolated=(isolated, active.shape))
-    return _delay(t, isolated, active, rng)
+    return _delay(t, isolated, active)
 
 
-def first_alarm_time(t: Array, alarm: Array, rng: np.random.Generator | int = 0) -> Estimate:
+def first_alarm_time(t: Array, alarm: Array) -> Estimate:
     """Mean time of the first alarm (s), over the runs that have one."""
     require_shapes(t=(t, alarm.shape[:1]))
     if not t.size:
         return NOTHING
-    return mean_over_runs(t[np.argmax(alarm, axis=0)], np.asarray(alarm.any(axis=0)), rng)
+    return mean_over_runs(t[np.argmax(alarm, axis=0)], np.asarray(alarm.any(axis=0)))
 
 
 def events(active: Array) -> list[tuple[int, int, int, int]]:
@@ -180,14 +203,14 @@ def _wins(faulty: Array, run: Array, healthy: Array, runs: int) -> Array:
     return np.bincount(run, weights=(below + upto) / 2, minlength=runs)
 
 
-def _delay(t: Array, seen: Array, active: Array, rng: np.random.Generator | int) -> Estimate:
+def _delay(t: Array, seen: Array, active: Array) -> Estimate:
     require_shapes(t=(t, active.shape[:1]))
     found = [
         (run, i, a, int(np.argmax(seen[a : b + 1, run, i]))) for run, i, a, b in events(active) if seen[a : b + 1, run, i].any()
     ]
     delays = np.array([t[a + later] - t[a] for _, _, a, later in found])
     runs = active.shape[1]
-    return mean_over_runs(_by_run(found, delays, runs), _by_run(found, np.ones(len(found)), runs), rng)
+    return mean_over_runs(_by_run(found, delays, runs), _by_run(found, np.ones(len(found)), runs))
 
 
 def _by_run(found: list[tuple[int, int, int, int]], values: Array, runs: int) -> Array:

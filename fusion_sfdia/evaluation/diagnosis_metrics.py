@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion, require_shapes
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, require_shapes
 
 Array = NDArray[Any]
 
@@ -41,7 +41,7 @@ def smallest_detectable(residual: Array, lower: Array, upper: Array, gain: Array
     return np.asarray(np.divide(slack, g, out=np.full(g.shape, np.inf), where=g > 0).min(axis=0))
 
 
-def smallest_detected(sizes: Array, detected: Array, rng: np.random.Generator | int = 0) -> Estimate:
+def smallest_detected(sizes: Array, detected: Array) -> Estimate:
     """Return the mean over runs of the smallest of sizes (S,) that was detected in the run, detected (S, B): (19) as seen.
 
     Runs that detected none are left out: compare n with the number of runs. A size is told to the grid's next one above.
@@ -49,10 +49,10 @@ def smallest_detected(sizes: Array, detected: Array, rng: np.random.Generator | 
     require_shapes(detected=(detected, (len(sizes), *np.shape(detected)[1:2])))
     magnitude = np.where(detected, np.abs(np.asarray(sizes, dtype=float))[:, None], np.inf).min(axis=0, initial=np.inf)
     some = np.isfinite(magnitude)
-    return mean_over_runs(np.where(some, magnitude, 0.0), some, rng)
+    return mean_over_runs(np.where(some, magnitude, 0.0), some)
 
 
-def response(t: Array, decisions: Array, active: Array, modules: Sequence[int], rng: np.random.Generator | int = 0) -> Response:
+def response(t: Array, decisions: Array, active: Array, modules: Sequence[int]) -> Response:
     """Return missed-detection rate and delay of a fault, active (K, B), by the first of the modules to fire while it acts.
 
     With the fault's own module it is (20) and (22), with the modules of the other agents (21): that the fault is missed
@@ -64,15 +64,13 @@ def response(t: Array, decisions: Array, active: Array, modules: Sequence[int], 
     delays = (t[np.argmax(seen, axis=0)] - t[np.argmax(active, axis=0)])[caught]
     return Response(
         proportion(int((faulty & ~caught).sum()), int(faulty.sum())),
-        mean_over_runs(delays, np.ones(delays.size), rng),
+        mean_over_runs(delays, np.ones(delays.size)),
         float(delays.min(initial=np.inf)) if delays.size else float("nan"),
         float(delays.max(initial=0.0)) if delays.size else float("nan"),
     )
 
 
-def isolation_performance(
-    t: Array, isolated: Array, active: Array, alarm: Array, rng: np.random.Generator | int = 0
-) -> Estimate:
+def isolation_performance(t: Array, isolated: Array, active: Array, alarm: Array) -> Estimate:
     """Return P^U, (23) and (25), as a fraction: the time mean from the first alarm (K, B) on of |S^F and S_0| / |S^F|.
 
     1 - U/|S^F| = |S_0|/|S^F| as printed takes the faulty S_0 to be named; what is not named counts for nothing here. Where
@@ -82,22 +80,22 @@ def isolation_performance(
     require_shapes(isolated=(isolated, active.shape))
     named, right = isolated.sum(axis=-1), (isolated & active).sum(axis=-1)
     share = np.where(named > 0, right / np.maximum(named, 1), ~active.any(axis=-1))
-    return _from_first_alarm(t, share, alarm, rng)
+    return _from_first_alarm(t, share, alarm)
 
 
-def exoneration_performance(t: Array, isolated: Array, alarm: Array, rng: np.random.Generator | int = 0) -> Estimate:
+def exoneration_performance(t: Array, isolated: Array, alarm: Array) -> Estimate:
     """Return P^E, (24) and (26), as a fraction: the time mean from the first alarm on of the share of sensors not named.
 
     It does not see whether a faulty sensor is among them: read it beside isolation_metrics.isolation_recall.
     """
-    return _from_first_alarm(t, 1 - isolated.mean(axis=-1), alarm, rng)
+    return _from_first_alarm(t, 1 - isolated.mean(axis=-1), alarm)
 
 
-def _from_first_alarm(t: Array, share: Array, alarm: Array, rng: np.random.Generator | int) -> Estimate:
+def _from_first_alarm(t: Array, share: Array, alarm: Array) -> Estimate:
     require_shapes(alarm=(alarm, share.shape), t=(t, share.shape[:1]))
     begun = np.logical_or.accumulate(alarm, axis=0)[:-1]
     weight = begun * np.diff(t)[:, None]
     time = weight.sum(axis=0)
     judged = time > 0
     means = (share[:-1] * weight).sum(axis=0)[judged] / time[judged]
-    return bootstrap_over_runs(lambda runs: means[runs].mean(axis=-1), means.size, rng)
+    return mean_over_runs(means, np.ones(means.size))

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.metrics import LEVEL, NOTHING, Estimate, bootstrap_over_runs, mean_over_runs, require_shapes
+from fusion_sfdia.evaluation.metrics import LEVEL, NOTHING, Estimate, mean_over_runs, require_shapes
 
 Array = NDArray[Any]
 
 
-def rmse(estimate: Array, truth: Array, where: Array | None = None, rng: np.random.Generator | int = 0) -> Estimate:
-    """Mean over runs of ||X - X_hat||_F / sqrt(number of entries), with a bootstrap over runs (Shaheen 2024, sec. V-A).
+def rmse(estimate: Array, truth: Array, where: Array | None = None) -> Estimate:
+    """Mean over runs of ||X - X_hat||_F / sqrt(number of entries), with an interval over runs (Shaheen 2024, sec. V-A).
 
     estimate, truth (K, B, n): give the columns of one quantity (measured_states), as units differ. where (K, B).
     The paper divides by N_s = L / ds = 20 though there are 21 nodes, which is 2.5 % more; here the entries are counted.
@@ -24,10 +24,10 @@ def rmse(estimate: Array, truth: Array, where: Array | None = None, rng: np.rand
     diverged estimate) are left out.
     """
     require_shapes(estimate=(estimate, truth.shape))
-    return root_mean_square((estimate - truth) ** 2, where, rng)
+    return root_mean_square((estimate - truth) ** 2, where)
 
 
-def root_mean_square(square: Array, where: Array | None = None, rng: np.random.Generator | int = 0) -> Estimate:
+def root_mean_square(square: Array, where: Array | None = None) -> Estimate:
     """Mean over runs of the root of a run's mean of squared errors (K, B, n); the rest as in `rmse`."""
     counted = np.isfinite(square)
     counted = counted if where is None else counted & where[..., None]
@@ -36,7 +36,7 @@ def root_mean_square(square: Array, where: Array | None = None, rng: np.random.G
     if not some.any():
         return NOTHING
     each = np.sqrt(np.where(counted, square, 0.0).sum(axis=(0, 2))[some] / entries[some])
-    return bootstrap_over_runs(lambda runs: each[runs].mean(axis=-1), each.size, rng)
+    return mean_over_runs(each, np.ones(each.size))
 
 
 def measured_states(plant: Plant) -> dict[str, Array]:
@@ -49,7 +49,7 @@ def measured_states(plant: Plant) -> dict[str, Array]:
     return {quantity: states.astype(int) for quantity, states in found.items() if states.size}
 
 
-def nees(estimate: Array, truth: Array, covariance: Array, rng: np.random.Generator | int = 0) -> Estimate:
+def nees(estimate: Array, truth: Array, covariance: Array) -> Estimate:
     """Mean of e' P^-1 e / n, e = x - x_hat: normalised estimation error squared per dimension, 1 for a consistent filter.
 
     estimate, truth (K, B, n), covariance (K, B, n, n). Samples that are not finite are left out. ValueError for a
@@ -71,13 +71,13 @@ def nees(estimate: Array, truth: Array, covariance: Array, rng: np.random.Genera
         raise ValueError("a covariance is singular; NEES wants positive definite ones") from error_found
     values = np.zeros(counted.shape)
     values[counted] = squares
-    return mean_over_runs(values.sum(axis=0), counted.sum(axis=0), rng)
+    return mean_over_runs(values.sum(axis=0), counted.sum(axis=0))
 
 
-def nis(values: Array, rng: np.random.Generator | int = 0) -> Estimate:
+def nis(values: Array) -> Estimate:
     """Mean of Decision.nis (K, B), the normalised innovation squared per reading; NaN (nothing read) is left out."""
     counted = np.isfinite(values)
-    return mean_over_runs(np.where(counted, values, 0.0).sum(axis=0), counted.sum(axis=0), rng)
+    return mean_over_runs(np.where(counted, values, 0.0).sum(axis=0), counted.sum(axis=0))
 
 
 def consistency_limits(dimension: int, runs: int) -> tuple[float, float]:
@@ -93,10 +93,8 @@ def consistency_limits(dimension: int, runs: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def fault_mape_percent(
-    fault_size: Array, size: Array, isolated: Array, active: Array, rng: np.random.Generator | int = 0
-) -> Estimate:
-    """Mean of 100 |size_hat / size - 1| over the faulty sensor-samples that are named, with a bootstrap over runs.
+def fault_mape_percent(fault_size: Array, size: Array, isolated: Array, active: Array) -> Estimate:
+    """Mean of 100 |size_hat / size - 1| over the faulty sensor-samples that are named, with an interval over runs.
 
     All (K, B, N). Where a size is NaN (dropout, no estimate) or the true size is 0, the sample is left out: a fault that
     is not named has no size, so read it beside isolation_recall.
@@ -104,4 +102,4 @@ def fault_mape_percent(
     require_shapes(fault_size=(fault_size, size.shape), isolated=(isolated, size.shape), active=(active, size.shape))
     counted = isolated & active & np.isfinite(fault_size) & np.isfinite(size) & (size != 0)
     ratio = np.where(counted, fault_size, 1.0) / np.where(counted, size, 1.0)
-    return mean_over_runs(100 * np.abs(ratio - 1).sum(axis=(0, 2)), counted.sum(axis=(0, 2)), rng)
+    return mean_over_runs(100 * np.abs(ratio - 1).sum(axis=(0, 2)), counted.sum(axis=(0, 2)))

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 
@@ -40,9 +41,10 @@ class Fault:
     """A fault of one sensor from `onset` for `length` seconds (inf: to the end).
 
     magnitude: b, in the sensor's unit (a factor for scale). relative: b is that many times the absolute value of the
-    noise-free signal at the first faulty sample, so that its sign is the error's. rise: seconds in which a drift reaches
-    b (None: its whole length). probability: of spikes and dropouts at each sample. period: seconds of readings that a
-    replay repeats (None: its whole length), or as many as there are.
+    noise-free signal at the first faulty sample, so that its sign is the error's; where readings stand for the signal and
+    that one is missing, of the last known reading before it, or else of the first known one after it. rise: seconds in
+    which a drift reaches b (None: its whole length). probability: of spikes and dropouts at each sample. period: seconds of
+    readings that a replay repeats (None: its whole length), or as many as there are.
 
     Shaheen 2024, sec. IV-B: a bias of M samples has length = M dt; a drift that reaches b in M samples and holds it for
     K has rise = M dt, length = (M + K) dt. Its printed ranges (0 <= k - m <= M) are M + 1 samples and overlap, with a
@@ -127,7 +129,7 @@ def apply(
     readings do not depend on the others). Raises ValueError for shapes that do not fit, an unknown sensor, a fault that
     covers no sample, randomness without rng.
     """
-    t, y = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
+    t, y = floats("t", t), floats("y", y)
     count = len(plant.sensors)
     if t.ndim != 1 or y.shape[:1] != t.shape or y.shape[-1:] != (count,) or y.ndim < 2:
         raise ValueError(f"t {t.shape} and y {y.shape} do not fit; wanted (K,) and (K, ..., {count}), a column a sensor")
@@ -144,12 +146,7 @@ def apply(
         for j, fault in enumerate(own):
             i = plant.sensor_index(fault.sensor)
             rows = _rows(fault, t, plant.dt)
-            value = abs(reference[rows[0], b, i]) if fault.relative else 1.0
-            if not np.isfinite(value):
-                raise ValueError(
-                    f"{fault.kind} of sensor {fault.sensor!r} is relative to a missing reading at {t[rows[0]]:g} s; "
-                    "pass signal, or an absolute magnitude"
-                )
+            value = _amplitude(fault, reference[:, b, i], rows[0]) if fault.relative else 1.0
             generator = _generator(rng, fault, b, j)
             column = faulty[:, b, i]
             with np.errstate(over="ignore"):
@@ -160,6 +157,16 @@ def apply(
                 )
             active[rows, b, i] = True
     return FaultedReadings(faulty.reshape(y.shape), active.reshape(y.shape), (faulty - healthy).reshape(y.shape))
+
+
+def _amplitude(fault: Fault, column: Array, onset: int) -> float:
+    """|signal| at the onset, at the last known sample before it where it is missing there, else at the first known one."""
+    if not (known := np.flatnonzero(np.isfinite(column))).size:
+        raise ValueError(
+            f"{fault.kind} of sensor {fault.sensor!r} is relative to a sensor that was never read; pass signal, or an absolute "
+            "magnitude"
+        )
+    return float(abs(column[known[max(0, np.searchsorted(known, onset, side="right") - 1)]]))
 
 
 def _per_run(faults: Sequence[Fault] | Sequence[Sequence[Fault]], runs: int) -> list[list[Fault]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import require_unique, shown
+from fusion_sfdia.core.arguments import floats, require_unique, shown
 from fusion_sfdia.core.numerals import decimal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -32,8 +33,8 @@ class Log(NamedTuple):
 
 def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None) -> None:
     """Write t (K,), y (K, N) and, if given, u (K, m) so that read_log returns the same bits. ValueError for other shapes."""
-    t, y = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
-    u = np.empty((t.size, 0)) if u is None else np.asarray(u, dtype=float)
+    t, y = floats("t", t), floats("y", y)
+    u = np.empty((t.size, 0)) if u is None else floats("u", u)
     inputs = plant.inputs if u.size else ()
     if t.ndim != 1 or y.shape != (t.size, len(plant.sensors)) or u.shape != (t.size, len(inputs)):
         raise ValueError(
@@ -48,14 +49,21 @@ def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | Non
             table.writerow(["" if np.isnan(v) else repr(float(v)) for v in row])
 
 
-def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, other_columns: bool = False) -> Log:
+def read_log(
+    path: str | Path,
+    plant: Plant,
+    *,
+    absent_sensors: bool = False,
+    other_columns: bool = False,
+    nominal_inputs: bool = False,
+) -> Log:
     """Read a log of a plant.
 
-    The header names `time`, every sensor and any of the inputs, in any order, each with or without its unit in brackets.
-    Inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before where that is
-    later. absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
-    Raises ValueError naming file, row (the header is row 1) and column for anything else than increasing times, finite or
-    missing readings and inputs within their limits.
+    The header names `time`, every sensor and every input, in any order, each with or without its unit in brackets.
+    absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
+    nominal_inputs: inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before
+    where that is later, and a UserWarning names them. Raises ValueError naming file, row (the header is row 1) and column
+    for anything else than increasing times, finite or missing readings and inputs within their limits.
     """
     with Path(path).open(encoding="utf-8-sig", newline="") as file:
         try:
@@ -64,7 +72,7 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
             raise ValueError(f"{path} is not a CSV text file ({error}); wanted UTF-8 text as `simulate` writes it") from error
     if not rows:
         raise ValueError(f"{path} is empty; wanted a header: time and the sensors of plant {plant.name!r}")
-    columns = _columns(path, rows[0][1], plant, absent_sensors, other_columns)
+    columns = _columns(path, rows[0][1], plant, absent_sensors, other_columns, nominal_inputs)
     if len(rows) == 1:
         raise ValueError(f"{path} has a header and no rows; wanted at least one reading")
     width = len(rows[0][1])
@@ -88,6 +96,11 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
             y[:, i] = _values(path, numbers, cells, columns, sensor, required=False)
     before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
     u = np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
+    if assumed := [s.name for s in plant.inputs if s.name not in columns]:
+        source = "their nominal values" if plant.operation is None else "its usual operation"
+        warnings.warn(
+            f"{path}: no column for the inputs {_some(assumed)}; {source} of plant {plant.name!r} stand for them", stacklevel=2
+        )
     for i, signal in enumerate(plant.inputs):
         if signal.name in columns:
             u[:, i] = _values(path, numbers, cells, columns, signal, required=True)
@@ -99,7 +112,7 @@ def read_log(path: str | Path, plant: Plant, *, absent_sensors: bool = False, ot
     return Log(t, y, u)
 
 
-def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, other: bool) -> dict[str, int]:
+def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, other: bool, nominal: bool) -> dict[str, int]:
     """Return where the column of each name stands."""
     named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *plant.inputs)
     require_unique(f"columns of a log of plant {plant.name!r}", [c.name for c in named])
@@ -131,6 +144,11 @@ def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, ot
         )
     if len(lacking) == len(plant.sensors):
         raise ValueError(f"{path}: no column of any sensor of plant {plant.name!r}; sensors: {_some(plant.sensor_names)}")
+    if (unset := [s.name for s in plant.inputs if s.name not in found]) and not nominal:
+        raise ValueError(
+            f"{path}: no column for the inputs {_some(unset)} of plant {plant.name!r}; add them, or assume the plant's usual "
+            "inputs with --nominal-inputs (nominal_inputs=True)"
+        )
     if unknown and not other:
         raise ValueError(
             f"{path}: the columns {_some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, "

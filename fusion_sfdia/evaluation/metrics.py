@@ -1,7 +1,13 @@
 """Numbers from repeated runs with their 95 % intervals.
 
 Samples of one run depend on each other (a latched alarm, a filter's memory), runs of different seeds do not: intervals come
-from the differences between runs. Time is the first axis of every array, the run the second.
+from the differences between runs. Time is the first axis of every array, the run the second. Each kind of number has one rule:
+
+    share of runs, each right or wrong      Wilson                                  `proportion`
+    share of samples                        Wilson, variance between runs           `rate_over_runs`
+    mean over runs, or over what they count Student, variance between runs          `mean_over_runs`
+    area under a ROC                        Wilson, variance by a jackknife         `jackknife_over_runs`
+    root of a mean, quantile, other         BCa bootstrap over runs                 `bootstrap_over_runs`
 """
 
 from __future__ import annotations
@@ -78,11 +84,22 @@ def _wilson(p: float, variance: float, runs: int, most: float = np.inf) -> Estim
     return Estimate(p, float(min(max(centre - half, 0.0), p)), float(max(min(centre + half, 1.0), p)), runs)
 
 
-def mean_over_runs(totals: Array, counts: Array, rng: np.random.Generator | int = 0) -> Estimate:
-    """Return sum totals / sum counts over runs, (B,) each, with a bootstrap over runs; runs without a count are left out."""
+def mean_over_runs(totals: Array, counts: Array) -> Estimate:
+    """Return sum totals / sum counts over runs, (B,) each, with Student's interval; runs without a count are left out.
+
+    V = B/(B-1) sum (s_b - r n_b)^2 / (sum n_b)^2, r the ratio (Cochran 1977, sec. 6.4): with equal counts that of a mean.
+    """
     counted = counts > 0
     total, count = totals[counted].astype(float), counts[counted].astype(float)
-    return bootstrap_over_runs(lambda runs: total[runs].sum(axis=-1) / count[runs].sum(axis=-1), int(counted.sum()), rng)
+    runs = int(counted.sum())
+    if runs == 0:
+        return NOTHING
+    ratio = float(total.sum() / count.sum())
+    if runs == 1:
+        return Estimate(ratio, float("nan"), float("nan"), 1)
+    variance = runs / (runs - 1) * np.sum((total - ratio * count) ** 2) / count.sum() ** 2
+    half = float(stats.t.ppf((1 + LEVEL) / 2, runs - 1) * np.sqrt(variance))
+    return Estimate(ratio, ratio - half, ratio + half, runs)
 
 
 def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int, rng: np.random.Generator | int = 0) -> Estimate:

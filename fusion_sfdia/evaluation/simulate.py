@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
+from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.plant import Plant, diagonal
 from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.core.signals import Sensor
@@ -154,10 +155,7 @@ def _times(plant: Plant, times: int | Array, t0: float) -> tuple[Array, Array]:
         if not 1 <= times <= MOST_STEPS:
             raise ValueError(f"{times} steps; wanted at least 1 and at most {MOST_STEPS}")
         return t0 + np.arange(1, times + 1) * plant.dt, np.full(int(times), plant.dt)
-    try:
-        t = np.asarray(times, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"times is {times!r}; wanted a number of steps or times (K,) in s") from error
+    t = floats("times", times)
     if t.ndim != 1 or not t.size:
         came = f"has shape {t.shape}" if t.ndim else f"is {times!r}"
         raise ValueError(f"times {came}; wanted a whole number of steps or at least one time (K,)")

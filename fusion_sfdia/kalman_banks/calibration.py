@@ -21,9 +21,15 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
 
     t (K,), y (K, ..., N) healthy readings, u (K, ..., m). The threshold of a quantity is an order statistic of its
     largest residual after the first `warm_up` samples, in which the filter settles; the quantities share the budget
-    equally. Runs in which the bank diverges are left out. ValueError where the data are too few for the rate: less than one
-    sample expected above the threshold.
+    equally. Runs in which the bank diverges are left out. ValueError for another detector, and where the data are too few for
+    the rate: less than one sample expected above the threshold.
     """
+    if not isinstance(bank, FusingBank):
+        raise ValueError(
+            f"bank is a {type(bank).__name__}; only a FusingBank is calibrated here, for it has no thresholds of its own. "
+            "LeaveOneOutBank and CentralFilter take false_alarm, Chebyshev alpha or its `calibrated`, and FixedLimits, "
+            "PrincipalComponents and StructuralResiduals are fitted by their fit()"
+        )
     probability("false_alarm", false_alarm)
     whole("warm_up", warm_up, least=0)
     t, y, u = floats("t", t), floats("y", y), floats("u", u)

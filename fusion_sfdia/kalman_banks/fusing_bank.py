@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.detector import Decision, NotApplicableError, State
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.filters.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
 from fusion_sfdia.filters.gaussian import Joint
@@ -67,7 +67,7 @@ class FusingBank(BatchDetector):
         require_filter(self.estimator)
         n, count = len(self.plant.states), len(self.plant.sensors)
         if count < 2:
-            raise ValueError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")
+            raise NotApplicableError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")
         for what, wanted in (("beta", count), ("thresholds", count), ("residual_scale", n)):
             if getattr(self, what) is None:
                 continue

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, probability, shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State, check_reading
+from fusion_sfdia.core.detector import Decision, NotApplicableError, State, check_reading
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.structural_residuals.selection import reads, selected
@@ -69,13 +69,13 @@ class StructuralResiduals(BatchDetector):
 
         A limit is the residual's unit times a common factor. Of every other sample in time: the unit is the order statistic
         that the residual exceeds with its share of the rate. Of the rest: the factor is the order statistic of the largest
-        residual in these units. Samples with a missing reading are left out. ValueError for a plant that does not say its
-        scalar equations or has no residual, and for data that do not fit or are too few; ModuleNotFoundError without
-        faultdiagnosistoolbox.
+        residual in these units. Samples with a missing reading are left out. NotApplicableError for a plant that does not say
+        its scalar equations or has no residual, MissingPackageError without faultdiagnosistoolbox, another ValueError for data
+        that do not fit or are too few.
         """
         probability("false_alarm", false_alarm)
         if not (residuals := selected(plant)):
-            raise ValueError(f"plant {plant.name!r} has no residual that its own equations can compute; add sensors")
+            raise NotApplicableError(f"plant {plant.name!r} has no residual that its own equations can compute; add sensors")
         watcher = cls(plant, residuals, np.ones(len(residuals)), max_faults)
         size = np.abs(watcher.trace(y, u)).reshape(len(y), -1, len(residuals))
         units, rest = (part[np.all(np.isfinite(part), axis=-1)] for part in (size[::2], size[1::2]))

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from fusion_sfdia.core.detector import MissingPackageError, NotApplicableError
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.plant import Plant
@@ -45,17 +46,19 @@ class Residual:
 
 
 def modules_of(plant: Plant) -> Modules:
-    """Return the scalar equations of a plant; ValueError where it says none, or its sensors do not read their variables."""
+    """Return a plant's scalar equations; NotApplicableError where it has none, or its sensors do not read their variables."""
     if plant.modules is None:
-        raise ValueError(
+        raise NotApplicableError(
             f"plant {plant.name!r} does not say its scalar equations, without which it has no structure to analyse; give "
             "Plant(modules=Modules(...)) or take another detector"
         )
     measured = [s.measures for s in plant.sensors]
     if unknown := [s.name for s in plant.sensors if s.measures not in plant.modules.equations]:
-        raise ValueError(f"sensors {', '.join(unknown)} read variables without an equation; wanted one for each in Modules")
+        raise NotApplicableError(
+            f"sensors {', '.join(unknown)} read variables without an equation; wanted one for each in Modules"
+        )
     if several := sorted({v for v in measured if measured.count(v) > 1}):
-        raise ValueError(f"several sensors read {', '.join(several)}; build the plant with one of them")
+        raise NotApplicableError(f"several sensors read {', '.join(several)}; build the plant with one of them")
     return plant.modules
 
 
@@ -67,13 +70,13 @@ def arguments(modules: Modules) -> dict[str, tuple[str, ...]]:
 def structural_model(plant: Plant) -> Any:
     """Return the DiagnosisModel of a plant: its equations, the derivatives of its states, and its sensors with a fault each.
 
-    ValueError as `modules_of`, ModuleNotFoundError without faultdiagnosistoolbox.
+    NotApplicableError as `modules_of`, MissingPackageError without faultdiagnosistoolbox.
     """
     modules = modules_of(plant)
     try:
         import faultdiagnosistoolbox as toolbox  # slow to import
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
+        raise MissingPackageError(
             "structural residuals need faultdiagnosistoolbox; pip install 'fusion-sfdia[structural]'"
         ) from error
     states = modules.states

@@ -1,0 +1,175 @@
+"""Branches off a trunk: the readings of every condition and seed, and detectors that follow them all in one pass over time.
+
+A detector takes one time for a whole batch. So branches are not run one after the other: at each sample the batch holds those
+that are under way, and each begins with the state of its trunk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.comparison_calibration import silent_score
+from fusion_sfdia.benchmarks.comparison_protocol import Condition, faults_of
+from fusion_sfdia.benchmarks.comparison_records import Branch, Outcome, outcome
+from fusion_sfdia.benchmarks.comparison_truths import failing
+from fusion_sfdia.core.batch_detector import CLOCK
+from fusion_sfdia.core.detector import Decision, Detector, State
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.faults import apply
+from fusion_sfdia.evaluation.simulate import Recording
+
+Array = NDArray[Any]
+
+
+class Run(NamedTuple):
+    """A condition in the b-th run of a trunk, from the sample `onset` on for `length` samples."""
+
+    condition: Condition
+    b: int
+    onset: int
+    length: int
+
+
+class Branches(NamedTuple):
+    """Runs, and their readings one run below the other (samples of all, N); rows: where each run begins."""
+
+    runs: tuple[Run, ...]
+    readings: Branch
+    rows: Array
+
+    def of(self, members: Sequence[int], samples: int) -> Array:
+        """Rows (samples, members) of the first samples of some runs."""
+        return np.asarray(self.rows[list(members)] + np.arange(samples)[:, None])
+
+    def some(self, members: Sequence[int]) -> Branches:
+        """Some of the runs, the readings of all."""
+        return self._replace(runs=tuple(self.runs[i] for i in members), rows=self.rows[list(members)])
+
+
+def branches(plant: Plant, recording: Recording, runs: Sequence[Run], window: int) -> Branches:
+    """The readings of all runs of a recording; those before the onset, as many as a window, are what a replay repeats."""
+    parts = [branch(plant, recording, run, window) for run in runs]
+    readings = Branch(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+    rows = np.cumsum([0, *(run.length for run in runs)])[:-1]
+    return Branches(tuple(runs), readings, rows)
+
+
+def branch(plant: Plant, recording: Recording, run: Run, window: int) -> Branch:
+    """The readings of one run (length, N)."""
+    condition, b, onset, length = run
+    seed, shown = recording.seeds[b], recording
+    if condition.kind == "plant":
+        begin = (onset - 1e-6) * plant.dt  # with the last healthy reading, but for rounding
+        shown, b = failing(plant.name, condition.name, onset + length, (seed,), begin), 0
+    before = slice(max(0, onset - window), onset + length)
+    now = slice(onset - before.start, None)
+    y, signal = shown.y[before, b], shown.signal[before, b]
+    faults = faults_of(plant, condition, seed, float(recording.t[onset]), signal[now])
+    changed = apply(plant, recording.t[before], y[:, None], [faults], [seed], signal=signal[:, None])
+    u = shown.u_of_runs[onset : onset + length, b]
+    return Branch(u, changed.y[now, 0], y[now], signal[now], changed.active[now, 0], changed.size[now, 0])
+
+
+class Moment(NamedTuple):
+    """A sample of a walk: its number, the state before it, the rows of the branches behind the trunk, and the Decision."""
+
+    k: int
+    state: State
+    rows: Array
+    decision: Decision
+
+
+def walk(
+    detector: Detector,
+    recording: Recording,
+    found: Branches,
+    *,
+    first: int = 0,
+    states: Mapping[int, State] | None = None,
+    trunk: bool = True,
+) -> Iterator[Moment]:
+    """Step a detector along a recording from its `first` sample on: the runs of the trunk, behind them the branches under way.
+
+    states: those of another walk along the trunk, with which trunk and branches begin; None to begin anew, and branches with
+    the state of the walk itself. Without the trunk, samples at which no branch is under way are left out.
+    """
+    count, dt = recording.y.shape[1] if trunk else 0, detector.plant.dt
+    u, y = recording.u_of_runs, recording.y
+    starting: dict[int, list[int]] = {}
+    for i, run in enumerate(found.runs):
+        starting.setdefault(run.onset, []).append(i)
+    state = None
+    if trunk:
+        state = detector.init((count,), float(recording.t[first]) - dt) if states is None else states[first]
+    active = np.empty(0, int)
+    for k in range(first, recording.t.size):
+        stay = np.array([j for j, i in enumerate(active) if k < found.runs[i].onset + found.runs[i].length], int)
+        begin = starting.get(k, [])
+        before = state if states is None else states.get(k)
+        if stay.size < active.size and state is not None:
+            state = pick(state, np.concatenate([np.arange(count), count + stay]))
+        if begin:
+            assert before is not None
+            own = pick(before, np.array([found.runs[i].b for i in begin]))
+            state = own if state is None or count + stay.size == 0 else beside(state, own)
+        active = np.concatenate([active[stay], np.array(begin, int)])
+        if state is None or count + active.size == 0:
+            continue
+        rows = np.array([found.rows[i] + k - found.runs[i].onset for i in active], int)
+        readings = (found.readings.y[rows], found.readings.u[rows])
+        if trunk:
+            readings = np.concatenate([y[k], readings[0]]), np.concatenate([u[k], readings[1]])
+        after, decision = detector.step(state, float(recording.t[k]), *readings)
+        yield Moment(k, state, rows, decision)
+        state = after
+
+
+class Silent(NamedTuple):
+    """Of a silent detector the scores on its trunk (K, B), those by the rows of Branches, and states before some samples."""
+
+    trunk: Array
+    runs: Array
+    states: dict[int, State]
+
+
+def silent_walk(detector: Detector, recording: Recording, found: Branches, kept: Collection[int]) -> Silent:
+    """Walk with a silent detector; kept: the samples before which its states are wanted."""
+    count = recording.y.shape[1]
+    seen = Silent(np.empty((recording.t.size, count)), np.full(len(found.readings.y), np.nan), {})
+    for k, state, rows, decision in walk(detector, recording, found):
+        if k in kept:
+            seen.states[k] = pick(state, np.arange(count))
+        score = silent_score(decision)
+        seen.trunk[k], seen.runs[rows] = score[:count], score[count:]
+    return seen
+
+
+def deployed_walk(
+    detector: Detector, recording: Recording, found: Branches, states: Mapping[int, State], first: int, *, trunk: bool = False
+) -> tuple[Array, Outcome]:
+    """Walk with a deployed detector: alarms on the trunk (K, B), and outcomes by the rows of Branches."""
+    count, n = recording.y.shape[1] if trunk else 0, len(detector.plant.sensors)
+    total = len(found.readings.y)
+    alarms = np.zeros((recording.t.size, count), bool)
+    flags, numbers = np.zeros((2, total), bool), np.empty((3, total, n))
+    seen = Outcome(flags[0], flags[1], np.zeros((total, n), bool), numbers[0], numbers[1], numbers[2])
+    for k, _, rows, decision in walk(detector, recording, found, first=first, states=states, trunk=trunk):
+        now = outcome(detector.plant, decision)
+        alarms[k] = now.alarm[:count]
+        for all_of, of_now in zip(seen, now, strict=True):
+            all_of[rows] = of_now[count:]
+    return alarms, seen
+
+
+def pick(state: State, members: Array) -> State:
+    """Some runs of a batch."""
+    return (*state[:CLOCK], *(a[members] for a in state[CLOCK:]))
+
+
+def beside(state: State, other: State) -> State:
+    """Two batches at the same time as one."""
+    return (*state[:CLOCK], *(np.concatenate([a, b]) for a, b in zip(state[CLOCK:], other[CLOCK:], strict=True)))

@@ -1,0 +1,105 @@
+"""Detector: combined Shewhart and EWMA charts of each reading, learnt from healthy data, and a limit on its change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import number, probability
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.data_driven.fixed_limits import limits_of
+from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, without_model
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class EwmaLimits(BatchDetector):
+    """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, to add up what is
+    small and lasts, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
+
+        z_n = (1 - weight) z_(n-1) + weight e_n    z_0 = 0    |z_n| <= average sqrt(1 - (1 - weight)^(2n))
+
+    n counts the readings of the sensor; missing ones leave z as it was. The last factor is the growth of the deviation of z
+    when noise is white; of levels that move slowly it is on the safe side. A level beyond its limit enters the average as that
+    limit: its own check finds it, and the average forgets it as soon as it is over.
+
+    centre, level, change, average: (N,) in sensor units. The residual is that of the check with the largest ratio to its limit,
+    with its sign. Every sensor beyond a limit is named. measured: the last reading that was not, at first the centre, in place
+    of missing and violating ones. fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
+    """
+
+    centre: Array
+    level: Array
+    change: Array
+    average: Array
+    weight: float = 0.2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for what in ("centre", "level", "change", "average"):
+            value = per_sensor(self.plant, what, getattr(self, what))
+            if what != "centre" and not np.all(value > 0):
+                raise ValueError(f"{what} has limits of {value.min():g} and more; expected positive ones, as of EwmaLimits.fit")
+            object.__setattr__(self, what, value)
+        object.__setattr__(self, "weight", smoothing(self.weight))
+
+    @classmethod
+    def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3, weight: float = 0.2) -> EwmaLimits:
+        """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
+
+        Each is set as those of FixedLimits.fit; the three checks of each quantity share the rate equally (Bonferroni).
+        ValueError where the data are too few for the rate, or a sensor was never read or never moved.
+        """
+        probability("false_alarm", false_alarm)
+        weight = smoothing(weight)
+        y = healthy_readings(plant, y)
+        share = false_alarm / (3 * len(plant.quantities))
+        centre = np.nanmean(y[::2], axis=(0, 1))
+        level = limits_of(plant, np.abs(y - centre), share)
+        change = limits_of(plant, np.abs(np.diff(y, axis=0)), share)
+        z, n, ratios = np.zeros(y.shape[1:]), np.zeros(y.shape[1:]), np.empty_like(y)
+        for k, now in enumerate(y):
+            z, n = averaged(z, n, np.clip(now - centre, -level, level), weight)
+            ratios[k] = np.where(np.isfinite(now), np.abs(z) / growth(n, weight), np.nan)
+        return cls(plant, centre, level, change, limits_of(plant, ratios, share), weight)
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        shape = (*batch, len(self.centre))
+        return np.full(shape, np.nan), np.broadcast_to(self.centre, shape).copy(), np.zeros(shape), np.zeros(shape)
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        before, good, z, n = core
+        known = np.isfinite(y)
+        z, n = averaged(z, n, np.clip(y - self.centre, -self.level, self.level), self.weight)
+        residuals = np.stack([y - self.centre, y - before, np.where(known, z, np.nan)])
+        limits = np.stack(np.broadcast_arrays(self.level, self.change, self.average * growth(n, self.weight)))
+        largest = np.argmax(np.nan_to_num(np.abs(residuals) / limits, nan=-1.0), axis=0)[None]
+        residual, limit = (np.take_along_axis(a, largest, axis=0)[0] for a in (residuals, limits))
+        threshold = limit * self.threshold_scale
+        isolated = np.abs(residual) > threshold
+        measured = np.where(known & ~isolated, y, good)
+        return (y.copy(), measured, z, n), without_model(self.plant, y, measured, residual, threshold, isolated)
+
+
+def smoothing(weight: float) -> float:
+    """Return the weight of a present reading; ValueError unless it is above 0 and below 1."""
+    if not 0 < (value := number("weight", weight)) < 1:
+        raise ValueError(f"weight is {weight}; expected the share of the present reading, above 0 and below 1")
+    return value
+
+
+def averaged(z: Array, n: Array, level: Array, weight: float) -> tuple[Array, Array]:
+    """Z and n after levels, NaN where missing."""
+    known = np.isfinite(level)
+    return np.where(known, (1 - weight) * z + weight * np.nan_to_num(level), z), n + known
+
+
+def growth(n: Array, weight: float) -> Array:
+    """The standard deviation of z after n readings of white noise, over that after many; 1 before any."""
+    return np.where(n > 0, np.sqrt(1 - (1 - weight) ** (2 * n)), 1.0)

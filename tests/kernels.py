@@ -1,0 +1,72 @@
+"""Run the numerical tests with the kernels of other processors: `python tests/kernels.py [arguments of pytest]`.
+
+OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
+gives a run of the quick tests, all files but those of `NOT_NUMERICAL`: a new file takes part unless it is named there. What
+this machine cannot run is left out, and said.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy.linalg  # noqa: F401  (loads SciPy's OpenBLAS, beside NumPy's)
+from numpy._core._multiarray_umath import __cpu_features__ as features
+from threadpoolctl import threadpool_info
+
+# kernel of OpenBLAS: NumPy's names, old and new, of what it needs of the processor
+KERNELS = {"Prescott": ("SSE3", "X86_V2"), "Haswell": ("AVX2", "X86_V3"), "SkylakeX": ("AVX512_SKX", "X86_V4")}
+
+# the command line, reports, scenario runs, files and processes: little arithmetic of their own, or the whole of it for minutes
+NOT_NUMERICAL = (
+    "test_architecture.py", "test_bench.py", "test_cli.py", "test_cli_signals.py", "test_cluster.py", "test_comparison.py",
+    "test_comparison_ranking.py", "test_diagnose.py", "test_engine_campaigns.py", "test_engine_scenarios.py",
+    "test_engine_virtual_sensors.py", "test_logs.py", "test_network_scale.py", "test_network_scenarios_a.py",
+    "test_network_scenarios_b.py", "test_notebooks.py", "test_package.py", "test_pipeline_scenarios.py", "test_readme.py",
+    "test_report.py", "test_report_browser.py", "test_runner.py", "test_storage.py", "test_valve_log.py",
+)  # fmt: skip
+
+
+def settings() -> dict[str, dict[str, str]]:
+    """Environment variables by name of the kernel, for the kernels that this machine can run."""
+    found: dict[str, dict[str, str]] = {}
+    if any(library["internal_api"] == "openblas" for library in threadpool_info()):
+        for kernel, needs in KERNELS.items():
+            if any(features.get(name) for name in needs):
+                found[f"OpenBLAS {kernel}"] = {"OPENBLAS_CORETYPE": kernel}
+            else:
+                print(f"left out: OpenBLAS {kernel} needs a processor with {' or '.join(needs)}")
+    else:
+        print("left out: the kernels of OpenBLAS; NumPy and SciPy use another library here")
+    # of those that NumPy chooses at run time, the ones this machine has: it warns of any other
+    chosen = np.show_config("dicts")["SIMD Extensions"].get("found", [])
+    if chosen:
+        found["NumPy's baseline"] = {"NPY_DISABLE_CPU_FEATURES": " ".join(chosen)}
+    else:
+        print("left out: NumPy's baseline; it is what NumPy runs here anyway")
+    return found
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run pytest once for each setting; 1 if one of them failed."""
+    folder = Path(__file__).resolve().parent
+    files = sorted(p for p in folder.glob("test_*.py") if p.name not in NOT_NUMERICAL)
+    failed = []
+    for name, variables in settings().items():
+        print(f"\n-- {name}: {' '.join(f'{k}={v!r}' for k, v in variables.items())}", flush=True)
+        start = time.monotonic()
+        command = [sys.executable, "-m", "pytest", "-q", *arguments, *map(str, files)]
+        if subprocess.run(command, env=os.environ | variables, cwd=folder.parent, check=False).returncode:
+            failed.append(name)
+        print(f"-- {name}: {time.monotonic() - start:.0f} s", flush=True)
+    print(f"\nfailed: {', '.join(failed)}" if failed else "\nthe same under every kernel")
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
