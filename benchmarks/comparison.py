@@ -95,4 +95,5 @@ SCENARIO = Scenario(
     work=work,
     summarise=summarise,
     full={"calibration_error": 0.1},
+    bounds={"settle": (0, 1e6)},
 )

@@ -109,7 +109,8 @@ def locked(out: Path) -> Iterator[None]:
             try:
                 yield
             finally:
-                (out / LOCK).unlink(missing_ok=True)
+                with suppress(OSError):
+                    (out / LOCK).unlink()
         finally:
             os.close(handle)
 

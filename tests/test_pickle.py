@@ -73,7 +73,7 @@ def faulty_network() -> Plant:
 
 PLANTS: dict[str, Callable[[], Plant]] = {
     **{name: lambda name=name: registry.plant(name) for name in registry.PLANTS},
-    **{f"{name}, finer": lambda name=name: registry.plant(name).finer()[0] for name in registry.PLANTS if name != "two-tanks"},
+    **{f"{name}, finer": lambda name=name: registry.plant(name).finer()[0] for name in registry.PLANTS},
     "linear": chain,
     "of one's own": ours,
     "swinging tanks": lambda: two_tanks(swing=0.2),
@@ -115,7 +115,7 @@ def test_a_pickled_plant_gives_the_same_bits(name: str, unit: str) -> None:
         assert (copy.finer is None) == (plant.finer is None)
 
 
-@pytest.mark.parametrize("name", ["gas-pipeline", "marine-engine", "power-network"])
+@pytest.mark.parametrize("name", registry.PLANTS)
 def test_the_finer_twin_of_a_pickled_plant_is_the_same(name: str) -> None:
     plant = registry.plant(name)
     copy = pickle.loads(pickle.dumps(plant))
