@@ -70,6 +70,7 @@ MISSED = {
 }
 FITTED = (FusingBank, FixedLimits, EwmaLimits, PrincipalComponents, OneClass, StructuralResiduals)  # limits from healthy data
 NAMELESS = {"chebyshev:corrected", "chebyshev:paper"}  # as published it tells that there is a fault, not of which sensor
+FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input"}
 SETTLED = 20  # samples in which the filters forget their initial covariance
 
 
@@ -138,12 +139,13 @@ def test_shapes_and_types(pair: tuple[str, str], batch: tuple[int, ...]) -> None
         state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
     wanted = {
         "estimate": (n,), "measured": (count,), "residual": (count,), "threshold": (count,), "isolated": (len(names),),
-        "fault_size": (len(names),), "diverged": (), "guarded": (), "nis": (),
+        "fault_size": (len(names),), "diverged": (), "guarded": (), "nis": (), "capped": (), "absurd": (count,),
+        "absurd_input": (len(plant.inputs),),
     }  # fmt: skip
     for name, shape in wanted.items():
         value = np.asarray(getattr(d, name))
         assert value.shape == (*batch, *shape), name
-        assert value.dtype == (bool if name in ("isolated", "diverged", "guarded") else float), name
+        assert value.dtype == (bool if name in FLAGS else float), name
     assert d.covariance is None or d.covariance.shape == (*batch, n, n)
     assert d.scores.shape == (*batch, count) and d.score.shape == d.alarm.shape == batch and d.alarm.dtype == bool
     assert np.all(d.threshold > 0) and np.all(np.isfinite(d.estimate))
@@ -321,6 +323,28 @@ def test_missing_readings_neither_raise_nor_alarm_nor_poison(pair: tuple[str, st
     np.testing.assert_array_equal(
         d.measured[~gone & ~d.isolated[..., : gone.shape[-1]]], y[~gone & ~d.isolated[..., : gone.shape[-1]]]
     )
+
+
+@every_pair
+def test_absurd_readings_are_missing_ones_and_absurd_inputs_the_usual_ones(pair: tuple[str, str]) -> None:
+    detector, plant = detector_of(*pair), plant_of(pair[0])
+    values = 1e303, -1e303, 1e308, -1e308, 1e160, -1e160, 1e30, -1e30
+    t, y, u = healthy(pair[0], SETTLED + 6, len(values))
+    bad_y, gone = y.copy(), y.copy()
+    bad_u, usual = u.copy(), u.copy()
+    for b, value in enumerate(values):  # one run for each
+        i = b * len(plant.sensors) // len(values)
+        bad_y[SETTLED, b, i], gone[SETTLED, b, i] = value, np.nan
+        if plant.inputs:  # of all inputs in turn, two steps later
+            j = b * len(plant.inputs) // len(values)
+            bad_u[SETTLED + 2, b, j], usual[SETTLED + 2, b, j] = value, plant.input_at(float(t[SETTLED + 1]))[j]
+    _, d = run(detector, detector.init((len(values),)), t, bad_y, bad_u)
+    _, expected = run(detector, detector.init((len(values),)), t, gone, usual)
+    assert not d.diverged.any() and np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.measured))
+    np.testing.assert_array_equal(d.absurd, np.isnan(gone))
+    np.testing.assert_array_equal(d.absurd_input, bad_u != u)
+    assert not expected.absurd.any() and not expected.absurd_input.any()
+    assert_same_bits(replace(d, absurd=expected.absurd, absurd_input=expected.absurd_input), expected)
 
 
 @every_pair

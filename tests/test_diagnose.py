@@ -168,21 +168,36 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
         diagnose(detector, t, silent, u)
     with pytest.warns(DiagnosisWarning, match="no reading at all of l1, l2, q12, q2: .* the model's prediction alone"):
         diagnose(detector, t, nothing, u)
-    flooded = u.copy()
-    flooded[10:25] = 2e-3  # m3/s, its limit, under which the upper tank would rise to 11 m
+    flooded = y.copy()
+    flooded[10:12, 0] = 100.0  # m: pulls the estimate above the 3 m of the tank
     with pytest.warns(
         DiagnosisWarning, match=r"left the limits of the model and was moved back in \d+ of 30 samples, first at \d+ s"
     ):
-        diagnose(detector, t, y, flooded)
+        diagnose(detector, t, flooded, u)
     drained = u.copy()
     drained[10:20] = -0.05  # m3/s: the tanks would be empty within a step, which has no number then
     with pytest.warns(DiagnosisWarning) as told:
         found = diagnose(detector, t, y, drained)
     assert [str(w.message) for w in told] == [
-        "inflow: 10 of 30 values cannot be, the first -0.05 m3/s at 55 s; replaced by the plant's usual input: leave such cells "
-        "empty, or check units"
+        "inflow: 10 of 30 values cannot be, the first -0.05 m3/s at 55 s; replaced by the plant's usual input: leave such "
+        "cells empty, or check units"
     ]
     assert not found.decisions.diverged.any() and not found.events
+    impossible = y.copy()
+    impossible[[4, 7], 2] = [1e303, -1e30]
+    with pytest.warns(DiagnosisWarning) as told:
+        found = diagnose(detector, t, impossible, u)
+    assert [str(w.message) for w in told] == [
+        "q12: 2 of 30 values cannot be, the first 1e+303 m3/s at 25 s; taken as missing: leave such cells empty, or check units"
+    ]
+    assert np.argwhere(found.decisions.absurd).tolist() == [[4, 2], [7, 2]] and not found.events
+    biased = y + np.array([20.0, -20.0, 20.0, 0.0]) * plant.sensor_sigma * (t > 50)[:, None]
+    with pytest.warns(
+        DiagnosisWarning,
+        match=r"more sensors would have been isolated in 20 of 30 samples, first at 55 s, but 2 were out already",
+    ):
+        found = diagnose(LeaveOneOutBank(plant, window=1), t, biased, u)
+    assert found.decisions.isolated[10:].sum(axis=-1).max() == 2
     broken = replace(plant, output=lambda t, x, u: plant.output(t, x, u) * (np.nan if t > 50 else 1))
     with pytest.warns(DiagnosisWarning, match="diverged and does not count in 20 of 30 samples, first at 55 s"):
         found = diagnose(CentralFilter(broken), t, y, u)

@@ -11,6 +11,7 @@ from toy_plants import Array, chain, readings, tanks
 from fusion_sfdia.benchmarks.trials import faulted, outcome
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented, guarded_points
 from fusion_sfdia.filters.ukf import SigmaPoints
@@ -126,6 +127,8 @@ def test_a_state_moved_into_its_limits_is_guarded_as_ever(detector: Detector) ->
     t, _, y, u = readings(PLANT, 12, 2, seed=4)
     u = u.copy()
     u[5, 1] = 0.05  # m3/s: the upper tank is 5 m higher after a step, beyond its 3 m
+    free = replace(PLANT, inputs=(Signal("inflow", "m3/s", PLANT.inputs[0].nominal),))  # else the input would be absurd
+    detector = replace(detector, plant=free)  # type: ignore[type-var]
     _, d = run(detector, detector.init((2,)), t, y, u)
     assert d.guarded[6, 1] and not d.guarded[:, 0].any() and not d.diverged.any() and np.isfinite(d.estimate).all()
 
@@ -157,13 +160,22 @@ def test_the_gas_pipeline_is_a_plant_too() -> None:
     from fusion_sfdia.evaluation.simulate import simulate
     from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
-    plant: Plant = gas_pipeline()
-    recording = simulate(plant, 6, [0, 1])
+    usual: Plant = gas_pipeline()
+
+    def step(t: float, x: Array, u: Array, dt: float) -> Array:
+        return np.where(u[..., :1] < 2e6, np.nan, usual.step(t, x, u, dt))
+
+    plant = replace(usual, step=step)
+    recording = simulate(usual, 6, [0, 1])
     u = recording.u_of_runs.copy()
-    u[3:, 1, 0] = -1e9  # Pa, beyond physics
+    u[3:, 1, 0] = 1.5e6  # Pa, within its limits
+    beyond = u.copy()
+    beyond[3:, 1, 0] = -1e9  # Pa, beyond physics: the usual input stands for it
     for detector in (LeaveOneOutBank(plant), CentralFilter(plant, Ensemble())):
         _, d = run(detector, detector.init((2,)), recording.t, recording.y, u)
         assert d.diverged[3:, 1].all() and not d.diverged[:, 0].any() and np.isfinite(d.estimate[:, 0]).all()
+        _, d = run(detector, detector.init((2,)), recording.t, recording.y, beyond)
+        assert not d.diverged.any() and d.absurd_input[3:, 1, 0].all() and d.absurd_input.sum() == 3
 
 
 @pytest.mark.parametrize("estimator", [Extended(), Unscented(), Ensemble()], ids=["ekf", "ukf", "enkf"])

@@ -21,8 +21,9 @@ def terms(plant: Plant) -> int:
 def largest_readings(plant: Plant) -> Array:
     """The largest magnitude of a reading of each sensor (N,), in its unit: sigma / ((N + n) eps).
 
-    An update takes sums over N readings and n states; one of size |y| rounds them by up to (N + n) eps |y|. Beyond the noise
-    sigma that spoils what all other sensors say, and the reading itself cannot resolve its noise: no instrument shows it.
+    An update takes sums over N readings and n states; one of size |y| rounds them by up to (N + n) eps |y|. Where that exceeds
+    the noise sigma it spoils what all other sensors say. No instrument comes near: its noise would be less than the last digits
+    of what it reads.
     """
     return plant.sensor_sigma / (terms(plant) * EPS)
 

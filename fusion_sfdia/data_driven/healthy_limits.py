@@ -43,7 +43,10 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
 
 
 def healthy_readings(plant: Plant, y: Array) -> Array:
-    """Return readings as (K, B, N), absurd ones as NaN; ValueError for other shapes, infinities, and sensors never read or without any noise."""
+    """Return readings as (K, B, N), absurd ones as NaN.
+
+    ValueError for other shapes, infinities, and sensors never read or without any noise.
+    """
     y = floats("y", y)
     count = len(plant.sensors)
     if y.ndim < 2 or y.shape[-1] != count or y.shape[0] < 4 or not y.size:

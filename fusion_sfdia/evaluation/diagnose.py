@@ -128,8 +128,8 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
         most = getattr(detector, "most_faults", "too many")
         remarks.append(
             f"more sensors would have been isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
-            f"{t[np.argmax(decisions.capped)]:g} s, but {most} were out already, all that this plant's redundancy or max_faults "
-            "allows: check the model, or pass max_faults"
+            f"{t[np.argmax(decisions.capped)]:g} s, but {most} were out already, all that redundancy or max_faults allows: "
+            "check the model, or pass max_faults"
         )
     for flags, what, cure in (
         (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),

@@ -41,8 +41,8 @@ class LeaveOneOutBank(BatchDetector):
     false_alarm: probability that a healthy set of sensors begins an alarm in one step (with accommodation an alarm then lasts
     until its sensor is readmitted, without until its samples have left the window), shared equally by the sensors and,
     with a window, by the one-sample test (half) and the onsets (half): Bonferroni, so a bound, for a model that is true.
-    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be. accommodate: leave faulty sensors out; without,
-    the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.
+    max_faults: sensors that may be out at once (None: what the plant's redundancy allows). accommodate: leave faulty sensors
+    out; without, the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.
     """
 
     estimator: Estimator = field(default_factory=Extended)

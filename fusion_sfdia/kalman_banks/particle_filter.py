@@ -46,8 +46,8 @@ class ParticleFilter(BatchDetector):
     spread at a false-alarm budget per step over all sensors (Bonferroni), nominal where its law is far from normal. Names the
     sensor with the largest ratio and goes on without it until no ratio exceeds 1.
 
-    size: particles. max_faults: sensors that may be named in a step (None: `most_faults` of the plant). accommodate: weigh the
-    particles without the sensors named in this step. The state's estimate and covariance are the weighted moments.
+    size: particles. max_faults: sensors that may be named in a step (None: what the plant's redundancy allows). accommodate:
+    weigh the particles without the sensors named in this step. The state's estimate and covariance are the weighted moments.
     """
 
     size: int = 1000

@@ -68,8 +68,8 @@ class Chebyshev(BatchDetector):
     moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
     cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
     confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is named.
-    max_faults: sensors that may be out at once (None: `most_faults` of the plant); where more would be, none more is named
-    (capped).
+    max_faults: sensors that may be out at once (None: what the plant's redundancy allows); where more would be, none more is
+    named.
     accommodate: leave named sensors out; without, nothing is isolated.
 
     residual - threshold pairs are those of (13), y - y_hat with its mean taken out of the estimate, not of the thresholds.
