@@ -114,7 +114,7 @@ def _described(value: Any) -> str:
 
 
 def save_state(path: str | Path, detector: Detector, state: State) -> None:
-    """Write a detector's state to a .npz file, without pickle; a run goes on from it with the same bits."""
+    """Write a detector's state to a .npz file, without pickle; on the same machine a run goes on from it with the same bits."""
     arrays = {f"state_{i:03d}": np.asarray(a) for i, a in enumerate(state)}
     with atomic_write(Path(path), "wb") as file:
         np.savez(file, allow_pickle=False, fingerprint=np.array(fingerprint(detector)), **arrays)
