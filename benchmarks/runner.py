@@ -1,6 +1,6 @@
 """Run scenarios on all cores: finished pieces are kept, so an interrupted run goes on where it stood, with the same bits.
 
-The bits of metrics.csv do not depend on the number of workers: see `workers`.
+The bits of metrics.csv do not depend on the number of workers: see `workers`. Another processor rounds otherwise.
 """
 
 from __future__ import annotations

@@ -116,8 +116,8 @@ class Scenario:
     optional: the settings that may be an empty tuple.
     full: what else `--full` sets, beside the size: settings of the whole paper, unless `--set` names them.
     tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values that says all that decides its bits.
-    work(task): one piece, in a process of its own: arrays only, and the same bits for the same task. Scenarios with the same
-    work share the pieces whose tasks are equal.
+    work(task): one piece, in a process of its own: arrays only, and on one machine the same bits for the same task. Scenarios
+    with the same work share the pieces whose tasks are equal.
     summarise(settings, results): from the (task, arrays) that succeeded, in the order of tasks.
     """
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rounding import rounding
+from scipy.integrate import quad
 
 from fusion_sfdia.filters import enkf
 from fusion_sfdia.filters.enkf import EnKFSettings, Method
@@ -182,6 +183,25 @@ def test_gaspari_cohn_is_a_correlation_with_compact_support() -> None:
     circle = enkf.taper(np.arange(40.0), np.arange(0.0, 40.0, 3), 4.0, period=40.0)
     np.testing.assert_allclose(circle.cross[39, 0], enkf.gaspari_cohn(np.array(1.0), 4.0))
     assert np.linalg.eigvalsh(enkf.taper(np.arange(40.0), np.arange(40.0), 4.0, period=40.0).cross)[0] > -1e-12
+
+
+@pytest.mark.parametrize("distance", [0.5, 2.0, 3.5, 4.5, 6.0, 7.5])
+def test_gaspari_cohn_is_the_self_convolution_of_a_cone_in_space(distance: float) -> None:
+    """Of B(s) = 1 - s / radius: (2 pi / r) int s B(s) int_|r - s|^(r + s) t B(t) dt ds, over that at 0, 2 pi radius^3 / 15."""
+    radius = 4.0
+
+    def moment(t: float) -> float:
+        """int_0^t s B(s) ds."""
+        t = min(t, radius)
+        return t**2 / 2 - t**3 / (3 * radius)
+
+    def inner(s: float) -> float:
+        return s * (1 - s / radius) * (moment(distance + s) - moment(abs(distance - s)))
+
+    kinks = [s for s in (distance, abs(distance - radius)) if 0 < s < radius]
+    total = quad(inner, 0.0, radius, points=kinks or None, epsabs=1e-12, epsrel=1e-12)[0]
+    expected = 2 * np.pi / distance * total / (2 * np.pi * radius**3 / 15)
+    assert enkf.gaspari_cohn(np.array(-distance), radius) == pytest.approx(expected, abs=1e-12)  # of the quadrature
 
 
 def test_many_states_few_members() -> None:

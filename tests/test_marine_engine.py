@@ -146,17 +146,19 @@ def test_compiled_drivers_equal_the_equations_on_arrays(slip: str) -> None:
 
 
 def test_the_torque_and_its_derivative_have_settled() -> None:
-    # also far from rest, where the start is far off: what is left is rounding, of a dozen operations on numbers of order 1
+    # also far from rest, where the start is far off: what is left is rounding, of a dozen operations on numbers of order 1,
+    # library functions among them, off by up to four units in the last place
+    near = rounding(1, 12 * 4)
     T = equations.charge_temperature(C)
     for load in (1.0, 0.5, 0.2):
         fuel, _, p = np.moveaxis(equilibrium(load, C) * around((500,), 0.25) / PLANT.x0, -1, 0)
         torque = equations.solved_torque(fuel, p, T, C)
-        np.testing.assert_allclose(equations.swept_torque(fuel, torque, p, T, C), torque, rtol=50 * EPS)
+        np.testing.assert_allclose(equations.swept_torque(fuel, torque, p, T, C), torque, rtol=near)
         step = 1 + 1e-30j
         ours = equations.solved_torque(fuel * step, p, T, C).imag
         by_fuel = equations.swept_torque(fuel * step, torque, p, T, C).imag
         by_torque = equations.swept_torque(fuel, torque * step, p, T, C).imag / torque / 1e-30
-        np.testing.assert_allclose(ours, by_fuel / (1 - by_torque), rtol=50 * EPS)  # the implicit function theorem
+        np.testing.assert_allclose(ours, by_fuel / (1 - by_torque), rtol=near)  # the implicit function theorem
 
 
 def test_a_batch_is_its_elements_to_the_bit() -> None:

@@ -168,7 +168,7 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def save_state(path: str | Path, detector: Detector, state: State) -> None:
-    """Write a detector's state to a .npz file, without pickle; a run goes on from it with the same bits."""
+    """Write a detector's state to a .npz file, without pickle; on the same machine a run goes on from it with the same bits."""
     arrays = {f"state_{i:03d}": np.asarray(a) for i, a in enumerate(state)}
     write_arrays(Path(path), {"fingerprint": np.array(fingerprint(detector)), **arrays})
 

@@ -1,7 +1,7 @@
 """Simulated recordings: a truth, its noise, and the readings that a detector is given.
 
-The recording of a seed is the same bits whatever other seeds are simulated with it: each seed draws its own streams, and
-the plant steps a batch of shape (seeds, 1), so that a matrix product, too, is that of one seed.
+On one machine the recording of a seed is the same bits whatever other seeds are simulated with it: each draws its own
+streams, and the plant steps a batch of shape (seeds, 1), so that a matrix product, too, is that of one seed.
 """
 
 from __future__ import annotations

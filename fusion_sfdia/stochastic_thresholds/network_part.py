@@ -2,7 +2,7 @@
 
 A part treats the states of its areas with all their copies, also those that areas elsewhere read: it is given these readings
 too, and tells the others what became of the copies. So each step of a part needs one message from each neighbouring part, of
-four numbers for every copy at the border, and gives the bits that the whole network gives in one process.
+four numbers for every copy at the border, and gives the bits that the whole network gives in one process on a like processor.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""A network too large for one process, on the workers of a dask cluster: a part of its areas on each, the same bits.
+"""A network too large for one process, on the workers of a dask cluster: a part of its areas on each.
 
 Each worker keeps its areas and their diagnosers and takes their readings itself; a step is one call of every part, whose
-answer, the alarms and the copies at its borders, goes on to the neighbours with the next call.
+answer, the alarms and the copies at its borders, goes on to the neighbours with the next call. Workers of one kind of processor
+give the bits of one process.
 """
 
 from __future__ import annotations
