@@ -40,7 +40,7 @@ class Experiment(NamedTuple):
 
 THREE_FAULTS = Experiment(
     (Offset("S(2){3}", 20.0, -3.8e4), Offset("S(3){1}", 45.0, 5e4), Offset("S(4){2}", 70.0, 8.0)),  # N m, Pa, K
-    100.0,  # s, not stated: the axes of Fig. 4 were not at hand. By P^U and P^E, see tests/test_diagnosis_metrics.py
+    100.0,  # s, not stated: the axes of Fig. 4 were not at hand. Ours, chosen by P^E, see tests/test_diagnosis_metrics.py
     0.05,
     {"M(2,3)": 20.0, "M(3,1)": 45.06, "M(3,3)": 69.9, "M(4,2)": 70.01},
     f"{K24}, Fig. 4 and sec. VII, one run",

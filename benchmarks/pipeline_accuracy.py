@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
-from fusion_sfdia.benchmarks.pipeline_readings import nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline_readings import OTHER, nearer, readings, readings_table
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
     PAPER,
@@ -116,7 +116,8 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
 
 
 def _right(rows: list[Row], quantity: str) -> str:
-    return listed(pick(rows, metric="trial_accuracy", quantity=quantity))
+    found = pick(rows, metric="trial_accuracy", quantity=quantity)
+    return listed(r for r in found if OTHER not in r.fault)
 
 
 SCENARIO = Scenario(

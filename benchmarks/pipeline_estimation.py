@@ -12,7 +12,7 @@ from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
 from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
-from fusion_sfdia.benchmarks.pipeline_readings import nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline_readings import OTHER, nearer, readings, readings_table
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
     PAPER,
@@ -123,7 +123,7 @@ def _over_basic(rows: list[Row]) -> list[Row]:
     return [
         replace(r, value=r.value / basic)
         for r in pick(rows, metric="rmse", detector=PAPER)
-        if (basic := value.get((r.detector.removeprefix("fusing-"), r.quantity)))
+        if OTHER not in r.quantity and (basic := value.get((r.detector.removeprefix("fusing-"), r.quantity)))
     ]
 
 

@@ -12,13 +12,14 @@ from fusion_sfdia.benchmarks.scenario import Published, Settings, Table
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.models.gas_pipeline import PROCESS_NOISE
 
+OTHER = "process noise"  # in the names of rows of the reading that is not that of the settings
 Cases = Mapping[tuple[str, ...], Mapping[str, Estimate]]  # (detector, ...): {reading: value}
 
 
 def readings(settings: Settings) -> dict[str, str]:
     """Both readings, that of the settings first, with what is added to a name in the rows of the other."""
     chosen = str(settings["process_noise"])
-    return {chosen: ""} | {k: f", process noise {v:g} sigma" for k, v in PROCESS_NOISE.items() if k != chosen}
+    return {chosen: ""} | {k: f", {OTHER} {v:g} sigma" for k, v in PROCESS_NOISE.items() if k != chosen}
 
 
 def readings_table(

@@ -13,8 +13,9 @@ What the paper misprints or leaves out, and what stands here instead:
 - The fits, composition and viscosity of the gas are not given: natural_gas.py, and 1.25e-5 Pa s. Neither is the demand
   f(t) in numbers: `demand` is ours, with ramps slow enough (300 s and more) not to ring on 21 nodes.
 - Table III gives noise in MPa, kg/s, K. "Standard deviation of the process noise 10 % lower than that of the measurement
-  noise" can be read as 0.9 sigma or as 0.1 sigma (a misprint of "10 % of"); both are named, "tenth" is the default
-  because its errors are nearer to the published ones. P = I in the paper's units is named "identity".
+  noise" is 0.9 sigma as printed, 0.1 sigma if "10 % of" is meant; both are named. The scenarios give the paper's filters
+  the first and show the other beside it, which is nearer to most of Table IV; "tenth" is the plant's own. P = I in the
+  paper's units is named "identity".
 - N_s = L / ds = 20, but there are 21 nodes.
 """
 

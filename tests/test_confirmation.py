@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from fusion_sfdia.stochastic_thresholds.confirmation import Consecutive, Cusum, WindowGlr, run
 from fusion_sfdia.stochastic_thresholds.threshold_rules import conformal_alpha
@@ -56,7 +57,7 @@ def test_a_shift_is_found_sooner_by_sums_than_by_three_in_a_row() -> None:
 
 
 def test_consecutive_alarms_are_not_independent() -> None:
-    """Proposition 5 of B18 claims (1 / alpha^2)^q; shocks of three values with a memory break it, one alarm's bound holds."""
+    """The proof of B18's Proposition 5 takes them to be; with a memory they are not, though one alarm's bound holds."""
     rng, alpha, lam, K = np.random.default_rng(3), 5.0, 0.3, 100_000
     p = 1 / alpha**2 / 50
     shock = rng.choice([-1.0, 0.0, 1.0], K, p=[p / 2, 1 - p, p / 2]) / np.sqrt(p)
@@ -68,6 +69,18 @@ def test_consecutive_alarms_are_not_independent() -> None:
     assert np.mean(twice) <= once <= 1 / alpha**2
     # given an alarm, the next one is more than ten times as likely as alarms are
     assert np.sum(twice) / (once * K) > 10 * once
+
+
+def test_three_alarms_in_a_row_may_be_likelier_than_their_bound_at_alpha_10() -> None:
+    """White shocks of three values, of which one gives three alarms: (1 - lam)^2 lam^4 / alpha^2 for (1 / alpha^2)^3."""
+    alpha, lam, q, shape = 10.0, 0.3, 3, (4000, 500)
+    limit = alpha / (1 - lam)
+    size = limit * lam ** (1 - q) * (1 + 1e-9)
+    p = size**-2.0
+    shock = np.random.default_rng(0).choice([-size, 0.0, size], shape, p=[p / 2, 1 - p, p / 2])
+    thrice = np.mean(run(Consecutive(limit, q=q), lfilter([1.0], [1.0, -lam], shock, axis=0)) > limit)
+    assert abs(thrice - p) < 5 * np.sqrt(p / shock.size)  # a second shock so soon after is rare
+    assert thrice > 20 * alpha ** (-2.0 * q)
 
 
 @pytest.mark.parametrize(

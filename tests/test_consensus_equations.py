@@ -61,6 +61,21 @@ def test_without_memory_the_deviation_is_exact() -> None:
     np.testing.assert_allclose(ratios(shared, s_shared), 1.0, atol=ERROR)
 
 
+def test_noise_that_alternates_breaks_the_bound() -> None:
+    """Of z+ = z read with noise of three values: chi = r+ - a r = 2 r for r+ = -r, where white noise has the variance 2 r^2.
+
+    |chi| > alpha sd(chi) wherever r is not 0, up to a probability of 2 / alpha^2: twice what Chebyshev's inequality allows.
+    """
+    a, alpha, p, count = 1.0, 5.0, 0.076, 100_000
+    rng = np.random.default_rng(2)
+    size = rng.choice([-1.0, 0.0, 1.0], count, p=[p / 2, 1 - p, p / 2]) / np.sqrt(p)  # variance 1
+    other = rng.permutation(size)
+    deviation = equations.residual_deviation(0.0, a**2, 0.0, 1.0, 0.0)
+    white, alternating = (np.mean(np.abs(after - a * size) > alpha * deviation) for after in (other, -size))
+    error = 3 * np.sqrt(p / count)
+    assert white <= 1 / alpha**2 and abs(alternating - p) < error and alternating > 1 / alpha**2
+
+
 def test_as_printed_the_deviation_of_shared_states_is_too_small() -> None:
     own, s, *_ = healthy_run("paper")
     sharers = 1 + np.bincount(AT.node)

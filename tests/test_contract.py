@@ -259,11 +259,13 @@ def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[st
     chosen = next(iter(plant.quantities.values()))
     factor = np.ones(len(plant.sensors))
     factor[chosen] = 1e-5  # Pa as bar
-    converted = plant.in_units({plant.sensors[i].name: ("other", 1e-5) for i in chosen})
+    units = {plant.sensors[i].name: ("other", 1e-5) for i in chosen}
     if isinstance(detector, FusingBank):  # that its calibration follows the unit is held in test_calibration
-        other: Detector = replace(detector, plant=converted, thresholds=tuple(np.array(detector.thresholds) * factor))
+        other: Detector = replace(
+            detector, plant=detector.plant.in_units(units), thresholds=tuple(np.array(detector.thresholds) * factor)
+        )
     else:
-        other = build(pair[1], converted)
+        other = build(pair[1], plant.in_units(units))
     t, y, u = healthy(pair[0], 60, 2)
     y = y.copy()
     y[35:55, 0, chosen[0]] += 30 * plant.sensor_sigma[chosen[0]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks import pipeline_published as published
-from fusion_sfdia.benchmarks.detectors import build
+from fusion_sfdia.benchmarks.detectors import as_printed, build
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, detection_rows, gather, tasks, trial
 from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
@@ -14,6 +14,7 @@ from fusion_sfdia.benchmarks.trials import decide, faulted, outcome
 from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
 from fusion_sfdia.evaluation.fault_draws import FaultRange
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.two_tanks import two_tanks
 
 SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "truth": "finer"}
 
@@ -42,6 +43,44 @@ def test_a_scenario_runs_to_its_rows_and_figures(name: str) -> None:
         assert np.isnan(row.low) or row.low <= row.value <= row.high, row
     for figure in summary.figures:
         assert figure.draw().axes and figure.alt and figure.caption
+
+
+def test_the_papers_filters_have_the_process_noise_that_it_prints() -> None:
+    """Sec. V: 10 % lower than the sensors'; ours have the plant's own, and so has every bank on other plants."""
+    plant = gas_pipeline(snr="high")
+    printed = as_printed(plant)
+    np.testing.assert_allclose(printed.process_cov, 0.81 * plant.sensor_cov, rtol=1e-12)
+    np.testing.assert_allclose(plant.process_cov, 0.01 * plant.sensor_cov, rtol=1e-12)
+    coarse = gas_pipeline(nodes=21, stations=11)  # every other node has no sensor: its own process noise stays
+    noise = as_printed(coarse).process_cov / coarse.process_cov
+    np.testing.assert_allclose(noise.reshape(3, 21)[:, ::2], 81.0)
+    np.testing.assert_array_equal(noise.reshape(3, 21)[:, 1::2], 1.0)
+    tanks = two_tanks()
+    assert as_printed(tanks) is tanks
+    for name in ("pipeline/accuracy", "pipeline/isolation", "pipeline/estimation"):
+        one = scenario(name)
+        work = one.tasks(one.settings, 1)
+        of = {d: {t["process_noise"] for t in work if t["detector"] == d} for d in {t["detector"] for t in work}}
+        both = {"tenth", "nine-tenths"} if name != "pipeline/isolation" else {"nine-tenths"}
+        assert of == {d: {"tenth"} if d.startswith("loo") else both for d in of}, name
+
+
+def test_both_readings_stand_beside_the_published_value() -> None:
+    one = scenario("pipeline/estimation")
+    settings = {**one.settings, "steps": 75}
+    chosen = [t for t in one.tasks(settings, 1) if t["detector"] == "ukf" and t["snr"] == "moderate"]
+    summary = one.summarise(settings, [(t, one.work(t)) for t in chosen])
+    rmse = {r.quantity: r for r in summary.rows if r.metric == "rmse"}
+    literal, other = rmse["pressure, moderate SNR"], rmse["pressure, moderate SNR, process noise 0.1 sigma"]
+    assert literal.published == other.published == pytest.approx(158.2)
+    assert literal.value > 2 * other.value  # a filter that trusts its model less follows its sensors
+    (line,) = (r for r in summary.tables[0].rows if r[2] == "pressure")
+    assert line[3:] == (
+        literal.published,
+        (literal.value, literal.low, literal.high, 1),
+        (other.value, other.low, other.high, 1),
+    )
+    assert any("0.1 sigma in" in remark for remark in summary.remarks)
 
 
 @pytest.mark.slow

@@ -54,7 +54,8 @@ class AdaptiveThreshold(BatchDetector):
     SI for those that the load moves, with room for twice the noise bound on either side; otherwise twice the largest noise
     bound, and 5 %. A load that moves needs one as wide as its transients, or else alarms are no proof of a fault.
     drift: {state: share of its nominal value by which it moves at most in one plant.dt}, for which the plant's modules have
-    values at a steady load; of other states what the model and the readings allow.
+    values at a steady load: while the load moves, even within the envelope, give one (for loads of the engine within 3 %
+    marine_engine.receiver_drift); of other states what the model and the readings allow.
     bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
     inversion, K24 (11), or "codac", the same by that library. These are wider and slow.
     margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired stays fired, (16).

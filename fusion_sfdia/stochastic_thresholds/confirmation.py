@@ -5,9 +5,9 @@ and components may be mixed; it alarms where the statistic exceeds `level`. A mi
 nothing. `run` is the loop over z (K, ...).
 
 What they promise. Of q alarms in a row, each is an alarm: their probability is at most that of one, 1 / alpha^2 by Chebyshev.
-That it be (1 / alpha^2)^q (Boem et al. 2018, Proposition 5) would need independent residuals; theirs are not: neighbouring
-ones share a reading and, with lam > 0, a memory. For a stated probability of any of the three set `level` to an order
-statistic of healthy runs (`threshold_rules.conformal_alpha`).
+Boem et al. 2018, Proposition 5, bound it by (1 / alpha^2)^q, with a proof that takes consecutive alarms for independent. They
+are not: neighbouring residuals share a reading and, with lam > 0, a memory; and that bound does not hold (a test). For a stated
+probability of any of the three set `level` to an order statistic of healthy runs (`threshold_rules.conformal_alpha`).
 """
 
 from __future__ import annotations
