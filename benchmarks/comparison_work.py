@@ -118,8 +118,8 @@ def work(task: Task) -> Arrays:
 
 
 def is_swept(task: Task, condition: Condition) -> bool:
-    """Whether areas under ROCs are taken: of all single faults at a small and a large size, of freezes and of lengths."""
-    return condition.kind in (LENGTH, "freeze") or (condition.kind in GRADED and condition.sigmas in sizes(task))
+    """Whether areas under ROCs are taken: of biases, freezes and lengths, of all other sizes a small and a large one."""
+    return condition.kind in ("bias", LENGTH, "freeze") or (condition.kind in GRADED and condition.sigmas in sizes(task))
 
 
 def is_headline(task: Task, condition: Condition) -> bool:

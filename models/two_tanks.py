@@ -13,8 +13,9 @@ kinetic head goes a viscous one, proportional to the flow (Hagen 1839, Poiseuill
 
     level = (1 - VISCOUS) (flow / outlet)^2 + VISCOUS sqrt(LEVEL) flow / outlet,
 
-which is Torricelli's law at LEVEL, and their bores are TOLERANCE off, the upper one wider, the lower one narrower. At rest
-its levels are 0.4 % low and 0.4 % high, 0.4 standard deviations of a reading.
+which is Torricelli's law at LEVEL, and their areas are TOLERANCE off, the upper one wider, the lower one narrower. The pump
+delivers DELIVERY more than it is set to. At rest flows are 0.2 %, levels 0.2 % and 0.6 % higher than by the model: 0.2, 0.2 and
+0.6 standard deviations of a reading.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ NOISE = 0.01  # sigma of each sensor over its value at rest
 BOUND = 4.0  # of each sensor's error, in sigma
 STEP = 5.0  # s
 VISCOUS = 0.02  # share of the head that friction in the outlets takes at rest
-TOLERANCE = 0.002  # by which each outlet differs from its nominal value: a bore is made to a thousandth of its diameter
+TOLERANCE = 0.001  # by which each outlet differs from its nominal value: a bore is made to half a thousandth of its diameter
+DELIVERY = 0.002  # of the inflow: flow meters by which pumps are set err by some tenths of a percent
 FINER = 4  # substeps of the truth in one
 STATES = ("level_1", "level_2")
 ALGEBRAIC = ("flow_12", "flow_out")
@@ -140,14 +142,18 @@ def _true_flows(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
     return np.asarray(true_outlets(c) * (np.sqrt(half**2 + x / (1 - VISCOUS)) - half))
 
 
+def _true_rates(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
+    return _rates(t, x, z, (1.0 + DELIVERY) * u, c)
+
+
 def true_physics(c: Tanks) -> Physics:
-    """The truth: outlets with friction, off by their tolerance."""
-    return replace(tank_physics(), phi=_true_flows, parameters=c, equations={})
+    """The truth: outlets with friction, off by their tolerance, and a pump that delivers more."""
+    return replace(tank_physics(), f=_true_rates, phi=_true_flows, parameters=c, equations={})
 
 
 def rest_of_truth(c: Tanks) -> Array:
-    """Levels of the truth at which both flows are INFLOW, m."""
-    ratio = INFLOW / true_outlets(c)
+    """Levels of the truth (2,) at which its flows do not change, m."""
+    ratio = (1.0 + DELIVERY) * INFLOW / true_outlets(c)
     return np.asarray((1 - VISCOUS) * ratio**2 + VISCOUS * np.sqrt(LEVEL) * ratio)
 
 

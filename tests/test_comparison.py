@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,18 @@ from scipy.stats import binom, chisquare
 from fusion_sfdia.benchmarks import comparison_protocol as protocol
 from fusion_sfdia.benchmarks import comparison_recordings, comparison_work, detectors, registry
 from fusion_sfdia.benchmarks.comparison import SCENARIO, summarise
+from fusion_sfdia.benchmarks.comparison_branches import deployed_walk, silent_walk
 from fusion_sfdia.benchmarks.comparison_calibration import (
     calibrated,
     deployed,
     silent,
+    silent_score,
     silent_scores,
     standard_ends,
 )
 from fusion_sfdia.benchmarks.comparison_figures import looks
-from fusion_sfdia.benchmarks.comparison_numbers import confusion, gather
+from fusion_sfdia.benchmarks.comparison_findings import broken_claims, distinct
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion, gather, widened
 from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
 from fusion_sfdia.benchmarks.comparison_records import in_a_row, until
@@ -218,6 +222,62 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
     assert len(used["fitted"]) >= 20
     assert not used["judged"] & (used["fitted"] | used["calibrated"])
     assert not used["fitted"] & used["calibrated"]
+
+
+@pytest.mark.parametrize("name", ["loo-glr", "adaptive-threshold"])
+def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> None:
+    """Oracle: each run alone, along the healthy trunk as silent, then over its own readings as deployed."""
+    settings = tiny(detectors=name, false_alarm="0.023")
+    (task,) = protocol.tasks(settings, 2)
+    key = json.dumps({k: v for k, v in task.items() if k != "detector"}, sort_keys=True)
+    recording, found, labels = comparison_work.usual_material(key)
+    plant, settle = plant_of("two-tanks"), protocol.settle_of(settings, "two-tanks")
+    found_calibration = calibrated("two-tanks", name, 20, 50, 10, 0.023)
+    quiet, loud = silent(found_calibration.detector), deployed(found_calibration)
+    seen = silent_walk(quiet, recording, found, {r.onset for r in found.runs} | {settle})
+    alarms, outcomes = deployed_walk(loud, recording, found, seen.states, settle, trunk=True)
+    assert {r.length for r in found.runs} == {6, 9}  # several are under way at once
+    for r, first in zip(found.runs, found.rows, strict=True):
+        state = quiet.init((1,), 0.0)
+        for k in range(r.onset):
+            state, _ = quiet.step(state, float(recording.t[k]), recording.y[k, [r.b]], recording.u_of_runs[k, [r.b]])
+        rows, t = slice(first, first + r.length), recording.t[r.onset : r.onset + r.length]
+        y, u = found.readings.y[rows, None], found.readings.u[rows, None]
+        as_silent, as_deployed = run(quiet, state, t, y, u)[1], run(loud, state, t, y, u)[1]
+        # products of matrices of a batch may round differently: 1e-9 of a threshold is far below any distance to it
+        np.testing.assert_allclose(seen.runs[rows], silent_score(as_silent)[:, 0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(outcomes.alarm[rows], as_deployed.alarm[:, 0])
+        np.testing.assert_array_equal(outcomes.isolated[rows], as_deployed.isolated[:, 0, : len(plant.sensors)])
+        np.testing.assert_allclose(outcomes.measured[rows], as_deployed.measured[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(seen.trunk, silent_scores(quiet, recording), rtol=1e-9, atol=1e-9)
+    state = seen.states[settle]
+    on_trunk = run(loud, state, recording.t[settle:], recording.y[settle:], recording.u_of_runs[settle:])[1]
+    np.testing.assert_array_equal(alarms[settle:], on_trunk.alarm)
+    long, short = (next(x for x in labels if x.condition.name == f"bias-30-sigma-{n}-samples") for n in (9, 2))
+    assert long.members == short.members  # the short one is its beginning
+
+
+def test_an_interval_contains_how_uncertain_the_threshold_is() -> None:
+    settings = tiny(detectors="limits", departures="no", plant_faults="no")
+    cell = gather(settings, results(settings))[0]["two-tanks", "limits"]
+    alone, whole = cell.exact(cell.rows_of("bias-1-sigma")), cell.of(Cell.exact, "bias-1-sigma")
+    low, high = (cell.exact(cell.rows_of("bias-1-sigma", threshold=sign)).value for sign in (-1, 1))
+    more = (1.959964 * abs(high - low) / 2) ** 2
+    assert whole.value == alone.value
+    assert whole.high - whole.value == pytest.approx(np.sqrt((alone.high - alone.value) ** 2 + more), abs=1e-7)
+    assert widened(alone, 0.0) == pytest.approx(alone)
+    assert cell.of(Cell.exact, "freeze") == cell.exact(cell.rows_of("freeze"))  # not tried with other thresholds
+    assert cell.ends[0] < cell.scale < cell.ends[1]
+    rates = [(cell["trunk"] > end).mean() for end in cell.ends]
+    assert rates[0] >= cell.matched.value >= rates[1] and cell.rate_error == pytest.approx((rates[0] - rates[1]) / 2)
+
+
+def test_cells_that_repeat_count_once_among_the_claims() -> None:
+    settings = tiny(detectors="adaptive-threshold,virtual-sensors,limits", faults="bias", departures="no", plant_faults="no")
+    cells = list(gather(settings, results(settings, seeds=2))[0].values())
+    assert [c.detector for c in distinct(cells)] == ["adaptive-threshold", "limits"]
+    [claims] = broken_claims(cells)
+    assert "of 2 distinct cells that claim a rate, 1 more repeat another" in claims
 
 
 def test_every_detector_sees_the_same_readings() -> None:

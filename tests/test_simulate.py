@@ -138,7 +138,7 @@ def test_feedback_that_does_not_fit_is_refused(bad):
 
 
 def test_tanks_stay_at_rest_without_disturbance():
-    found = simulate(tanks(), 100, [0, 1])
+    found = simulate(tanks(), 100, [0, 1], truth="model")
     np.testing.assert_allclose(found.x, 1.0, rtol=1e-12)
     np.testing.assert_allclose(found.signal[..., 2:], 6e-4, rtol=1e-12)
     assert (found.sensors, found.states, found.inputs) == (("l1", "l2", "q12", "q2"), ("level_1", "level_2"), ("inflow",))
@@ -205,7 +205,7 @@ def test_bounded_process_noise():
 def test_truth_with_smaller_steps_and_other_states():
     plant = tanks()
     fine = replace(plant, dt=0.5)
-    coarse = simulate(plant, 60, [0], inputs=lambda t: np.array([9e-4]))
+    coarse = simulate(plant, 60, [0], truth="model", inputs=lambda t: np.array([9e-4]))
     better = simulate(plant, 60, [0], truth=fine, inputs=lambda t: np.array([9e-4]))
     # RK4 at 5 s, a fiftieth of the tanks' time constant, is good to (1/50)^4 of the change
     np.testing.assert_allclose(better.x, coarse.x, rtol=1e-6)
@@ -213,7 +213,7 @@ def test_truth_with_smaller_steps_and_other_states():
     other = replace(plant, states=(Signal("a", "m", 1.0), Signal("b", "m", 1.0)))
     assert simulate(plant, 3, [0], truth=other).x is None
     mapped = simulate(plant, 3, [0], truth=other, to_states=lambda x: x[..., ::-1])
-    np.testing.assert_array_equal(mapped.x[..., ::-1], simulate(plant, 3, [0]).x)
+    np.testing.assert_array_equal(mapped.x[..., ::-1], simulate(plant, 3, [0], truth="model").x)
     with pytest.raises(ValueError, match=r"to_states gives \(3, 1, 1\); wanted \(3, 1, 2\)"):
         simulate(plant, 3, [0], truth=other, to_states=lambda x: x[..., :1])
 
@@ -288,7 +288,7 @@ def test_steps_that_the_plant_does_not_allow():
 
 def test_start_states_can_be_given():
     given = np.array([[0.5, 0.6], [1.5, 1.6]])
-    found = simulate(replace(tanks(), step=lambda t, x, u, dt: x), 2, [0, 1], start=given)
+    found = simulate(replace(tanks(), step=lambda t, x, u, dt: x), 2, [0, 1], truth="model", start=given)
     np.testing.assert_array_equal(found.x[0], given)
 
 

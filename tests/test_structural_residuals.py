@@ -164,7 +164,7 @@ def test_on_a_moving_truth_residuals_vanish_with_the_step() -> None:
     largest = []
     for dt in (5.0, 2.5, 1.25):
         plant = replace(two_tanks(swing=0.5), dt=dt)
-        recording = simulate(plant, int(1200 / dt), [1])
+        recording = simulate(plant, int(1200 / dt), [1], truth="model")
         residuals = usable(plant)
         trace = StructuralResiduals(plant, residuals, np.ones(len(residuals))).trace(recording.signal, recording.u_of_runs)
         largest.append(np.max(np.abs(trace), axis=(0, 1)))
@@ -211,7 +211,7 @@ def gauge() -> Plant:
 
 def test_false_alarms_are_as_rare_as_asked_for() -> None:
     detector = detector_of("two-tanks")
-    recording = simulate(detector.plant, 200, range(100, 150))
+    recording = simulate(detector.plant, 200, range(100, 150), truth="model")
     _, d = run(detector, detector.init((50,)), recording.t, recording.y, recording.u_of_runs)
     # the limits' rate is Beta(rate M, M) distributed for M exchangeable samples; of neighbours in time half count
     samples = healthy_data(detector.plant).y[1::2, :, 0].size / 2
@@ -223,7 +223,7 @@ def test_false_alarms_are_as_rare_as_asked_for() -> None:
 def test_a_bias_has_a_name_where_the_structure_tells_it_from_all_others(name: str) -> None:
     detector, plant = detector_of(name), plant_of(name)
     n = len(plant.sensors)
-    recording = simulate(plant, 40, [7])
+    recording = simulate(plant, 40, [7], truth="model")
     y = np.repeat(recording.y, n, axis=1)
     y[20:, np.arange(n), np.arange(n)] += 30 * plant.sensor_sigma
     u = np.repeat(recording.u_of_runs, n, axis=1)

@@ -73,6 +73,30 @@ def test_the_inflow_swings_when_asked_and_the_levels_follow_late() -> None:
     assert upper == pytest.approx(0.753, rel=0.05) and lower == pytest.approx(0.753**2, rel=0.05)
 
 
+def test_the_truth_differs_from_the_model_by_less_than_the_noise_and_rests_where_it_is_said_to() -> None:
+    plant = two_tanks()
+    assert plant.finer is not None
+    truth, to_states = plant.finer()
+    rested = truth.step(0.0, truth.x0, plant.input_at(0.0), plant.dt)
+    np.testing.assert_allclose(rested, truth.x0, rtol=8 * EPS)
+    np.testing.assert_array_equal(to_states(rested), rested)
+    off = (truth.output(0.0, truth.x0, plant.input_at(0.0)) - np.array([1.0, 1.0, INFLOW, INFLOW])) / plant.sensor_sigma
+    # by hand: q = 1.002 INFLOW, sqrt(level) about 1.002 / 1.001 and 1.002 / 0.999, in hundredths
+    np.testing.assert_allclose(off, [0.2, 0.6, 0.2, 0.2], atol=0.01)
+    assert np.all(np.abs(off) > 0.1) and np.all(np.abs(off) < 1.0)
+    # Torricelli at the level of 1 m; below it friction slows the flow: solved by hand below
+    friction = truth.output(0.0, np.full(2, 0.25), np.zeros(1))[2:] / (6e-4 * np.array([1.001, 0.999]))
+    half = 0.02 / (2 * 0.98)
+    np.testing.assert_allclose(friction, np.sqrt(half**2 + 0.25 / 0.98) - half, rtol=1e-12)
+    np.testing.assert_allclose(0.98 * friction**2 + 0.02 * friction, 0.25, rtol=1e-12)
+
+
+@pytest.mark.parametrize("outlet", [0.7, 1.3])
+def test_an_outlet_far_off_is_refused(outlet: float) -> None:
+    with pytest.raises(ValueError, match=r"outlet is .*; expected a factor .* from 0\.8 to 1\.2"):
+        two_tanks(outlet=outlet)
+
+
 @pytest.mark.parametrize("swing", [-0.1, 0.6, float("nan")])
 def test_a_swing_that_empties_a_tank_is_refused(swing: float) -> None:
     with pytest.raises(ValueError, match=r"swing is .*; wanted a share of the nominal inflow from 0 to 0\.5"):
