@@ -23,9 +23,10 @@ Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], Cell]
 T = TypeVar("T")
 
-FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural")
+FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural", "uio", "multiple")
 LEAST = 2  # runs behind a point
-FAMILY_COLOURS = (*COLOURS, "#808080")  # one each
+FAMILY_COLOURS = (*COLOURS, "#808080", "#8B4513", "#6A3D9A", "#808000")  # one each
+LINES: tuple[Any, ...] = (*DASHES, (0, (6, 2, 1, 2, 1, 2)), (0, (2, 4)))  # one for each member of a family
 
 
 def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -39,7 +40,7 @@ def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
         place = families.index(family)
         found[d] = {
             "color": FAMILY_COLOURS[place % len(FAMILY_COLOURS)],
-            "linestyle": DASHES[i % len(DASHES)],
+            "linestyle": LINES[i % len(LINES)],
             "marker": MARKERS[(place + i) % len(MARKERS)],
         }
     return found

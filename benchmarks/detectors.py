@@ -23,6 +23,10 @@ from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
+from fusion_sfdia.kalman_banks.multiple_model import MultipleModel
+from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 from fusion_sfdia.structural_residuals.structure import modules_of
@@ -97,6 +101,11 @@ def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
     return replace(detector, margins=plant.modules.margins) if mode == "calibrated" else detector
 
 
+def sequential(plant: Plant, rule: Rule, *, leave_one_out: bool) -> SequentialBank:
+    """A sequential test of each sensor of a plant, with one of its present sample, at FALSE_ALARM."""
+    return SequentialBank(plant, (Shewhart(), rule), leave_one_out, false_alarm=FALSE_ALARM)
+
+
 class NamedDetector(NamedTuple):
     """A detector of the command line: what it is, how it is built for a plant, and over what its test statistic accumulates.
 
@@ -142,6 +151,51 @@ DETECTORS: dict[str, NamedDetector] = {
         "one extended Kalman filter with a test of each innovation; names the largest, accommodates nothing",
         lambda plant: CentralFilter(plant, false_alarm=FALSE_ALARM),
         STATE,
+    ),
+    "kf-window": NamedDetector(
+        "one extended Kalman filter; of each sensor the sum of squares of its last 15 normalised innovations, chi-square, and "
+        "a test of the present one; names and leaves out the largest, until it is readmitted",
+        lambda plant: sequential(plant, SumOfSquares(15), leave_one_out=False),
+        "15 samples",
+    ),
+    "kf-cusum": NamedDetector(
+        "the same with two-sided cumulative sums against a shift of one standard deviation (Page 1954), limits by Siegmund's "
+        "approximation, and a test of the present sample (Lucas 1982)",
+        lambda plant: sequential(plant, Cusum(1.0), leave_one_out=False),
+        "cumulative sums",
+    ),
+    "kf-ewma": NamedDetector(
+        "the same with exponentially weighted averages of weight 0.2, limits by their variance, and a test of the present "
+        "sample (Lucas and Saccucci 1990)",
+        lambda plant: sequential(plant, Ewma(0.2), leave_one_out=False),
+        "factor 0.8 a sample",
+    ),
+    "loo-window": NamedDetector(
+        "kf-window on normalised leave-one-out innovations, with sequential elimination",
+        lambda plant: sequential(plant, SumOfSquares(15), leave_one_out=True),
+        "15 samples",
+    ),
+    "loo-cusum": NamedDetector(
+        "kf-cusum on normalised leave-one-out innovations, with sequential elimination",
+        lambda plant: sequential(plant, Cusum(1.0), leave_one_out=True),
+        "cumulative sums",
+    ),
+    "loo-ewma": NamedDetector(
+        "kf-ewma on normalised leave-one-out innovations, with sequential elimination",
+        lambda plant: sequential(plant, Ewma(0.2), leave_one_out=True),
+        "factor 0.8 a sample",
+    ),
+    "uio": NamedDetector(
+        "a filter that no error of the plant's inputs can move (Kitanidis 1987; Gillijns and De Moor 2007) with leave-one-out "
+        "chi-square statistics and sequential elimination",
+        lambda plant: UnknownInputFilter(plant, false_alarm=FALSE_ALARM),
+        STATE,
+    ),
+    "multiple-model": NamedDetector(
+        "models of healthy sensors and of each one's noise ten times as large, with a Markov chain between them (GPB1); names "
+        "the most probable",
+        lambda plant: MultipleModel(plant, false_alarm=FALSE_ALARM),
+        "probabilities of the models",
     ),
     "limits": NamedDetector(
         "fixed limits of each reading and of its change since the last, learnt from healthy data",

@@ -70,7 +70,7 @@ def write_diagnosis(out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[
         for e in found.events:
             table.writerow((e.hypothesis, repr(e.start), repr(e.end), repr(e.size), e.unit, str(e.open).lower()))
     write_log(out / "reconstructed.csv", plant, found.t, found.decisions.measured, u)
-    write_figure(out, "diagnosis", lambda: draw(plant, y, found))
+    write_figure(out, "diagnosis", lambda: draw(plant, np.where(found.decisions.absurd, np.nan, y), found))
 
 
 def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:

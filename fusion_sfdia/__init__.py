@@ -62,7 +62,14 @@ if TYPE_CHECKING:
     from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
     from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
     from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
+    from fusion_sfdia.kalman_banks.memory_rules import Cusum as Cusum
+    from fusion_sfdia.kalman_banks.memory_rules import Ewma as Ewma
+    from fusion_sfdia.kalman_banks.memory_rules import Shewhart as Shewhart
+    from fusion_sfdia.kalman_banks.memory_rules import SumOfSquares as SumOfSquares
+    from fusion_sfdia.kalman_banks.multiple_model import MultipleModel as MultipleModel
     from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter as ParticleFilter
+    from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank as SequentialBank
+    from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
     from fusion_sfdia.models.gas_pipeline import gas_pipeline as gas_pipeline
     from fusion_sfdia.models.marine_engine import marine_engine as marine_engine
     from fusion_sfdia.models.two_tanks import two_tanks as two_tanks
@@ -92,6 +99,10 @@ _MODULES = {
     "kalman_banks.fusing_bank": ("FusingBank",),
     "intervals.interval": ("Interval",),
     "kalman_banks.leave_one_out_bank": ("LeaveOneOutBank",),
+    "kalman_banks.memory_rules": ("Cusum", "Ewma", "Shewhart", "SumOfSquares"),
+    "kalman_banks.multiple_model": ("MultipleModel",),
+    "kalman_banks.sequential_bank": ("SequentialBank",),
+    "kalman_banks.unknown_input": ("UnknownInputFilter",),
     "evaluation.logs": ("Log", "read_log", "write_log"),
     "models.gas_pipeline": ("gas_pipeline",),
     "models.marine_engine": ("marine_engine",),

@@ -29,6 +29,7 @@ from fusion_sfdia.structural_residuals.structural_residuals import StructuralRes
 
 TOYS = ("chain", "two-tanks")
 WITH_MODULES = {"marine-engine", "two-tanks"}
+OF_INPUTS = ("uio",)  # not applicable to the chain, which has none
 OF_MODULES = ("adaptive-threshold:", "virtual-sensors", "structural-residuals")
 WITHOUT = {"structural-residuals"} if find_spec("faultdiagnosistoolbox") is None else set()  # an optional package
 SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # several seconds of calibration
@@ -48,7 +49,9 @@ SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 # what learns its thresholds from such recordings, the printed unscented bank too, finds no bias of 30 sigma in most of them.
 # Structural residuals: all that read the receiver's pressure but one read the torque, too, and that one, of the turbine's
 # temperature, shows an eighth of the fault, hardly its limit: without it either sensor alone explains the alarms.
+# Without trust in the inputs of an area a wrong reading of its valve is a wrong reference or load, which it shows best.
 MISSED = {
+    ("power-network", "uio"): {"valve"},
     ("gas-pipeline", "fusing-ekf"): {"pressure"},
     ("gas-pipeline", "fusing-ukf"): {"pressure", "mass flow", "temperature"},
     ("marine-engine", "fusing-ekf"): {"fuel", "temperature", "torque"},
@@ -92,6 +95,8 @@ def pairs() -> Iterator[object]:
         for name in DETECTORS:
             if name.startswith(OF_MODULES) and plant not in WITH_MODULES:
                 continue  # it has no scalar equations to monitor, see the test that says so
+            if name in OF_INPUTS and plant == "chain":
+                continue
             marks = [pytest.mark.slow] if (plant, name) in SLOW else []
             marks += [pytest.mark.skip(reason="needs faultdiagnosistoolbox")] if name in WITHOUT else []
             yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)

@@ -244,7 +244,7 @@ class AdaptiveThreshold(BatchDetector):
 def nested(decision: Decision, batch: tuple[int, ...]) -> Decision:
     """The decision of a batch of one axis as one of that shape."""
     told = (getattr(decision, f.name) for f in fields(Decision))
-    shaped: list[Any] = [None if a is None else a.reshape(*batch, *a.shape[1:]) for a in told]
+    shaped: list[Any] = [a if a is None or not a.ndim else a.reshape(*batch, *a.shape[1:]) for a in told]
     return Decision(*shaped)
 
 

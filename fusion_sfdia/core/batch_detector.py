@@ -7,13 +7,14 @@ of vectors.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.core.arguments import Array, batch_shape, number, shown, whole
+from fusion_sfdia.core.arguments import Array, batch_shape, floats, number, shown, whole
+from fusion_sfdia.core.border import InputLimits
 from fusion_sfdia.core.detector import Decision, State, check_reading
 from fusion_sfdia.core.health import keep_broken_out, without_broken
 from fusion_sfdia.core.plant import Plant
@@ -75,16 +76,22 @@ class BatchDetector(ABC):
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
         """Diagnose the readings y (*batch, N) at t, NaN where missing, under the input u (*batch, m) or (m,) for all runs.
 
-        ValueError for a state of another detector, values or shapes that do not fit, and a time for which the model does not
-        hold.
+        Absurd readings count as missing, absurd inputs are replaced (see `border`); the Decision reports both. ValueError for a
+        state of another detector, values or shapes that do not fit, and a time for which the model does not hold.
         """
         batch = self._batch_of(state)
         single = batch == ()
-        y, u = check_reading(self.plant, y, u, batch)
+        given = floats("y", y)
+        y, applied = check_reading(self.plant, given, u, batch)
         now = self._moment(state, number("t", t))
+        u = self._input_limits.applied(now.last, now.dt, applied)
+        taken = y, u, np.isnan(y) & ~np.isnan(given), u != applied
+        y, u, absurd, absurd_input = (a[None] for a in taken) if single else taken
         diverged, *core = (a[None] for a in state[CLOCK:]) if single else state[CLOCK:]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            after, decision = self._judge(tuple(core), now, y[None] if single else y, u[None] if single else u)
+            after, decision = self._judge(tuple(core), now, y, u)
+        capped = np.broadcast_to(decision.capped, diverged.shape)
+        decision = replace(decision, capped=capped, absurd=absurd, absurd_input=absurd_input)
         diverged = diverged | decision.diverged
         if diverged.any():
             after = keep_broken_out(diverged, after, self._start(diverged.shape, now.seed))
@@ -96,6 +103,10 @@ class BatchDetector(ABC):
             only: list[Any] = [None if a is None else a[0, ...] for a in told]
             decision = Decision(*only)
         return (state[0], np.array(now.k), np.array(now.t), *batched), decision
+
+    @cached_property
+    def _input_limits(self) -> InputLimits:
+        return InputLimits(self.plant)
 
     def _moment(self, state: State, t: float) -> Moment:
         last = float(state[2])

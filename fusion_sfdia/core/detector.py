@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.border import possible
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
@@ -35,6 +36,9 @@ class Decision:
     diverged: (...) bool, the estimator has broken down or the model gave it no number, now or in an earlier step: every number
     of this Decision is NaN and nothing is isolated.
     guarded: (...) bool, the estimate, or a point of those that stand for it, left the limits of the model and was moved back.
+    capped: (...) bool, another sensor would have been isolated, had not as many been out already as the method allows.
+    absurd: (..., N) bool, readings taken as missing, absurd_input: (..., m) bool, inputs replaced (see `border`).
+    The last three may be a single False, where a method has no such limits.
     """
 
     estimate: Array
@@ -47,6 +51,9 @@ class Decision:
     guarded: Array
     nis: Array
     covariance: Array | None = None
+    capped: Array = field(default_factory=lambda: np.zeros((), bool))
+    absurd: Array = field(default_factory=lambda: np.zeros((), bool))
+    absurd_input: Array = field(default_factory=lambda: np.zeros((), bool))
 
     @property
     def scores(self) -> Array:
@@ -84,7 +91,8 @@ class Detector(Protocol):
 
 
 def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return y as floats (*batch, N), NaN where missing, and u as (*batch, m), which may have been given once for all runs.
+    """Return y as floats (*batch, N), NaN where missing or absurd, and u as (*batch, m), which may have been given once for all
+    runs.
 
     ValueError for anything but numbers, for other shapes, infinities and missing inputs.
     """
@@ -107,7 +115,7 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
         raise ValueError("y has infinite readings; pass NaN for a missing one")
     if not np.isfinite(u).all():
         raise ValueError("u has values that are not finite; an input must be known")
-    return y, u if u.shape == wanted else np.broadcast_to(u, wanted)
+    return possible(plant, y), u if u.shape == wanted else np.broadcast_to(u, wanted)
 
 
 def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covariance: bool = False) -> tuple[State, Decision]:

@@ -45,5 +45,6 @@ def without_broken(decision: Decision, diverged: Array) -> Decision:
         fault_size=np.where(gone, np.nan, decision.fault_size),
         nis=np.where(diverged, np.nan, decision.nis),
         diverged=diverged,
+        capped=decision.capped & ~diverged,
         covariance=None if decision.covariance is None else np.where(gone[..., None], np.nan, decision.covariance),
     )

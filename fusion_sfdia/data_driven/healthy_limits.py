@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.border import possible
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
@@ -42,14 +43,14 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
 
 
 def healthy_readings(plant: Plant, y: Array) -> Array:
-    """Return readings as (K, B, N); ValueError for other shapes, infinities, and sensors never read or without any noise."""
+    """Return readings as (K, B, N), absurd ones as NaN; ValueError for other shapes, infinities, and sensors never read or without any noise."""
     y = floats("y", y)
     count = len(plant.sensors)
     if y.ndim < 2 or y.shape[-1] != count or y.shape[0] < 4 or not y.size:
         raise ValueError(f"y has shape {y.shape}; wanted healthy readings (K, ..., {count}) of at least 4 times")
     if np.isinf(y).any():
         raise ValueError("y has infinite readings; pass NaN for a missing one")
-    y = y.reshape(len(y), -1, count)
+    y = possible(plant, y).reshape(len(y), -1, count)
     change = np.diff(y, axis=0)
     moves = np.any(np.abs(change[::2]) > 0, axis=(0, 1)) & np.any(np.abs(change[1::2]) > 0, axis=(0, 1))
     if not np.all(moves):

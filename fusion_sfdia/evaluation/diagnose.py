@@ -51,8 +51,8 @@ def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) 
     Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
     of the plant, the detector steps by dt through the gap without readings, under inputs on the line between those before
     and after. ValueError where shapes or times do not fit. DiagnosisWarning where the estimate diverged or was moved back
-    into the limits of the model, where a sensor was never read, and where the detector has no thresholds and cannot raise
-    an alarm.
+    into the limits of the model, where a sensor was never read, where readings or inputs are absurd, where more sensors
+    would have been isolated than the detector allows, and where it has no thresholds and cannot raise an alarm.
     """
     t, y, u = np.asarray(t, dtype=float), np.asarray(y, dtype=float), np.asarray(u, dtype=float)
     if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2 or u.ndim != 2:
@@ -65,7 +65,7 @@ def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) 
     own, times, readings, inputs = _bridged(detector.plant, first, t, y, u)
     _, decisions = run(detector, detector.init((), first), times, readings, inputs)
     decisions = Decision(**{f.name: v[own] for f in fields(Decision) if (v := getattr(decisions, f.name)) is not None})
-    _warn(detector, t, y, decisions)
+    _warn(detector, t, y, u, decisions)
     units = [s.unit for s in detector.plant.sensors] + [""] * (len(detector.hypotheses) - len(detector.plant.sensors))
     events = [
         Event(name, float(t[a]), float(t[b]), _median(decisions.fault_size[a : b + 1, i]), units[i], b == len(t) - 1)
@@ -99,7 +99,7 @@ def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[
     return last, times, np.where(between == 0, y[which], np.nan), inputs
 
 
-def _warn(detector: Detector, t: Array, y: Array, decisions: Decision) -> None:
+def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision) -> None:
     """Say what the events do not."""
     remarks = []
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
@@ -112,6 +112,23 @@ def _warn(detector: Detector, t: Array, y: Array, decisions: Decision) -> None:
         remarks.append(
             f"{type(detector).__name__} cannot raise an alarm: its thresholds are infinite; set them with calibrate() on "
             "healthy readings"
+        )
+    for values, absurd, signals, fate in (
+        (y, decisions.absurd, detector.plant.sensors, "taken as missing"),
+        (u, decisions.absurd_input, detector.plant.inputs, "replaced by the plant's usual input"),
+    ):
+        for i in np.flatnonzero(np.any(absurd, axis=0)) if absurd.shape == values.shape else ():
+            where = np.flatnonzero(absurd[:, i])
+            remarks.append(
+                f"{signals[i].name}: {where.size} of {t.size} values cannot be, the first {values[where[0], i]:g} "
+                f"{signals[i].unit} at {t[where[0]]:g} s; {fate}: leave such cells empty, or check units"
+            )
+    if np.any(decisions.capped):
+        most = getattr(detector, "most_faults", "too many")
+        remarks.append(
+            f"more sensors would have been isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
+            f"{t[np.argmax(decisions.capped)]:g} s, but {most} were out already, all that this plant's redundancy or max_faults "
+            "allows: check the model, or pass max_faults"
         )
     for flags, what, cure in (
         (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),

@@ -13,6 +13,7 @@ The statistically consistent form of the bank: every sensor is judged against al
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
 from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.redundancy import most_faults
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Prior, require_filter, step_stream
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import Best, Evidence, Window, absorbed, advance, best_onset, empty, weigh
@@ -39,7 +41,7 @@ class LeaveOneOutBank(BatchDetector):
     false_alarm: probability that a healthy set of sensors begins an alarm in one step (with accommodation an alarm then lasts
     until its sensor is readmitted, without until its samples have left the window), shared equally by the sensors and,
     with a window, by the one-sample test (half) and the onsets (half): Bonferroni, so a bound, for a model that is true.
-    max_faults: sensors that may be out at once (None: a quarter of them). accommodate: leave faulty sensors out; without,
+    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be. accommodate: leave faulty sensors out; without,
     the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.
     """
 
@@ -86,7 +88,7 @@ class LeaveOneOutBank(BatchDetector):
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
-        found, named = self._eliminate(everything, exclusion.out)
+        found, named, capped = self._eliminate(everything, exclusion.out)
         size, residual = everything.innovation, everything.innovation
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
@@ -97,12 +99,15 @@ class LeaveOneOutBank(BatchDetector):
             residual = np.where(stronger, best.size, residual)
             threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
             worst = np.argmax(best.statistic, axis=-1)
-            room = ~np.any(named, axis=-1) & (np.sum(exclusion.out, axis=-1) < self._most_faults)
-            chosen = (room & (np.max(best.statistic, axis=-1) > window_limit))[..., None] & _only(worst, y)
+            more = ~np.any(named, axis=-1) & (np.max(best.statistic, axis=-1) > window_limit)
+            room = np.sum(exclusion.out, axis=-1) < self.most_faults
+            capped = capped | (more & ~room)
+            chosen = (more & room)[..., None] & _only(worst, y)
             size = np.where(chosen, best.size, size)
             if np.any(chosen) and self.accommodate:
                 joint = est.joint(plant, prior := _freed(prior, evidence, best, worst, chosen), t, u)
-                found, named = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
+                found, named, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
+                capped = capped | again
             named = named | chosen
         if not self.accommodate:
             found = everything
@@ -131,27 +136,31 @@ class LeaveOneOutBank(BatchDetector):
             guarded=prior.guarded,
             nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
+            capped=capped,
         )
         return (x, p, *exclusion, *window), decision
 
-    @property
-    def _most_faults(self) -> int:
-        return self.max_faults or max(1, len(self.plant.sensors) // 4)
+    @cached_property
+    def most_faults(self) -> int:
+        """How many sensors may be out at once."""
+        return self.max_faults or most_faults(self.plant)
 
-    def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array]:
-        """Eliminate the worst sensor above the one-sample threshold until none is left or too many are out."""
+    def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array, Array]:
+        """Eliminate the worst sensor above the one-sample threshold until none is left or too many are out.
+
+        Return the statistics of the rest, the sensors eliminated (..., N), and whether one above is left (...).
+        """
         named = np.zeros(found.used.shape, bool)
         limit, _ = self.limits
-        for _ in range(self._most_faults):
+        while True:
             chi_square = found.chi_square
             worst = np.argmax(chi_square, axis=-1)
-            room = np.sum(out | named, axis=-1) < self._most_faults
-            where = (np.max(chi_square, axis=-1) > limit) & room
+            above = np.max(chi_square, axis=-1) > limit
+            where = above & (np.sum(out | named, axis=-1) < self.most_faults)
             if not np.any(where):
-                break
+                return found, named, above
             named = named | (where[..., None] & _only(worst, named))
             found = eliminate(found, worst, where)
-        return found, named
 
 
 def _only(sensor: Array, like: Array) -> Array:

@@ -13,6 +13,7 @@ Kalman filter's and 3.5 times as much as it claims.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from fusion_sfdia.core.arguments import probability, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.redundancy import most_faults
 from fusion_sfdia.filters import particle
 from fusion_sfdia.filters.estimators import guarded_points, readings_of, step_stream
 from fusion_sfdia.filters.gaussian import add, whiten
@@ -44,7 +46,7 @@ class ParticleFilter(BatchDetector):
     spread at a false-alarm budget per step over all sensors (Bonferroni), nominal where its law is far from normal. Names the
     sensor with the largest ratio and goes on without it until no ratio exceeds 1.
 
-    size: particles. max_faults: sensors that may be named in a step (None: a quarter of them). accommodate: weigh the
+    size: particles. max_faults: sensors that may be named in a step (None: `most_faults` of the plant). accommodate: weigh the
     particles without the sensors named in this step. The state's estimate and covariance are the weighted moments.
     """
 
@@ -73,7 +75,7 @@ class ParticleFilter(BatchDetector):
         _, ahead, moved, stuck, lost = guarded_points(plant, now.last, core[0], u, now.dt)
         cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(now.dt), rng)
         predicted = readings_of(plant, now.t, cloud.members, over)
-        judged, named = self._eliminated(cloud, predicted, y)
+        judged, named, capped = self._eliminated(cloud, predicted, y)
         used = np.isfinite(y) & ~(named & self.accommodate)
         weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)
         x, p = weighed.moments
@@ -90,6 +92,7 @@ class ParticleFilter(BatchDetector):
             guarded=moved | stuck,
             nis=self._nis(cloud, predicted, np.where(used, y, np.nan)),
             covariance=p,
+            capped=capped,
         )
         return tuple(after), decision
 
@@ -97,19 +100,26 @@ class ParticleFilter(BatchDetector):
     def _alpha(self) -> float:
         return float(-ndtri(self.false_alarm / len(self.plant.sensors) / 2)) * self.threshold_scale
 
-    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array]:
-        """The leave-one-out residuals of all readings, and the sensors that elimination names (..., N)."""
+    @cached_property
+    def most_faults(self) -> int:
+        """How many sensors may be named in a step."""
+        return self.max_faults or most_faults(self.plant)
+
+    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array, Array]:
+        """The leave-one-out residuals of all readings, the sensors that elimination names (..., N), and whether there is one
+        more (...).
+        """
         first = without_each(cloud, predicted, y, self.plant.sensor_cov)
         judged, named = first, np.zeros(y.shape, bool)
-        for _ in range(self.max_faults or max(1, y.shape[-1] // 4)):
+        while True:
             ratio = np.nan_to_num(np.abs(judged.residual) / (self._alpha * judged.sigma), nan=0.0)
             worst = np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]
-            more = worst & (ratio > 1)
+            above = worst & (ratio > 1)
+            more = above & (np.sum(named, axis=-1, keepdims=True) < self.most_faults)
             if not np.any(more):
-                break
+                return first, named, np.any(above, axis=-1)
             named = named | more
             judged = without_each(cloud, predicted, np.where(named, np.nan, y), self.plant.sensor_cov)
-        return first, named
 
     def _nis(self, cloud: Particles, predicted: Array, y: Array) -> Array:
         """Return d' S^-1 d over the number of readings (...), S the weighted covariance of the predictions with the noise."""

@@ -20,6 +20,7 @@ from fusion_sfdia.core.arguments import floats, number, probability, shown, whol
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State, run
 from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
+from fusion_sfdia.core.redundancy import most_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
@@ -67,7 +68,8 @@ class Chebyshev(BatchDetector):
     moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
     cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
     confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is named.
-    max_faults: sensors that may be out at once (None: a quarter of them); where more would be, none more is named.
+    max_faults: sensors that may be out at once (None: `most_faults` of the plant); where more would be, none more is named
+    (capped).
     accommodate: leave named sensors out; without, nothing is isolated.
 
     residual - threshold pairs are those of (13), y - y_hat with its mean taken out of the estimate, not of the thresholds.
@@ -133,9 +135,10 @@ class Chebyshev(BatchDetector):
             raise ValueError(f"alpha has shape {given.shape}; wanted one number or one for each of {count} sensors")
         return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)
 
-    @property
-    def _most_faults(self) -> int:
-        return self.max_faults or max(1, len(self.plant.sensors) // 4)
+    @cached_property
+    def most_faults(self) -> int:
+        """How many sensors may be out at once."""
+        return self.max_faults or most_faults(self.plant)
 
     @property
     def limits(self) -> Array:
@@ -158,13 +161,15 @@ class Chebyshev(BatchDetector):
         expected, deviation = outlook.expected, outlook.deviation
         residual, threshold = y - expected, self.limits * deviation
         exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
+        capped = np.zeros(y.shape[:-1], bool)
         if self.accommodate:
             exclusion = watch(exclusion, residual, deviation**2, self.limits**2, -np.log(READMISSION))  # type: ignore[arg-type]
             trusted = np.isfinite(y) & ~exclusion.out
             rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
             if np.any(rows):
                 named, absorbed, doubt = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
-                named &= np.sum(exclusion.out | named, axis=-1, keepdims=True) <= self._most_faults
+                capped = np.any(named, axis=-1) & (np.sum(exclusion.out | named, axis=-1) > self.most_faults)
+                named &= ~capped[..., None]
                 if np.any(named & (absorbed != 0)):
                     faults = np.where(named, absorbed, 0.0), np.where(named, doubt, 0.0)
                     outlook = self.diagnosis.freed(inner, outlook, now, u, *faults)
@@ -182,6 +187,7 @@ class Chebyshev(BatchDetector):
             guarded=outlook.guarded,
             nis=np.full(outlook.lost.shape, np.nan),
             covariance=taken.covariance,
+            capped=capped,
         )
         seen = np.where(exclusion.out, np.nan, residual)
         return (seen, deviation, exceeded, *exclusion, *taken.core), decision

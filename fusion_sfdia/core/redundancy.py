@@ -1,0 +1,53 @@
+"""How many sensors may be isolated at once, whichever they are, before what is left has no say against them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space, qr
+
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+
+NEGLIGIBLE = 1e-6  # relative: what a mode must decay by in a step, and show in a reading, to do so beyond rounding
+
+
+def most_faults(plant: Plant) -> int:
+    """Return the number of sensors that may be out at once by what the plant's redundancy allows, at least 1.
+
+    The N - k sensors that stay and the model's prediction, one voice more, must outnumber the k that are out: k <= N / 2;
+    where more contradict the model than agree with it, the model is the suspect. A mode of the plant that does not decay is
+    known from its readings alone, for a prediction keeps every error: of the m sensors that see it those that stay must
+    outnumber those that are out, k <= (m - 1) / 2 (Fawzi, Tabuada and Diggavi 2014, there for all modes).
+
+    The modes are those of the linearisation at x0 under the usual input; by the test of Popov, Belevitch and Hautus they
+    are all that sensors can lose of a state. So the worst choice of k of N sensors takes one count a mode. That is exact for
+    a mode of its own; of several with one eigenvalue, the modes are combined so that few sensors see each, which finds the
+    fewest where groups of sensors see one mode each, and otherwise an upper bound.
+    """
+    t, x, u, scale = 0.0, plant.x0, plant.input_at(0.0), plant.state_scale
+    step, output = plant.step_jacobian_at(t, x, u, plant.dt), plant.output_jacobian_at(t, x, u)
+    count = len(plant.sensors) // 2
+    if np.all(np.isfinite(step)) and np.all(np.isfinite(output)):  # else the model has no modes at x0
+        seen = _seen(step * scale / scale[:, None], output * scale / plant.sensor_sigma[:, None])
+        count = min([count, *((m - 1) // 2 for m in seen)])
+    return max(count, 1)
+
+
+def _seen(F: Array, H: Array) -> list[int]:
+    """How many sensors, the rows of H, see each mode of F that does not decay."""
+    found, lasting = [], [v for v in np.linalg.eigvals(F) if abs(v) > 1 - NEGLIGIBLE and v.imag >= 0]
+    for k, value in enumerate(lasting):
+        if any(abs(value - other) <= NEGLIGIBLE for other in lasting[:k]):
+            continue  # its modes have been counted
+        shown = H @ null_space(F - value * np.eye(len(F)), rcond=NEGLIGIBLE)
+        _, _, order = qr(shown.T, mode="economic", pivoting=True)
+        pivot = shown[order[: shown.shape[1]]]
+        if pivot.size and np.linalg.cond(pivot) < 1 / NEGLIGIBLE:
+            shown = np.linalg.solve(pivot.T, shown.T).T  # each mode is seen by one of the pivots
+        visible = np.abs(shown)
+        found += np.sum(visible > NEGLIGIBLE * np.max(visible, axis=0), axis=0).tolist()
+    return found

@@ -1,0 +1,126 @@
+"""Detector: a bank of models, "all healthy" and "sensor i faulty" for each i, with a Markov chain between them.
+
+A faulty sensor's noise is `inflation` times as large. The first-order generalised pseudo-Bayes estimator (GPB1; Ackerson and Fu
+1970; Bar-Shalom, Li and Kirubarajan 2001, sec. 11.6.4) starts the filters of all modes from one merged estimate, so that they
+differ by one rank: with u, w, K_i of `leave_one_out`, v = (inflation^2 - 1) R_ii and g_i = v / (1 + v w_i), those of mode i are
+
+    likelihood    log L_i - log L_0 = (g_i u_i^2 - log(1 + v w_i)) / 2
+    estimate      x_i = x_0 - K_i g_i u_i,    P_i = P_0 + g_i K_i K_i'
+
+and the merged ones, weighted by the modes' probabilities mu_i and with c_i = g_i u_i,
+
+    x = x_0 - sum mu_i c_i K_i,    P = P_0 + sum mu_i (g_i + c_i^2) K_i K_i' - (sum mu_i c_i K_i)(...)'.
+
+A fault begins in a step with the probability `false_alarm`, on any sensor alike, and ends with 1 / `duration`. Sensor i is held
+faulty where its mode has a larger probability than "all healthy" has, mu_i / mu_0 > 1. One sensor at a time: modes of several
+would be too many. Shown as its residual are sqrt(2 log(1 + E_i)) standard deviations of its leave-one-out innovation, where
+E_i = (mu_i / mu_0) / (false_alarm / N) is the likelihood ratio of what was read, against the threshold E_i = N / false_alarm:
+by Markov's inequality it would alarm falsely in a step with at most the probability false_alarm, were the modes not merged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from fusion_sfdia.core.arguments import number, probability
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, require_filter, step_stream
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared, posterior, statistics
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class MultipleModel(BatchDetector):
+    """GPB1 over N + 1 modes on an extended filter (or an unscented one with redraw).
+
+    inflation: noise of a faulty sensor over that of a healthy one. false_alarm: probability that a fault begins in a step, and
+    bound of the rate of false alarms, see above. duration: mean of a fault, in samples. Faulty sensors are not left out at a
+    threshold but as far as they are improbable, so that the estimate depends on no threshold.
+    """
+
+    estimator: Estimator = field(default_factory=Extended)
+    inflation: float = 10.0
+    false_alarm: float = 1e-3
+    duration: float = 100.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_filter(self.estimator)
+        probability("false_alarm", self.false_alarm)
+        if isinstance(self.estimator, Ensemble) or not self.estimator.consistent:
+            raise ValueError(
+                f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)"
+            )
+        for what in ("inflation", "duration"):
+            if not 1 < number(what, getattr(self, what)) < np.inf:
+                raise ValueError(f"{what} is {getattr(self, what)}; expected a number above 1")
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """x, P, and the logarithms of the modes' probabilities (N + 1,), healthy first."""
+        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        count = len(self.plant.sensors)
+        mode = np.log(np.append(1 - self.false_alarm, np.full(count, self.false_alarm / count)))
+        return *core, np.broadcast_to(mode, (*batch, count + 1)).copy()
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        plant, est = self.plant, self.estimator
+        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        joint = est.joint(plant, prior, now.t, u)
+        found = statistics(joint, y, np.isfinite(y))
+        mode, gain = self._weigh(self._passed(core[2]), found)
+        mu = np.exp(mode[..., 1:])
+
+        x, p = posterior(joint, found)
+        columns = joint.C @ found.inverse  # K_i
+        c = gain * found.whitened
+        shift = (columns @ (mu * c)[..., None])[..., 0]
+        x = x - shift
+        spread = columns * np.sqrt(mu * (gain + c**2))[..., None, :]
+        p = p + spread @ np.swapaxes(spread, -1, -2) - shift[..., :, None] * shift[..., None, :]
+
+        share = self.false_alarm / y.shape[-1]
+        evidence = np.logaddexp(0.0, mode[..., 1:] - mode[..., :1] - np.log(share))  # log(1 + E_i)
+        deviation = np.sqrt(found.variance)
+        limit = self.threshold_scale * np.sqrt(2 * np.log1p(1 / share))
+        ratio = np.where(found.used, np.sqrt(2 * evidence) / limit, 0.0)
+        isolated = (np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]) & (ratio > 1)
+        expected = plant.output(now.t, x, u)
+        shown = np.where(np.signbit(found.innovation), -ratio, ratio) * limit * np.where(found.used, deviation, 1.0)
+        decision = Decision(
+            estimate=x,
+            measured=np.where(np.isfinite(y) & ~isolated, y, expected),
+            residual=np.where(found.used, shown, np.nan),
+            threshold=limit * deviation,
+            isolated=isolated,
+            fault_size=np.where(isolated, found.innovation, np.nan),
+            diverged=prior.lost | broken(x, p),
+            guarded=prior.guarded,
+            nis=normalised_innovation_squared(joint, found, y),
+            covariance=p,
+        )
+        return (x, p, mode), decision
+
+    def _passed(self, mode: Array) -> Array:
+        """Logarithms of the modes' probabilities (..., N + 1) a step later, before the readings."""
+        begins, ends = self.false_alarm, 1 / self.duration
+        count = mode.shape[-1] - 1
+        healthy, faulty = mode[..., :1], mode[..., 1:]
+        remains = np.logaddexp(healthy + np.log1p(-begins), logsumexp(faulty, axis=-1, keepdims=True) + np.log(ends))
+        begun = np.logaddexp(healthy + np.log(begins / count), faulty + np.log1p(-ends))
+        return np.concatenate([remains, begun], axis=-1)
+
+    def _weigh(self, mode: Array, found: LeaveOneOut) -> tuple[Array, Array]:
+        """Logarithms of the modes' probabilities after the readings (..., N + 1), and g (..., N)."""
+        v = (self.inflation**2 - 1) * self.plant.sensor_cov
+        gain = v / (1 + v * found.weight)
+        ratio = (gain * found.whitened**2 - np.log1p(v * found.weight)) / 2
+        weighed = np.concatenate([mode[..., :1], mode[..., 1:] + ratio], axis=-1)
+        return weighed - logsumexp(weighed, axis=-1, keepdims=True), gain
