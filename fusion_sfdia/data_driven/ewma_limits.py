@@ -53,9 +53,9 @@ class EwmaLimits(BatchDetector):
         """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
 
         The centre is the mean. A limit is a unit of the sensor, its largest deviation in every other sample in time, times a
-        factor of its quantity, an order statistic of the largest deviation of the quantity's sensors in their units in the other
-        samples. The three checks of each quantity share the rate equally (Bonferroni).
-        ValueError where the data are too few for the rate, or a sensor was never read or never moved.
+        factor of its quantity, an order statistic of the largest deviation of its sensors in their units in the other samples.
+        The three checks of each quantity share the rate equally (Bonferroni). ValueError where the data are too few for the
+        rate, or a sensor was never read or never moved.
         """
         probability("false_alarm", false_alarm)
         weight = smoothing(weight)
