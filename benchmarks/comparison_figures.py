@@ -47,7 +47,7 @@ def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
 
 
 def _family(detector: str) -> str:
-    return detector.partition(":")[0].partition("-")[0]
+    return detector.partition(":")[0].removeprefix("dynamic-").partition("-")[0]
 
 
 def of_plant(found: Mapping[tuple[str, str], T], plant: str) -> dict[str, T]:

@@ -83,11 +83,13 @@ def healthy_data(plant: Plant, checks: int = 2) -> Recording:
 
 
 def settled_readings(plant: Plant) -> Array:
-    """Healthy readings (K, B, N) for detectors that learn how readings move together, which is another way while a run begins.
+    """Healthy readings (K, B, N) for detectors that learn how readings move together.
 
-    Runs as for four checks: these detectors set three limits for all sensors, on the better part of half the windows.
+    Of a disturbed plant without the first WARM_UP samples, in which disturbances build up from none at all; of others a run
+    begins at their operating point, and is learnt from there. Runs as for four checks: these detectors set three limits for all
+    sensors, on the better part of half the windows.
     """
-    return healthy_data(plant, checks=4).y[WARM_UP:]
+    return healthy_data(plant, checks=4).y[WARM_UP if plant.disturbed else 0 :]
 
 
 def structural_residuals(plant: Plant) -> StructuralResiduals:

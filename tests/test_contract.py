@@ -72,6 +72,7 @@ FITTED = (FusingBank, FixedLimits, EwmaLimits, PrincipalComponents, OneClass, St
 NAMELESS = {"chebyshev:corrected", "chebyshev:paper"}  # as published it tells that there is a fault, not of which sensor
 FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input"}
 SETTLED = 20  # samples in which the filters forget their initial covariance
+LATER = {("power-network", "dynamic-pca"): 40}  # more of them: it learns from a network whose disturbances have built up
 
 
 def plants() -> tuple[str, ...]:
@@ -199,13 +200,14 @@ def test_an_input_may_be_shared_by_the_batch(pair: tuple[str, str]) -> None:
 def test_silence_when_healthy(pair: tuple[str, str]) -> None:
     detector = detector_of(*pair)
     runs = 20 if pair[0] in TOYS else 3
-    t, y, u = healthy(pair[0], SETTLED + 100, runs)
+    settled = SETTLED + LATER.get(pair, 0)
+    t, y, u = healthy(pair[0], settled + 100, runs)
     _, d = run(detector, detector.init((runs,)), t, y, u)
     assert not d.diverged.any()
     if pair[1] in NAMELESS:  # its claim, of each sensor by itself: Chebyshev's inequality for 2 standard deviations
-        assert np.all(np.mean(d.scores[SETTLED:] > 1, axis=(0, 1)) < 1 / 4)
+        assert np.all(np.mean(d.scores[settled:] > 1, axis=(0, 1)) < 1 / 4)
         return
-    alarm = d.alarm[SETTLED:]
+    alarm = d.alarm[settled:]
     begun = np.sum(alarm[1:] & ~alarm[:-1]) + np.sum(alarm[0])  # an alarm is held until readmission: its beginnings count
     # In each step an alarm begins with a probability of at most FALSE_ALARM. Where it is exact, their number is binomial. A
     # threshold that is an order statistic of M samples has a rate of its own, Beta(FALSE_ALARM M, M) distributed about that
@@ -285,23 +287,24 @@ def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[st
 def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, str]) -> None:
     detector, plant = detector_of(*pair), plant_of(pair[0])
     chosen = {quantity: int(members[members.size // 2]) for quantity, members in plant.quantities.items()}
-    t, y, u = healthy(pair[0], 60, len(chosen))
+    onset = 35 + LATER.get(pair, 0)
+    t, y, u = healthy(pair[0], onset + 25, len(chosen))
     y = y.copy()
     for run_index, i in enumerate(chosen.values()):  # one run for each quantity
-        y[35:55, run_index, i] += 30 * plant.sensor_sigma[i]
+        y[onset : onset + 20, run_index, i] += 30 * plant.sensor_sigma[i]
     _, d = run(detector, detector.init((len(chosen),)), t, y, u)
     missed = set()
     for run_index, (quantity, i) in enumerate(chosen.items()):
-        during = d.isolated[35:55, run_index]
+        during = d.isolated[onset : onset + 20, run_index]
         if np.mean(during[:, i]) < 0.9:
             missed.add(quantity)
             continue
-        assert during[0, i] and np.all(d.alarm[35:55, run_index][during[:, i]])
+        assert during[0, i] and np.all(d.alarm[onset : onset + 20, run_index][during[:, i]])
         if pair[1].startswith("adaptive-threshold"):
             continue  # its diagnosis sets hold every sensor whose fault would explain the decisions
         # at most two of the twenty samples name another sensor, too
         assert np.sum(np.any(np.delete(during, i, axis=-1), axis=-1)) <= 2
-        size = d.fault_size[35, run_index, i] / plant.sensor_sigma[i]
+        size = d.fault_size[onset, run_index, i] / plant.sensor_sigma[i]
         # reading less what the others say: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
         assert size == pytest.approx(30.0, abs=4 * np.sqrt(2))
     assert missed == (set(chosen) if pair[1] in NAMELESS else MISSED.get(pair, set()))

@@ -80,7 +80,7 @@ def test_limits_and_rate_of_gaussian_readings() -> None:
 
 
 def test_a_small_bias_that_lasts_is_found_where_fixed_limits_are_not_crossed() -> None:
-    """1.5 sigma: 4.5 deviations of the average, of 1/3 sigma each; single readings stay within their limits of 4 sigma or so."""
+    """1.5 sigma: 4.5 deviations of the average, of 1/3 sigma each; single readings stay within limits of some 4 sigma."""
     plant = chain(6)
     rng = np.random.default_rng(2)
     healthy, y = rng.standard_normal((400, 100, 6)), rng.standard_normal((60, 200, 6))

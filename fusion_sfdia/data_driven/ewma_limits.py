@@ -12,8 +12,7 @@ from fusion_sfdia.core.arguments import number, probability
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.data_driven.fixed_limits import limits_of
-from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, without_model
+from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, upper_limit, without_model
 
 Array = NDArray[Any]
 
@@ -53,8 +52,10 @@ class EwmaLimits(BatchDetector):
     def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3, weight: float = 0.2) -> EwmaLimits:
         """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
 
-        Each is set as those of FixedLimits.fit; the three checks of each quantity share the rate equally (Bonferroni).
-        ValueError where the data are too few for the rate, or a sensor was never read or never moved.
+        The centre is the mean. A limit is a unit of the sensor, its largest deviation in every other sample in time, times a
+        factor of its quantity, an order statistic of the largest deviation of its sensors in their units in the other samples.
+        The three checks of each quantity share the rate equally (Bonferroni). ValueError where the data are too few for the
+        rate, or a sensor was never read or never moved.
         """
         probability("false_alarm", false_alarm)
         weight = smoothing(weight)
@@ -103,3 +104,14 @@ def averaged(z: Array, n: Array, level: Array, weight: float) -> tuple[Array, Ar
 def growth(n: Array, weight: float) -> Array:
     """The standard deviation of z after n readings of white noise, over that after many; 1 before any."""
     return np.where(n > 0, np.sqrt(1 - (1 - weight) ** (2 * n)), 1.0)
+
+
+def limits_of(plant: Plant, deviation: Array, share: float) -> Array:
+    """Limits (N,), as of `fit`, that deviations (K, B, N), NaN where missing, of a quantity exceed at that rate."""
+    unit = np.nanmax(deviation[::2], axis=(0, 1))
+    ratio = np.where(np.isfinite(deviation[1::2]), deviation[1::2] / unit, -np.inf).reshape(-1, unit.size)
+    limits = np.empty(unit.size)
+    for members in plant.quantities.values():
+        largest = np.max(ratio[:, members], axis=1)
+        limits[members] = unit[members] * upper_limit(largest[largest >= 0], share)
+    return limits

@@ -56,7 +56,7 @@ class FixedLimits(BatchDetector):
         y = healthy_readings(plant, y)
         share = false_alarm / (2 * len(plant.quantities))
         centre = np.nanmean(y[::2], axis=(0, 1))
-        level, change = (limits_of(plant, np.abs(d), share) for d in (y - centre, np.diff(y, axis=0)))
+        level, change = (_limits(plant, np.abs(d), share) for d in (y - centre, np.diff(y, axis=0)))
         return cls(plant, centre, level, change)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
@@ -74,8 +74,7 @@ class FixedLimits(BatchDetector):
         return (y.copy(), measured), without_model(self.plant, y, measured, residual, threshold, isolated)
 
 
-def limits_of(plant: Plant, deviation: Array, share: float) -> Array:
-    """Limits (N,), as of FixedLimits.fit, that deviations (K, B, N), NaN where missing, of a quantity exceed at that rate."""
+def _limits(plant: Plant, deviation: Array, share: float) -> Array:
     unit = np.nanmax(deviation[::2], axis=(0, 1))
     ratio = np.where(np.isfinite(deviation[1::2]), deviation[1::2] / unit, -np.inf).reshape(-1, unit.size)
     limits = np.empty(unit.size)

@@ -61,10 +61,15 @@ class PrincipalComponents(ReconstructionDetector):
         probability("false_alarm", false_alarm)
         model, _, judge = ComponentModel.fit(plant, y, lags, components)
         unlimited = cls(plant, model, np.inf, np.inf, np.inf, max_faults=max_faults)
-        healthy = unlimited.statistics(model.reconstruct(judge))
-        used = healthy if model.variances.size else healthy[1:]
-        limits = [upper_limit(value, false_alarm / len(used)) for value in used]
-        return replace(unlimited, **dict(zip(("limit_contribution", "limit_spe", "limit_t2"), limits[::-1], strict=False)))
+        t2, spe, contribution = unlimited.statistics(model.reconstruct(judge))
+        moves = model.variances.size > 0
+        share = false_alarm / (3 if moves else 2)
+        return replace(
+            unlimited,
+            limit_t2=upper_limit(t2, share) if moves else np.inf,
+            limit_spe=upper_limit(spe, share),
+            limit_contribution=upper_limit(contribution, share),
+        )
 
     def statistics(self, found: Reconstruction) -> tuple[Array, Array, Array]:
         """T2, SPE and the largest contribution (B,)."""
