@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import betabinom
+from scipy.stats import betabinom, chi2
 from sklearn.decomposition import PCA
 from toy_plants import Array, chain
 
@@ -161,12 +161,13 @@ def test_what_is_refused() -> None:
         ((y, 0.1, 1.2), "components is 1.2; a probability strictly between 0 and 1"),
         ((y, 0.1, 0), "components is 0; wanted a whole number of at least 1"),
         ((y[:6, 0], 0.5), "3 complete samples of 6 sensors to train on"),
-        ((np.where(np.arange(6) == 2, 1.0, y), 0.1), "healthy readings of s2 are missing or never move"),
+        ((np.ones((100, 2, 6)), 0.1), "no sensor ever moved in the healthy readings"),
+        ((np.where(np.arange(6) == 2, np.nan, y), 0.1), "healthy readings of s2 are missing"),
         ((y[..., :5], 0.1), "wanted healthy readings"),
     ):
         with pytest.raises(ValueError, match=message):
             PrincipalComponents.fit(PLANT, *arguments)
-    with pytest.raises(ValueError, match="at least 2 sensors"):
+    with pytest.raises(ValueError, match="principal components take at least 2"):
         PrincipalComponents.fit(chain(1), y[..., :1], 0.1)
     for change, message in (
         ({"scale": np.zeros(6)}, "scale is .*; wanted positive"),
@@ -180,3 +181,24 @@ def test_what_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             replace(DETECTOR, **change)
+
+
+def test_a_sensor_that_never_moves_is_standardised_by_the_noise_that_it_declares() -> None:
+    y = np.where(np.arange(6) == 2, 0.1 + 0.2, data(500, 2))
+    model = PrincipalComponents.fit(PLANT, y, 0.02)
+    assert model.scale[2] == PLANT.sensor_sigma[2] and model.centre[2] == 0.1 + 0.2
+    fresh = np.where(np.arange(6) == 2, 0.1 + 0.2, data(500, 1, seed=9)[:, 0])
+    t, u = PLANT.dt * np.arange(1, len(fresh) + 1), np.zeros((len(fresh), 0))
+    quiet = run(model, model.init(), t, fresh, u)[1]
+    # both statistics share .02; of 500 fresh samples, with limits from 500: at most 3 standard errors of both above it
+    assert quiet.alarm.mean() <= 0.02 + 3 * np.sqrt(2 * 0.02 / 500)
+    fresh[:, 2] += 20 * PLANT.sensor_sigma[2]
+    moved = run(model, model.init(), t, fresh, u)[1]
+    assert moved.alarm.all() and moved.isolated[:, 2].mean() > 0.9
+
+
+def test_two_sensors_of_which_one_never_moves() -> None:
+    plant = chain(2)
+    y = np.random.default_rng(0).standard_normal((200, 1, 2)) * [1.0, 0.0]
+    model = PrincipalComponents.fit(plant, y, 0.05, max_faults=1)
+    assert model.noise == 1.0 and model.limit_spe == pytest.approx(chi2.isf(0.025, 1))

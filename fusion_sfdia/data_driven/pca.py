@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from fusion_sfdia.core.arguments import floats, number, probability, shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, NotApplicableError, State
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, upper_limit, without_model
+from fusion_sfdia.data_driven.healthy_limits import healthy_readings, noise_floor, per_sensor, stuck, upper_limit, without_model
 
 Array = NDArray[Any]
 
@@ -98,9 +99,10 @@ class PrincipalComponents(BatchDetector):
         """Model and limits from healthy readings y (K, ..., N), at that rate of false alarms per step.
 
         Every other sample in time trains the model, standardised by mean and standard deviation; the rest set the limits as
-        order statistics, T2 and SPE sharing the rate equally. Samples with a missing reading are left out. components: how many
+        order statistics, T2 and SPE sharing the rate equally. Samples with a missing reading are left out. A sensor that never
+        moved is standardised by the sigma that it declares, at least its resolution. components: how many
         are retained or, as a share, the fewest that explain it of the variance, one less than the sensors at most. ValueError
-        where the data are too few for the rate or the sensors, or a sensor never moved.
+        where the data are too few for the rate or the sensors, or no sensor ever moved.
         """
         from sklearn.decomposition import PCA  # slow to import
 
@@ -111,7 +113,11 @@ class PrincipalComponents(BatchDetector):
             raise NotApplicableError(f"plant {plant.name!r} has {n} sensor; principal components take at least 2")
         if len(train) <= n:
             raise ValueError(f"{len(train)} complete samples of {n} sensors to train on; wanted more samples than sensors")
-        centre, scale = train.mean(axis=0), train.std(axis=0)
+        still = stuck(train[:, None])
+        if still.all():
+            raise ValueError("no sensor ever moved in the healthy readings; record them with their noise")
+        centre = np.where(still, train[0], train.mean(axis=0))
+        scale = np.where(still, noise_floor(plant, y, plant.sensor_sigma), train.std(axis=0))
         found = PCA(svd_solver="full").fit((train - centre) / scale)
         if isinstance(components, float):
             share = probability("components", components)
@@ -119,9 +125,14 @@ class PrincipalComponents(BatchDetector):
         if (k := whole("components", components, least=1)) >= n:
             raise ValueError(f"components is {k}; wanted fewer than the {n} sensors of plant {plant.name!r}")
         retained, left = np.split(found.explained_variance_, [k])
-        model = cls(plant, centre, scale, found.components_[:k], retained, float(left.mean()), np.inf, np.inf, max_faults)
+        rounding = n * np.finfo(float).eps
+        noise = float(left.mean())
+        noise = noise if noise > rounding else 1.0  # what is left never moved: the noise that it declares
+        model = cls(plant, centre, scale, found.components_[:k], retained, noise, np.inf, np.inf, max_faults)
         s = model.statistics(judge)
         t2, spe = (upper_limit(value, false_alarm / 2) for value in (s.t2, s.spe))
+        if not spe > rounding:  # of Gaussian readings with that noise
+            spe = noise * float(chdtri(n - k, false_alarm / 2))
         return replace(model, limit_t2=t2, limit_spe=spe)
 
     @cached_property
