@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 from scipy.stats import betabinom
 from toy_plants import Array, chain, tanks
 
@@ -74,14 +75,44 @@ def test_the_rate_of_false_alarms_is_at_most_the_one_asked_for(rate: float) -> N
     detector = FixedLimits.fit(plant, train, rate)
     u = np.zeros((1000, 0))
     _, d = run(detector, detector.init((4,)), plant.dt * np.arange(1, 1001), fresh, u)
-    # each limit is an order statistic of 2000 samples, whose rate is Beta distributed; changes share readings with their
-    # neighbours, by which samples count by half. The two checks at most add up.
+    # the factor is an order statistic of 2000 samples, whose rate is Beta distributed; changes share readings with their
+    # neighbours, by which samples count by half. It wastes nothing: the lower quantile holds, too.
     law = betabinom(fresh.shape[0] * fresh.shape[1] // 2, rate * 1000, (1 - rate) * 1000)
-    assert d.alarm.sum() / 2 <= law.ppf(0.999)
-    # and of the level check alone half of it, no less than that law leaves: it wastes nothing
-    level = np.any(np.abs(fresh - detector.centre) > detector.level, axis=-1)
-    half = betabinom(level.size, rate / 2 * 2000, (1 - rate / 2) * 2000)
-    assert half.ppf(0.001) <= level.sum() <= half.ppf(0.999)
+    assert law.ppf(0.001) <= d.alarm.sum() / 2 <= law.ppf(0.999)
+
+
+def test_as_many_samples_as_the_rate_needs_for_any_number_of_sensors() -> None:
+    """11 quantities at 1e-3: the half of 2000 samples that judges has one above its limit, and 1998 are one too few."""
+    plant = replace(chain(11), sensors=tuple(replace(s, quantity=s.name) for s in chain(11).sensors))
+    train = noise(plant, 200, 10)
+    detector = FixedLimits.fit(plant, train, 1e-3)
+    assert len(plant.quantities) == 11
+    judge = np.max(np.abs(train[1::2] - detector.centre) / detector.level, axis=-1)
+    change = np.max(np.abs(np.diff(train, axis=0)[::2]) / detector.change, axis=-1)
+    assert np.max(np.maximum(judge, change)) == pytest.approx(1.0, rel=1e-12)
+    with pytest.raises(ValueError, match="990 healthy samples cannot set a limit that one in 1000 exceeds"):
+        FixedLimits.fit(plant, train[:198], 1e-3)
+
+
+def test_a_sensor_that_never_moves_is_limited_by_the_noise_that_it_declares() -> None:
+    """l2 declares a sigma of .01 and a bound of .04; where its resolution is coarser, that counts."""
+    train = noise(PLANT, 200, 5)
+    train[..., 1] = 0.1 + 0.2  # of which a mean is not to the bit the number itself
+    detector = FixedLimits.fit(PLANT, train, 0.01)
+    largest = -ndtri(0.5 / 500) * 0.01  # of 500 Gaussian readings
+    assert 0.9 * largest < detector.level[1] < 1.6 * largest and detector.level[1] < 0.04 * 1.6
+    assert detector.change[1] == pytest.approx(np.sqrt(2) * detector.level[1], rel=1e-12)
+    y = noise(PLANT, 20, seed=3)
+    y[:, 1] = 0.3
+    assert not judged(detector, y).isolated[:, 1].any()
+    y[10:, 1] += 0.1
+    np.testing.assert_array_equal(judged(detector, y).isolated[:, 1], np.arange(20) >= 10)
+    coarse = noise(PLANT, 200, 5)
+    coarse[..., 1] = 1.0
+    coarse[1, 0, 1] = 1.5  # its resolution, seen among the samples that judge
+    assert FixedLimits.fit(PLANT, coarse, 0.01).level[1] >= 0.5
+    still = np.broadcast_to(CENTRE, (100, 2, 4))
+    np.testing.assert_allclose(FixedLimits.fit(PLANT, still, 0.1).level, -ndtri(0.5 / 100) * PLANT.sensor_sigma, rtol=1e-12)
 
 
 def test_limits_follow_the_movement_of_the_operation_and_then_hide_what_is_smaller() -> None:
@@ -117,29 +148,27 @@ def test_missing_readings_in_the_healthy_data_are_left_out() -> None:
     holes = train.copy()
     holes[np.random.default_rng(2).random(train.shape) < 0.1] = np.nan
     whole, part = FixedLimits.fit(PLANT, train, 0.05), FixedLimits.fit(PLANT, holes, 0.05)
-    # order statistics at 1/80 of 800 samples, 10 of them above: the tenth of a Gaussian's largest moves by a few tenths
+    # an order statistic at 1/20 of 800 samples, 40 of them above, of units of 800: a Gaussian's largest moves by a few tenths
     np.testing.assert_allclose(part.level / PLANT.sensor_sigma, whole.level / PLANT.sensor_sigma, atol=1.0)
     assert np.all(np.isfinite(part.change))
 
 
 def test_what_is_refused() -> None:
     y = noise(PLANT, 100, 2)
-    stuck, silent, infinite = y.copy(), y.copy(), y.copy()
-    stuck[..., 1] = 1.0
+    silent, infinite = y.copy(), y.copy()
     silent[..., 2] = np.nan
     infinite[3, 0, 0] = np.inf
     for bad, message in (
         (y[0, 0], r"y has shape \(4,\); wanted healthy readings \(K, ..., 4\)"),
         (y[..., :3], r"y has shape \(100, 2, 3\)"),
         (y[:3], "of at least 4 times"),
-        (stuck, "healthy readings of l2 are missing or never move"),
-        (silent, "healthy readings of q12 are missing or never move"),
+        (silent, "healthy readings of q12 are missing; leave"),
         (infinite, "infinite readings"),
         ("healthy", "y is 'healthy'; wanted an array of numbers"),
     ):
         with pytest.raises(ValueError, match=message):
             FixedLimits.fit(PLANT, bad, 0.1)
-    with pytest.raises(ValueError, match="100 healthy samples cannot set a limit that one in 4000 exceeds"):
+    with pytest.raises(ValueError, match="100 healthy samples cannot set a limit that one in 1000 exceeds"):
         FixedLimits.fit(PLANT, y, 1e-3)
     with pytest.raises(ValueError, match="false_alarm is 0; a probability"):
         FixedLimits.fit(PLANT, y, 0)

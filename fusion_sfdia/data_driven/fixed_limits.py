@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, upper_limit, without_model
+from fusion_sfdia.data_driven.healthy_limits import healthy_readings, noise_floor, per_sensor, stuck, upper_limit, without_model
 
 Array = NDArray[Any]
 
@@ -47,17 +48,29 @@ class FixedLimits(BatchDetector):
     def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3) -> FixedLimits:
         """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
 
-        The centre is the mean. A limit is a unit of the sensor times a factor of its quantity. Of every other sample in time:
-        the sensor's largest deviation is its unit. Of the rest: the factor is an order statistic of the largest deviation of
-        the quantity's sensors in their units. The two checks of each quantity share the rate equally (Bonferroni). ValueError
-        where the data are too few for the rate, or a sensor was never read or never moved.
+        The centre is the mean. A limit is a unit of the sensor and the check times a common factor. Of every other sample in
+        time: the largest deviation is the unit; of a sensor that never moved there, that of as many readings with the noise
+        it declares (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
+        statistic, at that rate, of the largest deviation of all sensors and both checks in their units. So 2 / false_alarm
+        samples set limits, however many sensors there are. ValueError where the data are fewer, or a sensor was never read.
         """
         probability("false_alarm", false_alarm)
         y = healthy_readings(plant, y)
-        share = false_alarm / (2 * len(plant.quantities))
         centre = np.nanmean(y[::2], axis=(0, 1))
-        level, change = (_limits(plant, np.abs(d), share) for d in (y - centre, np.diff(y, axis=0)))
-        return cls(plant, centre, level, change)
+        level, change = np.abs(y - centre), np.abs(np.diff(y, axis=0))
+        # a change belongs to the sample at which it ends: even samples train, odd ones judge
+        still, sigma = stuck(y[::2]), plant.sensor_sigma
+        largest = -ndtri(0.5 / y[::2, :, 0].size) * sigma
+        bound = np.array([s.noise_bound for s in plant.sensors])
+        floors = [noise_floor(plant, y, np.minimum(n * largest, m * bound)) for n, m in ((1.0, 1.0), (np.sqrt(2.0), 2.0))]
+        unit = [_largest(d, f, still) for d, f in zip((level[::2], change[1::2]), floors, strict=True)]
+        worst = np.maximum(
+            np.max(np.nan_to_num(level[1::2] / unit[0], nan=-1.0), axis=-1),
+            np.max(np.nan_to_num(change[::2] / unit[1], nan=-1.0), axis=-1),
+        )
+        factor = upper_limit(worst[worst >= 0], false_alarm)
+        factor = np.where(still, max(factor, 1.0), factor)
+        return cls(plant, centre, factor * unit[0], factor * unit[1])
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
         shape = (*batch, len(self.centre))
@@ -74,11 +87,7 @@ class FixedLimits(BatchDetector):
         return (y.copy(), measured), without_model(self.plant, y, measured, residual, threshold, isolated)
 
 
-def _limits(plant: Plant, deviation: Array, share: float) -> Array:
-    unit = np.nanmax(deviation[::2], axis=(0, 1))
-    ratio = np.where(np.isfinite(deviation[1::2]), deviation[1::2] / unit, -np.inf).reshape(-1, unit.size)
-    limits = np.empty(unit.size)
-    for members in plant.quantities.values():
-        largest = np.max(ratio[:, members], axis=1)
-        limits[members] = unit[members] * upper_limit(largest[largest >= 0], share)
-    return limits
+def _largest(deviation: Array, floor: Array, still: Array) -> Array:
+    """The largest deviation (K, B, N) of each sensor, its floor where it never moved or is not known."""
+    found = np.max(np.where(np.isfinite(deviation), deviation, 0.0), axis=(0, 1), initial=0.0)
+    return np.asarray(np.where(still | (found == 0), floor, found))

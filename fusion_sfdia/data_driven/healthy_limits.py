@@ -45,7 +45,8 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
 def healthy_readings(plant: Plant, y: Array) -> Array:
     """Return readings as (K, B, N), absurd ones as NaN.
 
-    ValueError for other shapes, infinities, and sensors never read or without any noise.
+    ValueError for other shapes, infinities, and sensors not read in every other sample. A sensor that never moves is taken: a
+    quantised reading at rest is healthy, too. See `noise_floor`.
     """
     y = floats("y", y)
     count = len(plant.sensors)
@@ -54,12 +55,27 @@ def healthy_readings(plant: Plant, y: Array) -> Array:
     if np.isinf(y).any():
         raise ValueError("y has infinite readings; pass NaN for a missing one")
     y = possible(plant, y).reshape(len(y), -1, count)
-    change = np.diff(y, axis=0)
-    moves = np.any(np.abs(change[::2]) > 0, axis=(0, 1)) & np.any(np.abs(change[1::2]) > 0, axis=(0, 1))
-    if not np.all(moves):
-        names = ", ".join(s.name for s, m in zip(plant.sensors, moves, strict=True) if not m)
-        raise ValueError(f"the healthy readings of {names} are missing or never move; leave the sensor out or record more")
+    read = np.any(np.isfinite(y[::2]), axis=(0, 1)) & np.any(np.isfinite(y[1::2]), axis=(0, 1))
+    if not np.all(read):
+        names = ", ".join(s.name for s, m in zip(plant.sensors, read, strict=True) if not m)
+        raise ValueError(f"the healthy readings of {names} are missing; leave the sensor out or record more")
     return y
+
+
+def stuck(y: Array) -> Array:
+    """Whether the readings y (K, B, N) of each sensor are all the same (N,)."""
+    low, high = (f(y, axis=(0, 1)) for f in (np.nanmin, np.nanmax))
+    return np.asarray(low == high)
+
+
+def noise_floor(plant: Plant, y: Array, declared: Array) -> Array:
+    """What stands for the spread (N,) of sensors that never moved in training: as declared, at least their resolution.
+
+    declared: (N,), of the noise that the sensors state. The resolution is the smallest step between readings y (K, B, N).
+    """
+    step = np.abs(np.diff(y, axis=0))
+    resolution = np.min(np.where(step > 0, step, np.inf), axis=(0, 1))
+    return np.maximum(declared, np.where(np.isfinite(resolution), resolution, 0.0))
 
 
 def upper_limit(values: Array, rate: float) -> float:

@@ -166,7 +166,8 @@ def _amplitude(fault: Fault, column: Array, onset: int) -> float:
             f"{fault.kind} of sensor {fault.sensor!r} is relative to a sensor that was never read; pass signal, or an absolute "
             "magnitude"
         )
-    return float(abs(column[known[max(0, np.searchsorted(known, onset, side="right") - 1)]]))
+    last = int(np.searchsorted(known, onset, side="right")) - 1
+    return float(abs(column[known[max(0, last)]]))
 
 
 def _per_run(faults: Sequence[Fault] | Sequence[Sequence[Fault]], runs: int) -> list[list[Fault]]:
