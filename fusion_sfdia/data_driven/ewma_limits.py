@@ -12,7 +12,8 @@ from fusion_sfdia.core.arguments import number, probability
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, upper_limit, without_model
+from fusion_sfdia.data_driven.fixed_limits import FixedLimits, largest
+from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, stuck, upper_limit, without_model
 
 Array = NDArray[Any]
 
@@ -52,23 +53,22 @@ class EwmaLimits(BatchDetector):
     def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3, weight: float = 0.2) -> EwmaLimits:
         """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
 
-        The centre is the mean. A limit is a unit of the sensor, its largest deviation in every other sample in time, times a
-        factor of its quantity, an order statistic of the largest deviation of its sensors in their units in the other samples.
-        The three checks of each quantity share the rate equally (Bonferroni). ValueError where the data are too few for the
-        rate, or a sensor was never read or never moved.
+        Centre, level and change are those of `FixedLimits.fit` at two thirds of the rate. The limit of the average has the last
+        third, in the same way: a unit of the sensor, its largest average in every other sample in time, times the order
+        statistic of the largest average of all sensors in their units in the other samples. ValueError as of `FixedLimits.fit`.
         """
         probability("false_alarm", false_alarm)
         weight = smoothing(weight)
-        y = healthy_readings(plant, y)
-        share = false_alarm / (3 * len(plant.quantities))
-        centre = np.nanmean(y[::2], axis=(0, 1))
-        level = limits_of(plant, np.abs(y - centre), share)
-        change = limits_of(plant, np.abs(np.diff(y, axis=0)), share)
-        z, n, ratios = np.zeros(y.shape[1:]), np.zeros(y.shape[1:]), np.empty_like(y)
+        fixed, y = FixedLimits.fit(plant, y, false_alarm * 2 / 3), healthy_readings(plant, y)
+        z, n, averages = np.zeros(y.shape[1:]), np.zeros(y.shape[1:]), np.empty_like(y)
         for k, now in enumerate(y):
-            z, n = averaged(z, n, np.clip(now - centre, -level, level), weight)
-            ratios[k] = np.where(np.isfinite(now), np.abs(z) / growth(n, weight), np.nan)
-        return cls(plant, centre, level, change, limits_of(plant, ratios, share), weight)
+            z, n = averaged(z, n, np.clip(now - fixed.centre, -fixed.level, fixed.level), weight)
+            averages[k] = np.where(np.isfinite(now), np.abs(z) / growth(n, weight), np.nan)
+        still = stuck(y[::2])
+        unit = largest(averages[::2], fixed.level * np.sqrt(weight / (2 - weight)), still)  # of a limit of white noise
+        worst = np.max(np.nan_to_num(averages[1::2] / unit, nan=-1.0), axis=-1)
+        factor = upper_limit(worst[worst >= 0], false_alarm / 3)
+        return cls(plant, fixed.centre, fixed.level, fixed.change, np.where(still, max(factor, 1.0), factor) * unit, weight)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
         shape = (*batch, len(self.centre))
@@ -104,14 +104,3 @@ def averaged(z: Array, n: Array, level: Array, weight: float) -> tuple[Array, Ar
 def growth(n: Array, weight: float) -> Array:
     """The standard deviation of z after n readings of white noise, over that after many; 1 before any."""
     return np.where(n > 0, np.sqrt(1 - (1 - weight) ** (2 * n)), 1.0)
-
-
-def limits_of(plant: Plant, deviation: Array, share: float) -> Array:
-    """Limits (N,), as of `fit`, that deviations (K, B, N), NaN where missing, of a quantity exceed at that rate."""
-    unit = np.nanmax(deviation[::2], axis=(0, 1))
-    ratio = np.where(np.isfinite(deviation[1::2]), deviation[1::2] / unit, -np.inf).reshape(-1, unit.size)
-    limits = np.empty(unit.size)
-    for members in plant.quantities.values():
-        largest = np.max(ratio[:, members], axis=1)
-        limits[members] = unit[members] * upper_limit(largest[largest >= 0], share)
-    return limits

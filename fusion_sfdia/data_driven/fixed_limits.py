@@ -60,10 +60,10 @@ class FixedLimits(BatchDetector):
         level, change = np.abs(y - centre), np.abs(np.diff(y, axis=0))
         # a change belongs to the sample at which it ends: even samples train, odd ones judge
         still, sigma = stuck(y[::2]), plant.sensor_sigma
-        largest = -ndtri(0.5 / y[::2, :, 0].size) * sigma
+        extreme = -ndtri(0.5 / y[::2, :, 0].size) * sigma
         bound = np.array([s.noise_bound for s in plant.sensors])
-        floors = [noise_floor(plant, y, np.minimum(n * largest, m * bound)) for n, m in ((1.0, 1.0), (np.sqrt(2.0), 2.0))]
-        unit = [_largest(d, f, still) for d, f in zip((level[::2], change[1::2]), floors, strict=True)]
+        floors = [noise_floor(plant, y, np.minimum(n * extreme, m * bound)) for n, m in ((1.0, 1.0), (np.sqrt(2.0), 2.0))]
+        unit = [largest(d, f, still) for d, f in zip((level[::2], change[1::2]), floors, strict=True)]
         worst = np.maximum(
             np.max(np.nan_to_num(level[1::2] / unit[0], nan=-1.0), axis=-1),
             np.max(np.nan_to_num(change[::2] / unit[1], nan=-1.0), axis=-1),
@@ -87,7 +87,7 @@ class FixedLimits(BatchDetector):
         return (y.copy(), measured), without_model(self.plant, y, measured, residual, threshold, isolated)
 
 
-def _largest(deviation: Array, floor: Array, still: Array) -> Array:
+def largest(deviation: Array, floor: Array, still: Array) -> Array:
     """The largest deviation (K, B, N) of each sensor, its floor where it never moved or is not known."""
     found = np.max(np.where(np.isfinite(deviation), deviation, 0.0), axis=(0, 1), initial=0.0)
     return np.asarray(np.where(still | (found == 0), floor, found))
