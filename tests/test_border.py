@@ -81,9 +81,7 @@ def test_an_input_without_limits_may_be_anything_that_can_be_resolved() -> None:
     assert swinging.applied(300.0, PLANT.dt, np.array([1e30]))[0] == pytest.approx(1.5 * INFLOW)
 
 
-def test_the_usual_input_without_sensors_of_it_is_not_asked_for_in_vain() -> None:
-    """Inputs within their limits cost no step of the model."""
-
+def test_inputs_within_their_limits_are_left_as_they_are_without_asking_the_model() -> None:
     def step(t: float, x: Array, u: Array, dt: float) -> Array:
         raise AssertionError
 

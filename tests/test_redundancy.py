@@ -22,10 +22,10 @@ def linear(F: Array, H: Array) -> Plant:
 
 
 def by_all_subsets(F: Array, H: Array) -> int:
-    """The most sensors, whichever they are, of which as many again may fail without losing a mode that does not decay."""
+    """The most sensors, whichever they are, of which as many again may fail without losing a mode that lasts."""
     n, count = len(F), len(H)
     worst = count // 2
-    lasting = [v for v in np.linalg.eigvals(F) if abs(v) > 1 - 1e-6]
+    lasting = [v for v in np.linalg.eigvals(F) if abs(v) > 0.99005]
     for k in range(worst, 0, -1):
         kept = [np.delete(H, chosen, axis=0) for chosen in map(list, combinations(range(count), 2 * k))]
         pencils = [np.vstack([F - v * np.eye(n), h]) for v in lasting for h in kept]
@@ -35,10 +35,12 @@ def by_all_subsets(F: Array, H: Array) -> int:
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"), [("gas-pipeline", 31), ("marine-engine", 5), ("power-network", 24), ("two-tanks", 2)]
+    ("name", "expected"), [("gas-pipeline", 29), ("marine-engine", 3), ("power-network", 24), ("two-tanks", 2)]
 )
 def test_of_the_registered_plants(name: str, expected: int) -> None:
-    """Half of 63, 10 and 4 sensors; in the network a turn of all angles does not decay, and 15 + 34 sensors read angles."""
+    """Lasting modes are seen by 60 of the pipeline's sensors and 8 of the engine's, in the network a turn of all angles by the
+    15 + 34 that read angles; the tanks have none: half of 4.
+    """
     assert most_faults(registry.plant(name)) == expected
 
 

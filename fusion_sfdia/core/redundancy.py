@@ -12,16 +12,17 @@ from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 
-NEGLIGIBLE = 1e-6  # relative: what a mode must decay by in a step, and show in a reading, to do so beyond rounding
+NEGLIGIBLE = 1e-6  # relative: what a mode must show in a reading to be seen, beyond rounding
+LASTING = 100.0  # samples: ours; a mode keeps more than 1/e of an error for longer, or decays
 
 
 def most_faults(plant: Plant) -> int:
     """Return the number of sensors that may be out at once by what the plant's redundancy allows, at least 1.
 
     The N - k sensors that stay and the model's prediction, one voice more, must outnumber the k that are out: k <= N / 2;
-    where more contradict the model than agree with it, the model is the suspect. A mode of the plant that does not decay is
-    known from its readings alone, for a prediction keeps every error: of the m sensors that see it those that stay must
-    outnumber those that are out, k <= (m - 1) / 2 (Fawzi, Tabuada and Diggavi 2014, there for all modes).
+    where more contradict the model than agree with it, the model is the suspect. A mode of the plant that lasts has
+    to be read, for its prediction keeps an error: of the m sensors that see it those that stay must outnumber those that are
+    out, k <= (m - 1) / 2 (Fawzi, Tabuada and Diggavi 2014, there for all modes). An error of one that decays is forgotten.
 
     The modes are those of the linearisation at x0 under the usual input; by the test of Popov, Belevitch and Hautus they
     are all that sensors can lose of a state. So the worst choice of k of N sensors takes one count a mode. That is exact for
@@ -38,8 +39,8 @@ def most_faults(plant: Plant) -> int:
 
 
 def _seen(F: Array, H: Array) -> list[int]:
-    """How many sensors, the rows of H, see each mode of F that does not decay."""
-    found, lasting = [], [v for v in np.linalg.eigvals(F) if abs(v) > 1 - NEGLIGIBLE and v.imag >= 0]
+    """How many sensors, the rows of H, see each mode of F that lasts."""
+    found, lasting = [], [v for v in np.linalg.eigvals(F) if abs(v) > np.exp(-1 / LASTING) and v.imag >= 0]
     for k, value in enumerate(lasting):
         if any(abs(value - other) <= NEGLIGIBLE for other in lasting[:k]):
             continue  # its modes have been counted
