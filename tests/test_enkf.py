@@ -233,6 +233,10 @@ def test_bad_settings(options: dict[str, Any], message: str) -> None:
         EnKFSettings(**options)
 
 
+def test_two_members_are_an_ensemble() -> None:
+    assert EnKFSettings(2).size == 2
+
+
 def test_an_ensemble_of_another_size() -> None:
     with pytest.raises(ValueError, match="E has 6 members, the settings 7"):
         enkf.update(EnKFSettings(7), ensemble(6), h, np.ones(N), R, np.random.default_rng(0))

@@ -60,6 +60,19 @@ def test_every_local_filter_equals_the_one_that_deletes_its_sensor(n: int, count
         assert found.innovation[i] == pytest.approx(y[i] - conditional, rel=0, abs=tolerance)
 
 
+@pytest.mark.parametrize("n", [1, 4, 12])
+def test_covariances_stay_positive_definite_under_precise_readings(n: int) -> None:
+    """Readings 1e-6 of the prior's standard deviation, 50 updates without noise: what is subtracted is all but all of P."""
+    rng = np.random.default_rng(n)
+    root = rng.normal(size=(n, n))
+    p, h, r = root @ root.T + np.eye(n), rng.normal(size=(n, n)), np.full(n, 1e-12)
+    for _ in range(50):
+        joint = ekf.joint(np.zeros(n), p, lambda s: s @ h.T, h, r)
+        _, p = posterior(joint, statistics(joint, rng.normal(size=n), np.ones(n, bool)))
+        size = np.sqrt(np.diagonal(p))
+        assert np.linalg.eigvalsh(p / np.outer(size, size))[0] > 0
+
+
 def test_a_missing_reading_equals_a_deleted_one_and_poisons_nothing() -> None:
     rng = np.random.default_rng(0)
     joint, _ = random_joint(rng, 4, 6)
