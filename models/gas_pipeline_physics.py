@@ -105,14 +105,14 @@ def steady_state(
     found = solve_ivp(along, (0.0, c.length), start, "DOP853", t_eval=where, rtol=1e-12, atol=1e-9, events=(leaves, chokes))
     if found.y.shape[1] != nodes:
         raise ArithmeticError(
-            f"no steady state at {flow:g} kg/s: the pressure falls below {PRESSURES[0]:g} Pa, or the flow chokes, before the outlet; "
-            "lower the flow or shorten the pipe"
+            f"no steady state at {flow:g} kg/s: the pressure falls below {PRESSURES[0]:g} Pa, or the flow chokes, before the "
+            "outlet; lower the flow or shorten the pipe"
         )
     return np.concatenate([found.y[0], np.full(nodes, flow), found.y[1]])
 
 
 def initial_state(nodes: int, flow: float, parameters: PipelineParameters) -> Array:
-    """The steady state (3 nodes,) at that flow (kg/s); ValueError with the largest flow for which there is one within limits."""
+    """The steady state (3 nodes,) at that flow (kg/s); ValueError with the largest flow for which there is one."""
     if not FLOW[0] <= flow <= FLOW[1]:
         raise ValueError(f"a flow of {flow:g} kg/s; the model holds from {FLOW[0]:g} to {FLOW[1]:g} kg/s")
     if (found := _carried(nodes, flow, parameters)) is not None:
@@ -122,8 +122,9 @@ def initial_state(nodes: int, flow: float, parameters: PipelineParameters) -> Ar
         most = f"not even {low:g} kg/s; shorten or widen the pipe"
     else:
         while high - low > 1e-3 * low:
-            middle = np.sqrt(low * high)
-            low, high = (low, middle) if _carried(nodes, middle, parameters) is None else (middle, high)
+            middle = float(np.sqrt(low * high))
+            carries = _carried(nodes, middle, parameters) is not None
+            low, high = (middle, high) if carries else (low, middle)
         most = f"at most {low:.4g} kg/s; give a smaller outlet_flow, or shorten or widen the pipe"
     raise ValueError(
         f"no steady state at {flow:g} kg/s in a pipe of {parameters.length:g} m and {parameters.diameter:g} m across from "

@@ -425,7 +425,7 @@ def test_a_friction_factor_stands_for_the_roughness() -> None:
     for m, wanted in ((300.0, 0.02), (-1.0, np.nan)):
         with np.errstate(invalid="ignore"):
             np.testing.assert_equal(equations.friction_factor(np.float64(m), C._replace(friction=0.02)), wanted)
-    with pytest.raises(ValueError, match="friction is 1.5; expected a Darcy factor below 1"):
+    with pytest.raises(ValueError, match=r"friction is 1.5; expected a Darcy factor below 1"):
         pipeline_parameters(friction=1.5)
 
 

@@ -68,8 +68,8 @@ class FixedLimits(BatchDetector):
             np.max(np.nan_to_num(level[1::2] / unit[0], nan=-1.0), axis=-1),
             np.max(np.nan_to_num(change[::2] / unit[1], nan=-1.0), axis=-1),
         )
-        factor = upper_limit(worst[worst >= 0], false_alarm)
-        factor = np.where(still, max(factor, 1.0), factor)
+        common = upper_limit(worst[worst >= 0], false_alarm)
+        factor = np.where(still, max(common, 1.0), common)
         return cls(plant, centre, factor * unit[0], factor * unit[1])
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
