@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.physics import Block
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -39,11 +40,11 @@ from fusion_sfdia.models.gas_pipeline_physics import (
     INLET_PRESSURE,
     INLET_TEMPERATURE,
     STENCIL,
+    initial_state,
     largest_step,
     pipeline_parameters,
     require_parameters,
     signals,
-    steady_state,
 )
 from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES
 
@@ -79,6 +80,7 @@ def gas_pipeline(
     snr: str = "moderate",
     process_noise: str = "tenth",
     initial: str = "noise",
+    outlet_flow: Callable[[float], float] | float | None = None,
     parameters: PipelineParameters | None = None,
 ) -> Plant:
     """Return the pipeline as a plant.
@@ -86,7 +88,10 @@ def gas_pipeline(
     nodes: of the grid, at least 7. dt: seconds between readings. substeps: of RK4 in dt; None for the fewest that (9)
     allows; too few are a ValueError that names the limit. stations: places with sensors, at every k-th node (None: all),
     named as on the coarse grid. snr: "high", "moderate", "low" (Table III). process_noise: "tenth" or "nine-tenths" of
-    sigma. initial: "noise" for P0 = R, "identity" for one squared unit of the paper (MPa, kg/s, K).
+    sigma. initial: "noise" for P0 = R, "identity" for one squared unit of the paper (MPa, kg/s, K). outlet_flow: mass flow
+    asked for at the outlet, kg/s, as a number or a function of time, at whose value at 0 the pipe is at rest at first; None
+    for `demand`. parameters: as of pipeline_parameters(...), with a roughness or a friction factor. ValueError where no pipe
+    of these parameters carries that flow at rest, with the largest one that it does.
     """
     c = pipeline_parameters() if parameters is None else require_parameters(parameters)
     for what, value, known in (
@@ -99,7 +104,10 @@ def gas_pipeline(
         raise ValueError(f"{nodes} nodes with {stations} stations; wanted at least 7 nodes and stations at every k-th of them")
     if not (np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt is {dt} s; it must be positive and finite")
-    x0 = steady_state(nodes, demand(0.0), c)
+    asked = demand if outlet_flow is None else outlet_flow
+    flow = asked if callable(asked) else partial(_constant, number("outlet_flow", asked))
+    first = number("outlet_flow at 0 s", flow(0.0))
+    x0 = initial_state(nodes, first, c)
     limit = largest_step(nodes, c, x0)
     needed = int(np.ceil(dt / limit - 1e-9))
     count = needed if substeps is None else substeps
@@ -116,7 +124,7 @@ def gas_pipeline(
     model = _Pipe(nodes, count, picks, c, stencil)
     twin = partial(
         gas_pipeline, nodes=FINER * (nodes - 1) + 1, dt=dt, stations=stations, snr=snr, process_noise=process_noise,
-        initial=initial, parameters=c,
+        initial=initial, outlet_flow=outlet_flow, parameters=c,
     )  # fmt: skip
     return Plant(
         name="gas-pipeline",
@@ -124,7 +132,7 @@ def gas_pipeline(
         inputs=(
             Signal("p_inlet", "Pa", INLET_PRESSURE, *PRESSURES),
             Signal("T_inlet", "K", INLET_TEMPERATURE, *TEMPERATURES),
-            Signal("m_outlet", "kg/s", demand(0.0), *FLOW),
+            Signal("m_outlet", "kg/s", first, *FLOW),
         ),
         sensors=tuple(
             Sensor(f"{letter}_{i}", f"{letter}_{i * every}", unit, sigma=float(sigma[v]), owner="pipe", quantity=QUANTITIES[v])
@@ -141,7 +149,7 @@ def gas_pipeline(
         initial_cov=np.repeat((sigma if initial == "noise" else np.array(IDENTITY)) ** 2, nodes),
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
         finer=partial(_finer, twin, nodes),
-        operation=partial(_operation, dt),
+        operation=partial(_operation, dt, flow),
         blocks=(Block("pipe", tuple(s.name for s in states)),),
     )
 
@@ -189,8 +197,12 @@ def _finer(twin: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Arra
     return twin(), partial(coarse_state, stations=nodes)
 
 
-def _operation(dt: float, t: float) -> Array:
-    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(t + dt)])
+def _constant(flow: float, t: float) -> float:
+    return flow
+
+
+def _operation(dt: float, flow: Callable[[float], float], t: float) -> Array:
+    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, flow(t + dt)])
 
 
 def require_dense(nodes: int) -> None:

@@ -53,6 +53,7 @@ class PipelineParameters(NamedTuple):
     gas_constant: float  # J/(kg K), specific
     z: Array  # (6, 7): z = 1 + sum z[i-1, j] (p / 1e7 Pa)^i (300 K / T - 1)^j
     cp0: Array  # (3,) J/(kg K): ideal-gas heat capacity = sum cp0[k] (T / 300 K - 1)^k
+    friction: float = 0.0  # Darcy friction factor; 0 for that of Colebrook and White, from the roughness
 
 
 @equation
@@ -98,8 +99,11 @@ def friction_factor(m: Any, c: PipelineParameters) -> Any:
 
     Three Newton steps in 1/sqrt f from 10 (f = 0.01): exact to 1e-12 from 10 kg/s in the paper's pipe, to 1e-10 at 1 kg/s.
     One logarithm is taken; from step to step it grows by ln(after/before) = 2 artanh s, s = (after - before)/(after + before),
-    whose series to s^19 leaves 1e-14 where 1/sqrt f lies between 6 and 17.
+    whose series to s^19 leaves 1e-14 where 1/sqrt f lies between 6 and 17. Where the parameters give a factor it is that one,
+    for any turbulent flow; the logarithm makes it NaN for m <= 0, too.
     """
+    if c.friction > 0.0:
+        return c.friction + 0.0 * np.log(m)
     b = 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m)
     rough = c.roughness / (3.7 * c.diameter)
     root = 10.0 + 0.0 * b

@@ -25,7 +25,10 @@ STENCIL = np.array(  # times 12 ds: Shaheen 2024, below (8)
 
 
 def pipeline_parameters(**changes: Any) -> PipelineParameters:
-    """The paper's pipe (Shaheen 2024, Table II) with our viscosity and gas; changes replace single values (SI)."""
+    """The paper's pipe (Shaheen 2024, Table II) with our viscosity and gas; changes replace single values (SI).
+
+    friction: a Darcy friction factor in place of that which follows from the roughness (four times Fanning's).
+    """
     gas = natural_gas()
     values: dict[str, Any] = {
         "length": 150e3,
@@ -37,6 +40,7 @@ def pipeline_parameters(**changes: Any) -> PipelineParameters:
         "gas_constant": gas.gas_constant,
         "z": gas.z,
         "cp0": gas.cp0,
+        "friction": 0.0,  # from the roughness
     }
     unknown = sorted(set(changes) - set(values))
     if unknown:
@@ -45,11 +49,16 @@ def pipeline_parameters(**changes: Any) -> PipelineParameters:
 
 
 def require_parameters(c: PipelineParameters) -> PipelineParameters:
-    """Return c, or raise ValueError for values that no pipe has; a smooth or insulated pipe (0) is one."""
+    """Return c, or raise ValueError for values that no pipe has; a smooth or insulated pipe (0) is one.
+
+    A friction factor of 1 or more is refused as a slip: Colebrook and White give at most 0.1.
+    """
     for name, value in c._asdict().items():
-        least = 0.0 if name in {"roughness", "heat_transfer"} else np.finfo(float).tiny
+        least = 0.0 if name in {"roughness", "heat_transfer", "friction"} else np.finfo(float).tiny
         if np.ndim(value) == 0 and not (np.isfinite(value) and value >= least):
             raise ValueError(f"pipeline parameter {name} is {value}; it must be positive and finite (SI)")
+    if c.friction >= 1:
+        raise ValueError(f"pipeline parameter friction is {c.friction}; expected a Darcy factor below 1, such as 0.01, or 0")
     shape = (equations.POWERS_OF_PRESSURE, equations.POWERS_OF_TAU + 1)
     if np.shape(c.z) != shape or np.shape(c.cp0) != (3,):
         raise ValueError(f"gas coefficients z {np.shape(c.z)}, cp0 {np.shape(c.cp0)}; wanted {shape} and (3,), see `gas`")
@@ -66,7 +75,7 @@ def steady_state(
     """State (3 nodes,) at constant mass flow (kg/s) from the inlet's Pa and K: integrated along the pipe to 1e-12.
 
     A p_s + m v_s = -w and v (T_s - kappa p_s) = what heats, with v_s as in gas_pipeline_equations at m_s = 0. Raises
-    ArithmeticError where the pressure falls out of the gas model before the outlet.
+    ArithmeticError where the pressure falls out of the gas model before the outlet, or the flow reaches the speed of sound.
     """
     c = parameters
     area = np.pi / 4 * c.diameter**2
@@ -84,16 +93,55 @@ def steady_state(
     def leaves(s: float, y: Array) -> float:
         return float(y[0] - PRESSURES[0])
 
-    leaves.terminal = True  # type: ignore[attr-defined]
+    def chokes(s: float, y: Array) -> float:
+        _, _, _, v, _, _, a, *_ = equations.rates(y[0], flow, y[1], 0.0, 0.0, 0.0, equations.friction_factor(flow, c), c)
+        return float(a - v)
+
+    leaves.terminal = chokes.terminal = True  # type: ignore[attr-defined]
     where = np.linspace(0.0, c.length, nodes)
     start = np.array([pressure, temperature])
-    found = solve_ivp(along, (0.0, c.length), start, "DOP853", t_eval=where, rtol=1e-12, atol=1e-9, events=leaves)
+    if not chokes(0.0, start) > 0:
+        raise ArithmeticError(f"no steady state at {flow:g} kg/s: it enters at the speed of sound; lower the flow")
+    found = solve_ivp(along, (0.0, c.length), start, "DOP853", t_eval=where, rtol=1e-12, atol=1e-9, events=(leaves, chokes))
     if found.y.shape[1] != nodes:
         raise ArithmeticError(
-            f"no steady state at {flow:g} kg/s: the pressure falls below {PRESSURES[0]:g} Pa before the outlet; "
-            "lower the flow or shorten the pipe"
+            f"no steady state at {flow:g} kg/s: the pressure falls below {PRESSURES[0]:g} Pa, or the flow chokes, before the "
+            "outlet; lower the flow or shorten the pipe"
         )
     return np.concatenate([found.y[0], np.full(nodes, flow), found.y[1]])
+
+
+def initial_state(nodes: int, flow: float, parameters: PipelineParameters) -> Array:
+    """The steady state (3 nodes,) at that flow (kg/s); ValueError with the largest flow for which there is one."""
+    if not FLOW[0] <= flow <= FLOW[1]:
+        raise ValueError(f"a flow of {flow:g} kg/s; the model holds from {FLOW[0]:g} to {FLOW[1]:g} kg/s")
+    if (found := _carried(nodes, flow, parameters)) is not None:
+        return found
+    low, high = FLOW[0], flow
+    if _carried(nodes, low, parameters) is None:
+        most = f"not even {low:g} kg/s; shorten or widen the pipe"
+    else:
+        while high - low > 1e-3 * low:
+            middle = float(np.sqrt(low * high))
+            carries = _carried(nodes, middle, parameters) is not None
+            low, high = (middle, high) if carries else (low, middle)
+        most = f"at most {low:.4g} kg/s; give a smaller outlet_flow, or shorten or widen the pipe"
+    raise ValueError(
+        f"no steady state at {flow:g} kg/s in a pipe of {parameters.length:g} m and {parameters.diameter:g} m across from "
+        f"{INLET_PRESSURE:g} Pa: its pressure or temperature leaves the gas model before the outlet. It carries {most}"
+    )
+
+
+def _carried(nodes: int, flow: float, parameters: PipelineParameters) -> Array | None:
+    """The steady state, None where there is none within the limits of the gas model."""
+    try:
+        with np.errstate(all="ignore"):
+            x = steady_state(nodes, float(flow), parameters)
+    except (ArithmeticError, ValueError):  # the pressure falls out of the model, or the flow reaches the speed of sound
+        return None
+    p, T = x[:nodes], x[2 * nodes :]
+    inside = np.all((p >= PRESSURES[0]) & (p <= PRESSURES[1]) & (T >= TEMPERATURES[0]) & (T <= TEMPERATURES[1]))
+    return x if inside else None
 
 
 def largest_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
@@ -120,8 +168,10 @@ def signals(nodes: int, x: Array) -> tuple[Signal, ...]:
     )
 
 
-def pipeline_physics(nodes: int, parameters: PipelineParameters) -> Physics:
-    """The semi-discrete equations on arrays (..., 3 nodes); inputs are the rates at which the boundary values change.
+def pipeline_physics(nodes: int, parameters: PipelineParameters, flow: float = 300.0) -> Physics:
+    """The semi-discrete equations on arrays (..., 3 nodes), nominally at rest at that flow (kg/s).
+
+    Inputs are the rates at which the boundary values change.
 
     The same scalar equations as the compiled drivers: what tests hold against each other.
     """
@@ -143,7 +193,7 @@ def pipeline_physics(nodes: int, parameters: PipelineParameters) -> Physics:
         ]
         return np.concatenate(parts, axis=-1)
 
-    x = steady_state(nodes, 300.0, parameters)
+    x = initial_state(nodes, flow, parameters)
     return Physics(
         name="gas-pipeline",
         states=signals(nodes, x),

@@ -413,3 +413,46 @@ def test_second_process_starts_from_the_cache(root: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(root)}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["1", "0"]
+
+
+def test_a_friction_factor_stands_for_the_roughness() -> None:
+    """That of Colebrook and White at a flow gives the same pipe at rest, and a given one takes its share of the pressure."""
+    f = float(equations.friction_factor(300.0, C))
+    x = steady_state(21, 300.0, pipeline_parameters(friction=f))
+    np.testing.assert_allclose(x, steady_state(21, 300.0, C), rtol=1e-9)
+    plant = gas_pipeline(parameters=pipeline_parameters(friction=0.05))
+    assert plant.x0[20] < x[20] - 1e6
+    ahead = plant.step(0.0, plant.x0, np.array([8.4e6, 303.15, 300.0]), plant.dt)
+    # at rest but for the error of the grid of 21 nodes, of fourth order: less than a sensor's sigma
+    assert np.all(np.abs(ahead - plant.x0) < np.sqrt(plant.initial_cov))
+    for m, wanted in ((300.0, 0.02), (-1.0, np.nan)):
+        with np.errstate(invalid="ignore"):
+            np.testing.assert_equal(equations.friction_factor(np.float64(m), C._replace(friction=0.02)), wanted)
+    with pytest.raises(ValueError, match=r"friction is 1.5; expected a Darcy factor below 1"):
+        pipeline_parameters(friction=1.5)
+
+
+def test_a_pipe_that_cannot_carry_the_flow_names_the_largest() -> None:
+    narrow = pipeline_parameters(diameter=0.5)
+    with pytest.raises(
+        ValueError, match=r"no steady state at 300 kg/s .* carries at most [\d.]+ kg/s; give a smaller"
+    ) as raised:
+        gas_pipeline(parameters=narrow)
+    most = float(str(raised.value).split("at most ")[1].split()[0])
+    plant = gas_pipeline(parameters=narrow, outlet_flow=0.99 * most)
+    np.testing.assert_allclose(plant.input_at(50.0), [8.4e6, 303.15, 0.99 * most], rtol=1e-12)
+    with pytest.raises(ValueError, match="no steady state"):
+        gas_pipeline(parameters=narrow, outlet_flow=1.01 * most)
+    with pytest.raises(ValueError, match="not even 1 kg/s; shorten or widen"):
+        gas_pipeline(parameters=pipeline_parameters(diameter=0.01))
+    with pytest.raises(ValueError, match="a flow of 0 kg/s; the model holds from 1 to 2000 kg/s"):
+        gas_pipeline(outlet_flow=0.0)
+
+
+def test_the_outlet_flow_is_the_users() -> None:
+    plant = gas_pipeline(outlet_flow=lambda t: 200.0 + t)
+    np.testing.assert_array_equal(plant.x0[21:42], 200.0)
+    assert plant.input_at(0.0)[2] == 210.0  # at the end of the step, to which it runs
+    same = gas_pipeline(outlet_flow=demand)
+    np.testing.assert_array_equal(same.x0, gas_pipeline().x0)
+    assert plant.finer is not None and plant.finer()[0].input_at(0.0)[2] == 210.0
