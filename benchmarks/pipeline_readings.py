@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fusion_sfdia.benchmarks.scenario import Published, Settings, Table
+from fusion_sfdia.benchmarks.scenario import Interval, Published, Settings, Table
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.models.gas_pipeline import PROCESS_NOISE
 
@@ -27,11 +27,11 @@ def readings_table(
 ) -> Table:
     """Each case with its published value and ours by reading, the literal one first."""
     order = sorted(PROCESS_NOISE, key=lambda k: -PROCESS_NOISE[k])
-    lines = []
+    lines: list[tuple[str | float | Interval, ...]] = []
     for case, values in found.items():
         theirs = published.get(case)
         if theirs is not None:
-            ours = [tuple(values[k]) if k in values else float("nan") for k in order]
+            ours: list[float | Interval] = [values[k] if k in values else float("nan") for k in order]
             lines.append((*case, theirs.value, *ours))
     columns = [f"process noise {PROCESS_NOISE[k]:g} sigma" for k in order]
     return Table(
