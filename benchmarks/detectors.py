@@ -245,7 +245,7 @@ DETECTORS: dict[str, NamedDetector] = {
         "1 sample and observers",
     ),
     "adaptive-threshold": NamedDetector(
-        "observers and algebraic residuals with thresholds that bounded noise cannot cross, and diagnosis sets "
+        "observers and algebraic residuals with thresholds that bounded noise cannot cross at a steady load, and diagnosis sets "
         "(Kougiatsos 2024); on a plant without scalar equations what bounded noise does to predicted readings, to first order",
         bounded,
         "observers; alarms latch",

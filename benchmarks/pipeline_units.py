@@ -99,7 +99,7 @@ def units_summary(settings: Settings, results: Results) -> Summary:
     remarks = [
         "(20) is a length in a space whose axes are MPa, kg/s and K: a pressure error of 2.5 MPa is as long as a flow error "
         "of 2.5 kg/s, which is one standard deviation of the flow's noise at moderate SNR. It is seen where the filter spreads "
-        "it to the flow, or where states are divided by their sensors' sigma.",
+        "it to the flow, or, by a filter that trusts its model, where states are divided by their sensors' sigma.",
         *(f"Faulty samples at which the {q} sensor is named: {_named(rows, q)}." for q in QUANTITIES),
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
