@@ -138,7 +138,8 @@ def test_a_campaign_and_a_calibration_go_on() -> None:
     data = faulted(plant, 80, range(4), "strong-bias", None)
 
     def step(t: float, x: Array, u: Array, dt: float) -> Array:
-        return np.where((t > 25.0) & (np.arange(4) == 2)[:, None], np.nan, plant.step(t, x, u, dt))
+        lost = (t > 25.0) & (np.arange(x.shape[0]) == 2).reshape(-1, *(1,) * (x.ndim - 1))
+        return np.where(lost, np.nan, plant.step(t, x, u, dt))
 
     y = data.y.copy()
     broken, usual = outcome(CentralFilter(replace(plant, step=step)), replace(data, y=y)), outcome(CentralFilter(plant), data)

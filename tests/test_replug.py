@@ -147,13 +147,14 @@ def test_a_change_that_fails_leaves_all_as_it_was() -> None:
     state = until(detector, data)
     kept = tuple(a.copy() for a in state)
     smaller = power_network(10, loads=())
-    names = {"states": plant().states, "sensors": plant().sensors}
+    count = len(plant().sensors)
+    idle = {"step": lambda t, x, u, dt: x, "output": lambda t, x, u: np.repeat(x[..., :1], count, axis=-1), "operation": None}
     other = power_network(15 + 1, loads=())
     for wrong, message in (
         (smaller, "has other states or sensors than"),
         (other, "has other states or sensors than"),
         (replace(plant(), areas=None), "says no areas"),
-        (replace(plant(), inputs=plant().inputs[:-1], **names), "30 inputs, references then loads"),
+        (replace(plant(), inputs=plant().inputs[:-1], **idle), "30 inputs, references then loads"),
     ):
         with pytest.raises(ValueError, match=message):
             replug(detector, state, wrong)
