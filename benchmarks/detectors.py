@@ -245,8 +245,8 @@ DETECTORS: dict[str, NamedDetector] = {
         "1 sample and observers",
     ),
     "adaptive-threshold": NamedDetector(
-        "observers and algebraic residuals with thresholds that bounded noise cannot cross at a steady load, and diagnosis sets "
-        "(Kougiatsos 2024); on a plant without scalar equations what bounded noise does to predicted readings, to first order",
+        "observers and algebraic residuals with thresholds that bounded noise cannot cross at a steady load, and diagnosis "
+        "sets (Kougiatsos 2024); on a plant without scalar equations what bounded noise does to predicted readings, to first order",
         bounded,
         "observers; alarms latch",
     ),
