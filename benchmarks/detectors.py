@@ -246,7 +246,8 @@ DETECTORS: dict[str, NamedDetector] = {
     ),
     "adaptive-threshold": NamedDetector(
         "observers and algebraic residuals with thresholds that bounded noise cannot cross at a steady load, and diagnosis "
-        "sets (Kougiatsos 2024); on a plant without scalar equations what bounded noise does to predicted readings, to first order",
+        "sets (Kougiatsos 2024); on a plant without scalar equations what bounded noise does to predicted readings, to first "
+        "order",
         bounded,
         "observers; alarms latch",
     ),
