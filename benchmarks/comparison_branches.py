@@ -52,25 +52,36 @@ class Branches(NamedTuple):
 
 def branches(plant: Plant, recording: Recording, runs: Sequence[Run], window: int) -> Branches:
     """The readings of all runs of a recording; those before the onset, as many as a window, are what a replay repeats."""
-    parts = [branch(plant, recording, run, window) for run in runs]
+    failed = failures(plant, recording, runs)
+    parts = [branch(plant, *failed.get(run, (recording, run.b)), run, window) for run in runs]
     readings = Branch(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
     rows = np.cumsum([0, *(run.length for run in runs)])[:-1]
     return Branches(tuple(runs), readings, rows)
 
 
-def branch(plant: Plant, recording: Recording, run: Run, window: int) -> Branch:
-    """The readings of one run (length, N)."""
-    condition, b, onset, length = run
-    seed, shown = recording.seeds[b], recording
-    if condition.kind == "plant":
+def failures(plant: Plant, recording: Recording, runs: Sequence[Run]) -> dict[Run, tuple[Recording, int]]:
+    """Recordings, and places in them, of the runs in which the plant itself fails: those of a fault and onset at once."""
+    alike: dict[tuple[str, int], list[Run]] = {}
+    for run in runs:
+        if run.condition.kind == "plant":
+            alike.setdefault((run.condition.name, run.onset), []).append(run)
+    found: dict[Run, tuple[Recording, int]] = {}
+    for (name, onset), members in alike.items():
         begin = (onset - 1e-6) * plant.dt  # with the last healthy reading, but for rounding
-        shown, b = failing(plant.name, condition.name, onset + length, (seed,), begin), 0
-    before = slice(max(0, onset - window), onset + length)
-    now = slice(onset - before.start, None)
-    y, signal = shown.y[before, b], shown.signal[before, b]
+        seeds, steps = tuple(recording.seeds[run.b] for run in members), onset + max(run.length for run in members)
+        failed = failing(plant.name, name, steps, seeds, begin)
+        found |= {run: (failed, place) for place, run in enumerate(members)}
+    return found
+
+
+def branch(plant: Plant, recording: Recording, place: int, run: Run, window: int) -> Branch:
+    """The readings of one run (length, N), which is found at a place of a recording."""
+    condition, _, onset, length = run
+    before, now = slice(max(0, onset - window), onset + length), slice(min(window, onset), None)
+    y, signal, seed = recording.y[before, place], recording.signal[before, place], recording.seeds[place]
     faults = faults_of(plant, condition, seed, float(recording.t[onset]), signal[now])
     changed = apply(plant, recording.t[before], y[:, None], [faults], [seed], signal=signal[:, None])
-    u = shown.u_of_runs[onset : onset + length, b]
+    u = recording.u_of_runs[onset : onset + length, place]
     return Branch(u, changed.y[now, 0], y[now], signal[now], changed.active[now, 0], changed.size[now, 0])
 
 

@@ -22,7 +22,7 @@ from fusion_sfdia.benchmarks.comparison_ranking import Standing
 from fusion_sfdia.benchmarks.comparison_tables import (
     changes_table,
     cost_table,
-    lengths_table,
+    lengths_tables,
     numbers_table,
     paper_table,
     ranks_table,
@@ -51,7 +51,7 @@ def plant_chapter(
     absent = [f"Cannot run here: {', '.join(names)}: {why.rstrip('.')}." for why, names in missing.items()]
     tables = [
         numbers_table(settings, cells),
-        lengths_table(settings, cells),
+        *lengths_tables(settings, cells),
         ranks_table(some.plant, criteria),
         paper_table([row for row in stated if row.plant == some.plant]),
         changes_table(settings, some.plant),

@@ -35,7 +35,7 @@ class Blame(NamedTuple):
 def told_distance(plant: str) -> str:
     """How far the usual truth of a plant is from the detectors' model, in words."""
     distance = distance_of_truth(plant)
-    return "nothing: it is the model itself" if distance < SAME else f"{distance:.2g} sigma"
+    return "nothing in this operation" if distance < SAME else f"{distance:.2g} sigma"
 
 
 def under_departures(cell: Cell) -> Blame:
@@ -80,7 +80,7 @@ def measures(settings: Settings) -> dict[str, Measure]:
     return {
         f"runs with an alarm, {large:g} sigma": Measure(pooled(Cell.detected, large)),
         f"exact names, {large:g} sigma": Measure(pooled(Cell.exact, large)),
-        f"area under the ROC, {small:g} sigma, mean over kinds": Measure(lambda cell: cell.mean_area(small)),
+        f"mean area under ROCs, {small:g} sigma": Measure(lambda cell: cell.mean_area(small)),
         f"error after over before, {large:g} sigma": Measure(pooled(Cell.gain, large), less=True, decades=True),
         "blame, worst departure": Measure(lambda cell: under_departures(cell).share, less=True),
         "blame, worst fault of the plant": Measure(lambda cell: under_plant_faults(cell).share, less=True),

@@ -40,12 +40,14 @@ def repeated_demand(t: float) -> Array:
     return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(within) - back])
 
 
+@cache
 def repeated_loads(scenario: str) -> tuple[LoadStep, ...]:
     """The load steps of a scenario of B18 over and over, every other time with the opposite sign, so that loads stay small."""
+    steps = load_steps(scenario)
     return tuple(
         step._replace(time=step.time + k * LOAD_PERIOD, change=(-1) ** k * step.change)
         for k in range(LOAD_REPEATS)
-        for step in load_steps(scenario)
+        for step in steps
     )
 
 

@@ -99,25 +99,27 @@ def numbers_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
     )
 
 
-def lengths_table(settings: Settings, cells: Mapping[str, Cell]) -> Table:
-    """Biases of several lengths, beside each other."""
-    lengths, tried = sorted(settings["lengths"]), dict.fromkeys(sizes(settings)) if "bias" in settings["faults"] else ()
-    header: list[str] = ["detector"]
-    rows: list[list[str | float | Interval]] = [[d] for d in cells]
-    for size in tried if lengths else ():
-        for what, of in (("area", area_of), ("alarm", alarm_of), ("exact", exact_of)):
-            header += [f"{size:g} sigma, {n} samples: {what}" for n in lengths]
-            for row, cell in zip(rows, cells.values(), strict=True):
-                row += [of(cell, length_name(size, n)) for n in lengths]
-    return Table(
-        "How long a fault lasts",
-        tuple(header),
-        tuple(map(tuple, rows)) if len(header) > 1 else (),
-        "The same biases, cut off after some samples. Area: under the ROC of single samples. Alarm: share of runs with one "
-        "while the fault lasts. Exact: share of its samples at which exactly the faulty sensor is isolated. In brackets 95 % "
-        "intervals.",
-        folded=True,
-    )
+def lengths_tables(settings: Settings, cells: Mapping[str, Cell]) -> list[Table]:
+    """Biases of several lengths beside each other, a table a size."""
+    lengths = sorted(settings["lengths"])
+    shown = (("area", area_of), ("alarm", alarm_of), ("exact", exact_of))
+    tables = []
+    for size in dict.fromkeys(sizes(settings)) if lengths and "bias" in settings["faults"] else ():
+        rows: list[tuple[str | float | Interval, ...]] = [
+            (d, *(of(c, length_name(size, n)) for _, of in shown for n in lengths)) for d, c in cells.items()
+        ]
+        tables.append(
+            Table(
+                f"How long a bias of {size:g} sigma lasts",
+                ("detector", *(f"{what}, {n} samples" for what, _ in shown for n in lengths)),
+                tuple(rows),
+                "The same biases, cut off after some samples. Area: under the ROC of single samples. Alarm: share of runs with "
+                "one while the fault lasts. Exact: share of its samples at which exactly the faulty sensor is isolated. In "
+                "brackets 95 % intervals.",
+                folded=True,
+            )
+        )
+    return tables
 
 
 def area_of(cell: Cell, name: str) -> Estimate:
