@@ -146,6 +146,11 @@ def test_conformal_thresholds_from_healthy_readings() -> None:
         calibrated(detector, t, y[:, :1], u[:, :1], false_alarm=1e-3)
     with pytest.raises(ValueError, match="do not fit"):
         calibrated(detector, t[:0], y[:0], u[:0])
+    # of one run, with or without an axis of runs; products of a batch may round differently
+    alone, of_one = (
+        calibrated(detector, t, a, b, false_alarm=0.9, warm_up=5) for a, b in ((y[:, 0], u[:, 0]), (y[:, :1], u[:, :1]))
+    )
+    np.testing.assert_allclose(alone.alphas, of_one.alphas, rtol=1e-9)
 
 
 def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
