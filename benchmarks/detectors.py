@@ -72,14 +72,15 @@ def calibrated(bank: FusingBank) -> FusingBank:
 
 
 def healthy_data(plant: Plant, checks: int = 2) -> Recording:
-    """Healthy readings y (K, B, N) by the plant's own model, runs enough for the limits of each quantity at FALSE_ALARM.
+    """Healthy readings y (K, B, N) of the plant's truth, runs enough for the limits of each quantity at FALSE_ALARM.
 
-    Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
+    Who learns from data records the plant, not its model: so the finer truth where there is one, as for the readings judged,
+    of other seeds. Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
     """
     wanted = 1.5 * 2 * checks * len(plant.quantities) / FALSE_ALARM  # each check of each is set on every other sample
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(wanted / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
-    return simulate(plant, CALIBRATION_STEPS, seeds, truth="model", process_noise=plant.disturbed)
+    return simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.disturbed)
 
 
 def settled_readings(plant: Plant) -> Array:
