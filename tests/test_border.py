@@ -100,12 +100,11 @@ def test_inputs_within_their_limits_are_left_as_they_are_without_asking_the_mode
 def test_an_input_under_which_the_model_has_no_solution_is_absurd() -> None:
     """z = sin(u z) has one by sweeps under the usual input, none under 1e303."""
     physics = Physics(
-        "loop", (Signal("x"),), (Signal("u"),), (Signal("z", nominal=1.0),), f=lambda t, x, z, u, c: z - x,
-        phi=lambda t, x, z, u, c: np.sin(u * z),
+        "loop", (Signal("x"),), lambda t, x, z, u, c: z - x, (Signal("u"),), (Signal("z", nominal=1.0),),
+        lambda t, x, z, u, c: np.sin(u * z),
     )  # fmt: skip
     sensors = [Sensor(name, "x", sigma=0.1) for name in "abc"]
-    given = {"x0": np.zeros(1), "initial_cov": np.full(1, 0.1), "process_cov": np.full(1, 0.01)}
-    plant = discretise(physics, sensors, dt=0.1, **given)  # type: ignore[arg-type]
+    plant = discretise(physics, sensors, dt=0.1, x0=np.zeros(1), initial_cov=np.full(1, 0.1), process_cov=np.full(1, 0.01))
     bank = LeaveOneOutBank(plant)
     u = np.zeros((5, 1))
     u[2] = 1e303
