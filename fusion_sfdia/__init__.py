@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.detector import NotApplicableError as NotApplicableError
     from fusion_sfdia.core.detector import run as run
     from fusion_sfdia.core.discretise import discretise as discretise
-    from fusion_sfdia.core.discretise import linear_plant as linear_plant
     from fusion_sfdia.core.equation import equation as equation
+    from fusion_sfdia.core.linear import linear_plant as linear_plant
     from fusion_sfdia.core.physics import Block as Block
     from fusion_sfdia.core.physics import Physics as Physics
     from fusion_sfdia.core.plant import Plant as Plant
@@ -86,8 +86,9 @@ _MODULES = {
     "core.detector": ("Decision", "Detector", "MissingPackageError", "NotApplicableError", "run"),
     "evaluation.diagnose": ("Diagnosis", "Event", "diagnose"),
     "adaptive_thresholds.diagnosis_sets": ("DiagnosisLogic",),
-    "core.discretise": ("discretise", "linear_plant"),
+    "core.discretise": ("discretise",),
     "core.equation": ("equation",),
+    "core.linear": ("linear_plant",),
     "filters.estimators": ("Ensemble", "Extended", "Unscented"),
     "evaluation.fault_draws": ("FaultRange", "draw_faults:draw"),
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
