@@ -88,7 +88,7 @@ def weak_bias(steps: int, seed: int) -> tuple[Array, Array, Array]:
     t, _, y, u = readings(PLANT, steps, 1, seed)
     y = y[:, 0].copy()
     y[:, 1] += 3.0
-    y[4, 2] = y[5, [0, 3]] = np.nan
+    y[4:5, 2] = y[5:6, [0, 3]] = np.nan
     return t, y, u
 
 
@@ -170,7 +170,7 @@ def test_the_detector_reports_that_estimate_at_its_alarm() -> None:
 
 
 def test_statistics_of_every_horizon_are_standard_normal_when_healthy() -> None:
-    runs = 2000
+    runs = 400
     t, _, y, u = readings(PLANT, 17, runs, seed=5)
     bank = MovingHorizon(PLANT, window=8, threshold_scale=UNREACHED)
     state, _ = run(bank, bank.init((runs,)), t, y, u)
@@ -212,7 +212,7 @@ def test_simultaneous_faults_are_named_at_once_as_many_as_may_be_and_readmitted(
         assert np.all(d.isolated[40:70].sum(axis=-1) == most)
         assert d.capped[40].all() == (most == 1) and not d.capped[:40].any()
         if most == 2:
-            assert d.isolated[40:70, :, [2, 7]].all() and not d.isolated[90:].any(axis=(0, 2)).all()
+            assert d.isolated[40:70, :, [2, 7]].all() and d.isolated[90:, :, [2, 7]].mean() < 0.02
 
 
 def test_without_accommodation_the_filter_stays_undisturbed() -> None:

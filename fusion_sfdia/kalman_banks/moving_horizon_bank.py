@@ -1,11 +1,11 @@
 """Detector: moving-horizon estimation of the state with sparse sensor faults (L1), see `moving_horizon`.
 
-The horizon cannot slide sample by sample at the cost of one filter: its sums depend on where it begins. A horizon is
-begun every L // 2 samples instead and dropped after twice as many, so that there are always one of up to half the length and one
-longer than half. With that of the present reading alone, for large faults at once, these are the three problems of a step.
-They share the false-alarm budget; the one with the largest ratio of |g_i| / s_i to its limit is solved, where that exceeds 1.
-Sensors with a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`; the
-state is that of the moving-horizon problem with these faults free, and the horizons begin anew.
+The sums of a horizon depend on where it begins, so that sliding it sample by sample would cost as many recursions as it has
+samples. Here a horizon is begun every L // 2 samples and dropped after twice as many: there is always one of up to half the
+length and one longer than half. With that of the present reading alone, for large faults at once, these are the problems of a
+step. They share the false-alarm budget; the one with the largest |g_i| / s_i is solved, where that exceeds lambda.
+Sensors with a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`;
+the state is that of the moving-horizon problem with these faults free, and the horizons begin anew.
 """
 
 from __future__ import annotations
