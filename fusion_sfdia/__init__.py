@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.kalman_banks.memory_rules import Ewma as Ewma
     from fusion_sfdia.kalman_banks.memory_rules import Shewhart as Shewhart
     from fusion_sfdia.kalman_banks.memory_rules import SumOfSquares as SumOfSquares
+    from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon as MovingHorizon
     from fusion_sfdia.kalman_banks.multiple_model import MultipleModel as MultipleModel
     from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter as ParticleFilter
     from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank as SequentialBank
@@ -101,6 +102,7 @@ _MODULES = {
     "intervals.interval": ("Interval",),
     "kalman_banks.leave_one_out_bank": ("LeaveOneOutBank",),
     "kalman_banks.memory_rules": ("Cusum", "Ewma", "Shewhart", "SumOfSquares"),
+    "kalman_banks.moving_horizon_bank": ("MovingHorizon",),
     "kalman_banks.multiple_model": ("MultipleModel",),
     "kalman_banks.sequential_bank": ("SequentialBank",),
     "kalman_banks.unknown_input": ("UnknownInputFilter",),
