@@ -121,7 +121,7 @@ class MovingHorizon(LeaveOneOutBank):
         above = np.any(ratio > 1, axis=(-2, -1))
         capped = above & (room <= 0)
         for run in zip(*np.nonzero(above & (room > 0)), strict=True):
-            j, worst = np.unravel_index(np.argmax(ratio[run]), ratio[run].shape)
+            j, worst = divmod(int(np.argmax(ratio[run])), ratio.shape[-1])
             effect, g, G = (a[run][max(j - 1, 0)] for a in problems[min(j, 1)])
             f = moving_horizon.sparse_faults(g, G, known[run][j], self.penalty)
             f[worst] = f[worst] or g[worst]  # it enters first; at the threshold itself f is 0 to rounding
