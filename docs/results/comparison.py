@@ -10,6 +10,8 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from fusion_sfdia.benchmarks.detectors import DETECTORS
+
 HERE = Path(__file__).parent
 COLUMNS = ("plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n")
 PLANTS = ("two-tanks", "marine-engine", "gas-pipeline", "power-network")
@@ -25,7 +27,8 @@ ABOUT = """# The comparison
 `fusion-sfdia compare --seeds 24`: every detector gets the same readings, and its thresholds are scaled so that one healthy
 step in 1000 alarms over all sensors, as long as nothing has been isolated. In brackets 95 % intervals over seeds, in which the
 uncertainty of that scale is contained. A fault begins at a time that is drawn, on a sensor that is drawn, and lasts 30 samples
-unless stated otherwise; sigma is the standard deviation of the sensor's noise.
+unless stated otherwise; sigma is the standard deviation of the sensor's noise. Memory: over what a detector's test gathers evidence;
+"state estimate only" is a filter whose test judges the present sample.
 
 Truth is not the detectors' model where one is at hand that differs: the pipeline is computed on a finer grid, the network as a
 whole where the model goes area by area, the tanks with friction in the outlets. The engine's truth is its model. So numbers for
@@ -110,8 +113,8 @@ def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 def by_plant(detectors: Sequence[str], cell: Callable[[str, str], str]) -> str:
     """A table of detectors down and plants across, without detectors that apply to no plant."""
-    lines = [(f"`{d}`", *(cell(p, d) for p in PLANTS)) for d in detectors]
-    return table(("detector", *PLANTS), [line for line in lines if set(line[1:]) != {ABSENT}])
+    lines = [(f"`{d}`", DETECTORS[d].memory, *(cell(p, d) for p in PLANTS)) for d in detectors]
+    return table(("detector", "memory", *PLANTS), [line for line in lines if set(line[2:]) != {ABSENT}])
 
 
 def worst(rows: Sequence[Row], plant: str, detector: str, *, mismatch: bool) -> str:
