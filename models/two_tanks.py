@@ -1,4 +1,4 @@
-"""Two water tanks in series, which can be reckoned by hand.
+"""Two water tanks in series, checkable by hand.
 
     area d level_1 / dt = inflow - flow_12        flow_12  = outlet sqrt(level_1)
     area d level_2 / dt = flow_12 - flow_out      flow_out = outlet sqrt(level_2)

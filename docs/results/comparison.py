@@ -27,8 +27,8 @@ ABOUT = """# The comparison
 `fusion-sfdia compare --seeds 24`: every detector gets the same readings, and its thresholds are scaled so that one healthy
 step in 1000 alarms over all sensors, as long as nothing has been isolated. In brackets 95 % intervals over seeds, in which the
 uncertainty of that scale is contained. A fault begins at a time that is drawn, on a sensor that is drawn, and lasts 30 samples
-unless stated otherwise; sigma is the standard deviation of the sensor's noise. Memory: over what a detector's test gathers evidence;
-"state estimate only" is a filter whose test judges the present sample.
+unless stated otherwise; sigma is the standard deviation of the sensor's noise. Memory: over what a detector's test gathers
+evidence; "state estimate only" is a filter whose test judges the present sample.
 
 Truth is not the detectors' model where one is at hand that differs: the pipeline is computed on a finer grid, the network as a
 whole where the model goes area by area, the tanks with friction in the outlets. The engine's truth is its model. So numbers for
