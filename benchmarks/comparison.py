@@ -95,5 +95,6 @@ SCENARIO = Scenario(
     work=work,
     summarise=summarise,
     full={"calibration_error": 0.1},
-    bounds={"settle": (0, 1e6)},
+    bounds={"settle": (0, 1e6), "window": (2, 1e6), "false_alarm": (1e-6, 0.5), "calibration_error": (1e-3, 0.99)},
+    optional=("lengths",),
 )

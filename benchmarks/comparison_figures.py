@@ -23,9 +23,11 @@ Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], Cell]
 T = TypeVar("T")
 
-FAMILIES = ("fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural", "uio", "multiple")
+FAMILIES = (
+    "fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural", "uio", "multiple", "one", "mhe",
+)  # fmt: skip
 LEAST = 2  # runs behind a point
-FAMILY_COLOURS = (*COLOURS, "#808080", "#8B4513", "#6A3D9A", "#808000")  # one each
+FAMILY_COLOURS = (*COLOURS, "#808080", "#8B4513", "#6A3D9A", "#808000", "#B03060")  # one each
 LINES: tuple[Any, ...] = (*DASHES, (0, (6, 2, 1, 2, 1, 2)), (0, (2, 4)))  # one for each member of a family
 
 

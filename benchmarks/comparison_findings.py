@@ -219,7 +219,8 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
         "detectors.",
         f"Readings come from a truth that differs from the detectors' model by, at most, without noise: {truths(cells)}. Where "
         "it does not differ, a simulation alone predicts them exactly: see how detectors stand under model mismatch. A plant "
-        "with controllers is run in closed loop. What learns from healthy recordings learns from runs of the model.",
+        "with controllers is run in closed loop. What learns from healthy recordings learns from runs of the same truth, of "
+        "other seeds; the thresholds that the paper's banks start from are set on runs of the model.",
     ]
 
 

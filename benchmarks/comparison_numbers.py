@@ -65,7 +65,8 @@ class Cell:
         found = measure(self, self.rows_of(*names, truth=truth))
         if not len(names) == low.size == high.size:
             return found
-        return widened(found, abs(measure(self, high).value - measure(self, low).value) / 2)
+        wider = widened(found, abs(measure(self, high).value - measure(self, low).value) / 2)
+        return within(wider, 0.0, np.inf)  # all measures are shares, times, errors or ratios
 
     def graded(self, sigmas: float) -> list[str]:
         """The conditions of that size."""

@@ -32,9 +32,15 @@ DISTANCE_STEPS = 400
 LOAD_PERIOD, LOAD_REPEATS = 100.0, 20  # s: the load steps come again with the opposite sign, and so on
 
 
+@cache
+def demand_step() -> float:
+    """Seconds of a step of the pipeline: an input that acts from t on is that of its end."""
+    return registry.plant("gas-pipeline").dt
+
+
 def repeated_demand(t: float) -> Array:
     """The pipeline's inputs that act from t on: 300 to 450 kg/s and down to 350 as in `demand`, then to 300 in 600 s, again."""
-    ahead = t + plant_of("gas-pipeline").dt
+    ahead = t + demand_step()
     within = ahead % DEMAND_PERIOD
     back = 25.0 * (1.0 - float(np.cos(np.pi * np.clip((within - 2850.0) / 600.0, 0.0, 1.0))))
     return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(within) - back])
@@ -51,19 +57,24 @@ def repeated_loads(scenario: str) -> tuple[LoadStep, ...]:
     )
 
 
-@cache
-def usual_truth(name: str) -> Plant:
-    """What usually makes the readings."""
-    return power_network(loads=repeated_loads("1")) if name == "power-network" else plant_of(name)
-
-
-OPERATIONS: dict[str, Callable[[float], Array]] = {"gas-pipeline": repeated_demand}  # others have the truth's own
+OPERATIONS: dict[str, Callable[[float], Array]] = {"gas-pipeline": repeated_demand}  # others have the plant's own
 
 
 @cache
 def plant_of(name: str) -> Plant:
-    """A registered plant."""
-    return registry.plant(name)
+    """A registered plant in the usual operation of the comparison: what learns from healthy runs learns from that."""
+    if name == "power-network":
+        return power_network(loads=repeated_loads("1"))
+    plant = registry.plant(name)
+    if (operation := OPERATIONS.get(name)) is None:
+        return plant
+    return replace(plant, operation=operation, finer=plant.finer and partial(_finer, plant, operation))
+
+
+def _finer(plant: Plant, operation: Callable[[float], Array]) -> tuple[Plant, Callable[[Array], Array]]:
+    assert plant.finer is not None
+    finer, to_states = plant.finer()
+    return replace(finer, operation=operation), to_states
 
 
 @lru_cache(maxsize=4)
@@ -81,12 +92,12 @@ def simulated(
     inputs: Callable[[float], Array] | None = None,
     lost: tuple[float, tuple[float, ...]] | None = None,
 ) -> Recording:
-    """Readings from the high-fidelity model of a truth (None: the usual one) under inputs (None: the usual ones).
+    """Readings from the high-fidelity model of a truth (None: of the plant) under inputs (None: the usual ones).
 
     lost: from a time (s) on other inputs act than those that are known, the known ones times these factors.
     """
     of = plant_of(plant)
-    model = usual_truth(plant) if truth is None else truth
+    model = of if truth is None else truth
     inputs = OPERATIONS.get(plant) if inputs is None else inputs
     if lost is not None and model.feedback is not None:
         raise ValueError(f"plant {model.name!r} has controllers, which would see what is lost; give it a fault of its own")
@@ -107,11 +118,11 @@ def distance_of_truth(plant: str) -> float:
 
     Over DISTANCE_STEPS samples of the usual operation, without process noise, controllers reading the same noise.
     """
-    of, usual = plant_of(plant), usual_truth(plant)
+    of = plant_of(plant)
     run = partial(simulate, of, DISTANCE_STEPS, (0,), inputs=OPERATIONS.get(plant))
-    finest, to_states = (usual, None) if usual.finer is None else usual.finer()
+    finest, to_states = (of, None) if of.finer is None else of.finer()
     signals = [
         run(truth=replace(truth, sensors=of.sensors), to_states=mapped).signal
-        for truth, mapped in ((finest, to_states), (replace(usual, finer=None), None))
+        for truth, mapped in ((finest, to_states), (replace(of, finer=None), None))
     ]
     return float(np.max(np.abs(signals[0] - signals[1]) / of.sensor_sigma))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, Measure, confusion, widened
+from fusion_sfdia.benchmarks.comparison_numbers import Cell, Measure, confusion, widened, within
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, PUBLISHED, sizes
 from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
 from fusion_sfdia.benchmarks.results import Published, Row
@@ -42,6 +42,10 @@ INNOCENT: dict[str, Measure] = {
     "alarm_probability": Cell.alarms,
     "blame_probability": Cell.blame,
 }
+SHARES = (
+    *("missed_detection_rate", "detection_probability", "exact_isolation", "isolation_recall", "isolation_precision"),
+    *("false_flag_rate", "alarm_probability", "blame_probability"),
+)
 DROPOUT: dict[str, Measure] = INNOCENT | {"rmse_sigma": lambda cell, rows: cell.rms("measured", rows)}
 
 
@@ -52,14 +56,15 @@ def less(e: Estimate) -> Estimate:
 
 def rows_of_cell(cell: Cell) -> list[Row]:
     """All rows of a cell."""
-    found: list[Row] = []
+    rows: list[Row] = []
 
     def add(fault: str, quantity: str, metric: str, e: Estimate) -> None:
-        found.append(Row(SCENARIO, cell.plant, cell.detector, fault, quantity, metric, *e))
+        rows.append(Row(SCENARIO, cell.plant, cell.detector, fault, quantity, metric, *e))
 
     def add_all(fault: str, quantity: str, measures: Mapping[str, Measure], *names: str, truth: str = "") -> None:
         for metric, measure in measures.items():
-            add(fault, quantity, metric, cell.of(measure, *names, truth=truth))
+            found = cell.of(measure, *names, truth=truth)
+            add(fault, quantity, metric, within(found, 0.0, 1.0) if metric in SHARES else found)
 
     def exactly(value: float) -> Estimate:
         return Estimate(value, np.nan, np.nan, 0)
@@ -77,7 +82,7 @@ def rows_of_cell(cell: Cell) -> list[Row]:
         innocent = kind in (HEALTHY, "plant")
         add_all(name, "all", INNOCENT if innocent else DROPOUT if kind == "dropout" else SINGLE, name)
         if kind in (PUBLISHED, "plant"):
-            found += paper_rows(cell, name, kind)
+            rows += paper_rows(cell, name, kind)
     for size in cell.settings["magnitudes"]:
         if members := cell.graded(size):
             add_all(f"{POOLED}-{size:g}-sigma", "all", SEVERAL, *members)
@@ -93,7 +98,7 @@ def rows_of_cell(cell: Cell) -> list[Row]:
         for named, hits in zip(("none", *(f"another {n}" for n in quantities), "the right one"), samples.T, strict=True):
             if hits.any():
                 add("large", f"{quantity}: {named}", "named_share", rate_over_runs(hits, samples.sum(axis=-1)))
-    return found
+    return rows
 
 
 def paper_rows(cell: Cell, name: str, kind: str) -> list[Row]:

@@ -75,7 +75,7 @@ PLANTS: dict[str, tuple[str, str]] = {
         "fusion_sfdia.models.power_network:power_network",
     ),
     "two-tanks": (
-        "two water tanks in series, to be reckoned by hand: 2 levels and 2 flows measured",
+        "two water tanks in series, checkable by hand: 2 levels and 2 flows measured",
         "fusion_sfdia.models.two_tanks:two_tanks",
     ),
 }

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.detector import NotApplicableError as NotApplicableError
     from fusion_sfdia.core.detector import run as run
     from fusion_sfdia.core.discretise import discretise as discretise
-    from fusion_sfdia.core.discretise import linear_plant as linear_plant
     from fusion_sfdia.core.equation import equation as equation
+    from fusion_sfdia.core.linear import linear_plant as linear_plant
     from fusion_sfdia.core.physics import Block as Block
     from fusion_sfdia.core.physics import Physics as Physics
     from fusion_sfdia.core.plant import Plant as Plant
@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from fusion_sfdia.kalman_banks.memory_rules import Ewma as Ewma
     from fusion_sfdia.kalman_banks.memory_rules import Shewhart as Shewhart
     from fusion_sfdia.kalman_banks.memory_rules import SumOfSquares as SumOfSquares
+    from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon as MovingHorizon
     from fusion_sfdia.kalman_banks.multiple_model import MultipleModel as MultipleModel
     from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter as ParticleFilter
     from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank as SequentialBank
@@ -86,8 +87,9 @@ _MODULES = {
     "core.detector": ("Decision", "Detector", "MissingPackageError", "NotApplicableError", "run"),
     "evaluation.diagnose": ("Diagnosis", "Event", "diagnose"),
     "adaptive_thresholds.diagnosis_sets": ("DiagnosisLogic",),
-    "core.discretise": ("discretise", "linear_plant"),
+    "core.discretise": ("discretise",),
     "core.equation": ("equation",),
+    "core.linear": ("linear_plant",),
     "filters.estimators": ("Ensemble", "Extended", "Unscented"),
     "evaluation.fault_draws": ("FaultRange", "draw_faults:draw"),
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
@@ -100,6 +102,7 @@ _MODULES = {
     "intervals.interval": ("Interval",),
     "kalman_banks.leave_one_out_bank": ("LeaveOneOutBank",),
     "kalman_banks.memory_rules": ("Cusum", "Ewma", "Shewhart", "SumOfSquares"),
+    "kalman_banks.moving_horizon_bank": ("MovingHorizon",),
     "kalman_banks.multiple_model": ("MultipleModel",),
     "kalman_banks.sequential_bank": ("SequentialBank",),
     "kalman_banks.unknown_input": ("UnknownInputFilter",),

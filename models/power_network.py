@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import constant, picked
+from fusion_sfdia.core.linear import constant, picked
 from fusion_sfdia.core.physics import Block, Physics
 from fusion_sfdia.core.plant import Plant, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import zero_order_hold
+from fusion_sfdia.core.linear import zero_order_hold
 from fusion_sfdia.core.network import Network
 from fusion_sfdia.models import power_network_equations as equations
 from fusion_sfdia.models.power_network_parameters import DYNAMIC, NetworkParameters, load_network

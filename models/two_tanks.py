@@ -1,4 +1,4 @@
-"""Two water tanks in series, which can be reckoned by hand.
+"""Two water tanks in series, checkable by hand.
 
     area d level_1 / dt = inflow - flow_12        flow_12  = outlet sqrt(level_1)
     area d level_2 / dt = flow_12 - flow_out      flow_out = outlet sqrt(level_2)
@@ -32,7 +32,7 @@ from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import equation
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Block, Physics
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant import Plant, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
 
 Array = NDArray[Any]
@@ -182,16 +182,13 @@ def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
     operation = partial(_inflow, swing) if swing else None
     physics, x0 = replace(tank_physics(), parameters=c), np.full(2, (INFLOW / c.outlet) ** 2)
     plant = discretise(physics, sensors, dt=STEP, x0=x0, initial_cov=start, process_cov=change)
-    return replace(plant, modules=tank_modules(c), operation=operation, finer=partial(_truth, plant, c, operation))
+    twin = partial(_truth, plant, c, operation)
+    return replace(plant, modules=tank_modules(c), operation=operation, finer=partial(with_same_states, twin))
 
 
-def _truth(plant: Plant, c: Tanks, operation: Callable[[float], Array] | None) -> tuple[Plant, Callable[[Array], Array]]:
+def _truth(plant: Plant, c: Tanks, operation: Callable[[float], Array] | None) -> Plant:
     twin = discretise(
         true_physics(c), plant.sensors, dt=STEP, substeps=FINER, x0=rest_of_truth(c),
         initial_cov=plant.initial_cov, process_cov=plant.process_cov,
     )  # fmt: skip
-    return replace(twin, operation=operation), _same_states
-
-
-def _same_states(x: Array) -> Array:
-    return x
+    return replace(twin, operation=operation)

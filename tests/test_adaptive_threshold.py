@@ -130,7 +130,13 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="have no noise bound"):
         sensors = tuple(replace(s, bound=None, sigma=s.noise_sigma) for s in ENGINE.sensors)
         AdaptiveThreshold(replace(ENGINE, sensors=sensors))
-    doubled = replace(ENGINE, sensors=(*ENGINE.sensors, replace(ENGINE.sensors[3], name="spare")))
+    doubled = replace(
+        ENGINE,
+        sensors=(*ENGINE.sensors, replace(ENGINE.sensors[3], name="spare")),
+        output=lambda t, x, u: (y := ENGINE.output(t, x, u))[..., [*range(y.shape[-1]), 3]],
+        output_jacobian=None,
+        finer=None,
+    )
     with pytest.raises(ValueError, match=r"sensors S.2..3., spare all read torque"):
         AdaptiveThreshold(doubled)
     with pytest.raises(ValueError, match="bounds is 'corner'; known: corners, inclusion, sivia"):

@@ -11,7 +11,9 @@ from toy_plants import Array, chain, readings, tanks
 
 from fusion_sfdia.core.border import InputLimits, largest_readings, possible
 from fusion_sfdia.core.detector import Decision, run
-from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.core.discretise import discretise
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
@@ -82,11 +84,32 @@ def test_an_input_without_limits_may_be_anything_that_can_be_resolved() -> None:
 
 
 def test_inputs_within_their_limits_are_left_as_they_are_without_asking_the_model() -> None:
-    def step(t: float, x: Array, u: Array, dt: float) -> Array:
-        raise AssertionError
+    asked = []
 
-    u = np.array([2e-3])
-    assert InputLimits(replace(PLANT, step=step)).applied(0.0, PLANT.dt, u) is u
+    def step(t: float, x: Array, u: Array, dt: float) -> Array:
+        asked.append(t)
+        return PLANT.step(t, x, u, dt)
+
+    limits, u = InputLimits(replace(PLANT, step=step)), np.array([2e-3])
+    asked.clear()  # by the plant, which checks its shapes
+    assert limits.applied(0.0, PLANT.dt, u) is u and not asked
+    limits.applied(0.0, PLANT.dt, 1e3 * u)
+    assert asked == [0.0]
+
+
+def test_an_input_under_which_the_model_has_no_solution_is_absurd() -> None:
+    """z = sin(u z) has one by sweeps under the usual input, none under 1e303."""
+    physics = Physics(
+        "loop", (Signal("x"),), lambda t, x, z, u, c: z - x, (Signal("u"),), (Signal("z", nominal=1.0),),
+        lambda t, x, z, u, c: np.sin(u * z),
+    )  # fmt: skip
+    sensors = [Sensor(name, "x", sigma=0.1) for name in "abc"]
+    plant = discretise(physics, sensors, dt=0.1, x0=np.zeros(1), initial_cov=np.full(1, 0.1), process_cov=np.full(1, 0.01))
+    bank = LeaveOneOutBank(plant)
+    u = np.zeros((5, 1))
+    u[2] = 1e303
+    _, d = run(bank, bank.init(), 0.1 * np.arange(1, 6), np.zeros((5, 3)), u)
+    assert d.absurd_input[:, 0].tolist() == [False, False, True, False, False] and not d.diverged.any()
 
 
 def test_a_diverged_run_is_not_capped_and_a_state_goes_on_after_absurd_values(tmp_path: Path) -> None:

@@ -350,4 +350,4 @@ def test_inputs_that_a_log_lacks_are_assumed_only_when_asked_for(capsys, tmp_pat
     assert (code, out) == (2, "") and "no column for the inputs 'inflow'" in err and "--nominal-inputs" in err
     code, out, err = call(capsys, *command, "--nominal-inputs")
     assert code == 0 and "8 readings" in out
-    assert err.startswith("fusion-sfdia: warning: log.csv: no column for the inputs 'inflow'; their nominal values")
+    assert err.startswith("fusion-sfdia: warning: log.csv: no column for the inputs 'inflow'; the nominal values")

@@ -140,11 +140,11 @@ def test_the_sizes_of_a_kind_share_the_sensor_and_err_by_their_sigmas() -> None:
     ("key", "value", "message"),
     [
         ("detectors", "loo-chi", "did you mean 'loo-chi2'"),
-        ("faults", "bias,bias", "each once"),
-        ("magnitudes", "0,3", "positive"),
-        ("window", "1", "at least 2"),
-        ("lengths", "0,3", "from 1, each once"),
-        ("false_alarm", "0", "above 0 and below 1"),
+        ("faults", "bias,bias", "each value once"),
+        ("magnitudes", "0,3", "a number from 1e-06"),
+        ("window", "1", "a whole number from 2 "),
+        ("lengths", "0,3", "a whole number from 1 "),
+        ("false_alarm", "1", "a number from 1e-06 to 0.5"),
     ],
 )
 def test_settings_that_do_not_fit(key: str, value: str, message: str) -> None:

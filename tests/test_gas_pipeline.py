@@ -412,7 +412,8 @@ def test_second_process_starts_from_the_cache(root: Path) -> None:
     )
     environment = os.environ | {"PYTHONPATH": str(root)}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["1", "0"]
+    hits, misses = map(int, done.stdout.split())
+    assert hits > 0 and misses == 0
 
 
 def test_a_friction_factor_stands_for_the_roughness() -> None:

@@ -54,7 +54,7 @@ def test_inputs_without_a_column_are_assumed_only_where_that_is_asked_for(tmp_pa
     path = log(tmp_path, HEADER + "\n" + ROW)
     with pytest.raises(ValueError, match=r"no column for the inputs 'inflow' of plant 'two-tanks'; .* --nominal-inputs"):
         read_log(path, tanks())
-    with pytest.warns(UserWarning, match=r"no column for the inputs 'inflow'; their nominal values of plant 'two-tanks' stand"):
+    with pytest.warns(UserWarning, match=r"no column for the inputs 'inflow'; the nominal values of plant 'two-tanks' stand"):
         found = read_log(path, tanks(), nominal_inputs=True)
     np.testing.assert_array_equal(found.u, [[6e-4]])
 
@@ -62,7 +62,7 @@ def test_inputs_without_a_column_are_assumed_only_where_that_is_asked_for(tmp_pa
 def test_inputs_default_to_the_plants_operation_since_the_reading_before(tmp_path):
     plant = replace(tanks(), operation=lambda t: np.array([t]))
     path = log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n40,1,1,1,1\n")
-    with pytest.warns(UserWarning, match="its usual operation of plant"):
+    with pytest.warns(UserWarning, match="the usual operation of plant"):
         found = read_log(path, plant, nominal_inputs=True)
     np.testing.assert_array_equal(found.u, [[5], [10], [12], [35]])
     given_input = read_log(log(tmp_path, HEADER + ",inflow\n10,1,1,1,1,7e-4\n"), plant)

@@ -94,7 +94,7 @@ def test_the_threshold_of_the_residual_is_where_the_odds_are_even() -> None:
             assert d.isolated[:, 3].mean() > 0.8
 
 
-def test_false_alarms_stay_within_the_bound_and_the_estimate_knows_its_error() -> None:
+def test_false_alarms_are_fewer_than_faults_that_begin_and_the_estimate_knows_its_error() -> None:
     plant = chain(8)
     t, x, y, u = readings(plant, 200, 60, seed=5)
     bank = MultipleModel(plant, false_alarm=0.01)

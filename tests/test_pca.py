@@ -288,6 +288,12 @@ def test_as_many_components_as_are_asked_for() -> None:
         assert len(PrincipalComponents.fit(PLANT, data(500, 2), 0.02, k).model.variances) == k
 
 
+@pytest.mark.parametrize("components", [None, 0])
+def test_readings_without_any_noise_are_refused_with_the_cure(components: int | None) -> None:
+    with pytest.raises(ValueError, match=r"beside 0 components the healthy readings .* do not move.*use limits"):
+        PrincipalComponents.fit(PLANT, np.full((500, 2, 6), 3.0), 0.02, components)
+
+
 def test_what_is_refused() -> None:
     y = data(100, 2)
     for arguments, message in (

@@ -10,8 +10,8 @@ from toy_plants import chain, tank_physics, tanks
 
 from fusion_sfdia.benchmarks import registry
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.core.discretise import linear_plant
 from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.physics import Block, Physics
 from fusion_sfdia.core.plant import Plant, diagonal, require_covariance
 from fusion_sfdia.core.signals import Sensor, Signal

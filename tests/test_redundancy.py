@@ -9,7 +9,7 @@ import pytest
 from toy_plants import Array, chain, tanks
 
 from fusion_sfdia.benchmarks import registry
-from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import most_faults
 from fusion_sfdia.core.signals import Sensor

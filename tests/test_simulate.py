@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import kstest, truncnorm
 from toy_plants import chain, tanks
 
-from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.core.signals import Sensor, Signal

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 from toy_plants import Array, chain, tanks
 
 from fusion_sfdia.core.detector import NotApplicableError, run
-from fusion_sfdia.core.discretise import linear_plant
+from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
-from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter, input_jacobians
+from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter, complex_step_in_inputs, input_jacobians
 
 STATES, READOUT = 4, 6
 # DECOUPLED^-2 = 1e-8 of an input's error remains and rounding magnifies to eps DECOUPLED^2 = 2e-8, of readings of some hundred
@@ -101,12 +105,43 @@ def test_a_faulty_sensor_is_named_while_the_inputs_err() -> None:
 def test_jacobians_are_differences() -> None:
     plant = tanks()
     x, u = plant.x0[None] * 1.1, plant.input_at(0.0)[None]
-    g, f = input_jacobians(plant, 0.0, plant.dt, x, u)
+    g, f = input_jacobians(plant, 0.0, plant.dt, x, u, exact=True)
     width = 1e-6  # m3/s of 6e-4: a thousandth, whose square times the curvature, and eps over it, stay below 1e-5
     ahead, behind = (plant.step(0.0, x, u + s * width, plant.dt) for s in (1, -1))
     np.testing.assert_allclose(g[0, :, 0], (ahead - behind)[0] / (2 * width), rtol=1e-5, atol=1e-5 * np.abs(g).max())
     slope = (plant.output(5.0, ahead, u) - plant.output(5.0, behind, u))[0] / (2 * width)
     np.testing.assert_allclose(f[0, :, 0], slope, rtol=1e-5, atol=1e-5 * np.abs(f).max())
+
+
+@pytest.mark.parametrize("bent", [np.abs, lambda u: np.interp(u, [0.0, 10.0], [0.0, 10.0])], ids=["abs", "interp"])
+@pytest.mark.parametrize("within", ["step", "output"])
+def test_inputs_that_the_complex_step_cannot_differentiate(bent: Callable[[Array], Array], within: str) -> None:
+    """The plant with u in place of |u|, or of a table of it, at positive inputs: the same Jacobians and decisions."""
+
+    def step(of: Callable[[Array], Array], t: float, x: Array, u: Array, dt: float) -> Array:
+        return np.asarray(0.9 * x + of(u))
+
+    def output(of: Callable[[Array], Array], t: float, x: Array, u: Array) -> Array:
+        return np.concatenate([x, 2 * x, 3 * x + of(u)], axis=-1)
+
+    plain = Plant(
+        "bent", (Signal("x"),), tuple(Sensor(f"s{i}", f"r{i}", sigma=0.1) for i in range(3)), partial(step, np.asarray),
+        partial(output, np.asarray), 1.0, np.full(1, 50.0), np.ones(1), np.full(1, 0.01), (Signal("u", nominal=5.0),),
+    )  # fmt: skip
+    changed = partial(step if within == "step" else output, bent)
+    plant = replace(plain, **{within: changed})
+    assert complex_step_in_inputs(plain) and not complex_step_in_inputs(plant)
+    rng = np.random.default_rng(6)
+    y = np.array([50.0, 100.0, 155.0]) + 0.1 * rng.standard_normal((30, 3))
+    y[20:, 1] += 2.0
+    first, second = (
+        run(bank, bank.init(), np.arange(1.0, 31), y, np.full((30, 1), 5.0))[1]
+        for bank in (UnknownInputFilter(plain), UnknownInputFilter(plant))
+    )
+    assert first.isolated[21:, 1].all()
+    np.testing.assert_array_equal(second.isolated, first.isolated)
+    # differences of width eps^(1/3) 5 err by eps^(2/3) of the slope; DECOUPLED times as much of the noise, and then TOLERANCE
+    np.testing.assert_allclose(second.estimate, first.estimate, atol=TOLERANCE)
 
 
 def test_an_input_that_cannot_be_decoupled_counts_as_known() -> None:

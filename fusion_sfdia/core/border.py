@@ -1,4 +1,4 @@
-"""Numbers that cannot be readings or inputs: taken as missing, or replaced, before any detector reckons with them."""
+"""Numbers that cannot be readings or inputs: taken as missing, or replaced, before any detector uses them."""
 
 from __future__ import annotations
 
@@ -64,9 +64,12 @@ class InputLimits:
 
     def _absurd(self, t: float, dt: float, u: Array) -> bool:
         plant = self.plant
-        with np.errstate(all="ignore"):
-            x = np.asarray(plant.step(t, plant.x0, u, dt))
-            y = np.asarray(plant.output(t + dt, x, u))
-            _, left = plant.guard(x)
+        try:
+            with np.errstate(all="ignore"):
+                x = np.asarray(plant.step(t, plant.x0, u, dt))
+                y = np.asarray(plant.output(t + dt, x, u))
+                _, left = plant.guard(x)
+        except ArithmeticError:  # the model has no solution there
+            return True
         resolved = np.abs(x) <= plant.state_scale / (terms(plant) * EPS), np.abs(y) <= largest_readings(plant)
         return bool(left) or not all(np.all(each) for each in resolved)

@@ -1,4 +1,4 @@
-"""From continuous physics to a discretised plant: algebraic variables, Runge-Kutta 4, exponential midpoint, exact hold."""
+"""From continuous physics to a discretised plant: algebraic variables, Runge-Kutta 4, exponential midpoint."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from fusion_sfdia.core.arguments import floats, number
 from fusion_sfdia.core.equation import difference_jacobian
+from fusion_sfdia.core.linear import constant, picked
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.signals import Sensor
 
 Array = NDArray[Any]
 
@@ -100,24 +100,6 @@ class _Integrated:
     def output(self, t: float, x: Array, u: Array) -> Array:
         z = solve_algebraic(self.physics, t, x, u)
         return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], axis=-1)[..., self.picks]
-
-
-def picked(picks: Array, t: float, x: Array, u: Array) -> Array:
-    """The states x (..., n) at picks (N,): the output of sensors that read states."""
-    return x[..., picks]
-
-
-def constant(matrix: Array, *arguments: Any) -> Array:
-    """A Jacobian that is the same everywhere."""
-    return matrix
-
-
-def _linear_step(f: Array, g: Array, offset: Array, t: float, x: Array, u: Array, dt: float) -> Array:
-    return np.asarray(x @ f.T + u @ g.T + offset)
-
-
-def _linear_output(h: Array, d: Array | None, offset: Array, t: float, x: Array, u: Array) -> Array:
-    return np.asarray(x @ h.T + offset if d is None else x @ h.T + u @ d.T + offset)
 
 
 def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
@@ -217,73 +199,3 @@ def discretise(
         blocks=physics.blocks,
     )
     return plant if max_dt is not None else replace(plant, max_dt=largest_step(model, dt, x0, plant.state_scale, u))
-
-
-def linear_plant(
-    name: str,
-    transition: Array,
-    readout: Array,
-    sensors: Sequence[Sensor],
-    *,
-    dt: float,
-    x0: Array,
-    initial_cov: Array,
-    process_cov: Array,
-    input_matrix: Array | None = None,
-    offset: Array | None = None,
-    feedthrough: Array | None = None,
-    output_offset: Array | None = None,
-    states: Sequence[Signal] | None = None,
-    inputs: Sequence[Signal] = (),
-) -> Plant:
-    """Return the plant x+ = F x + G u + c, y = H x + D u + d, its dt fixed; what is not given of G, c, D, d is 0.
-
-    transition F (n, n), input_matrix G (n, m), offset c (n,); readout H (N, n), feedthrough D (N, m), output_offset d (N,): of
-    a model linearised about an operating point (x*, u*), c = f(x*, u*) - F x* - G u* and d likewise. D acts on the input that
-    acted until the reading. ValueError for shapes that do not fit and entries that are not finite.
-    """
-    f, h = np.asarray(transition, dtype=float), np.asarray(readout, dtype=float)
-    n = f.shape[0] if f.ndim else 0
-    count, m = len(sensors), len(inputs)
-    g, c, d, e = (
-        np.zeros(shape) if a is None else np.asarray(a, dtype=float)
-        for a, shape in ((input_matrix, (n, m)), (offset, (n,)), (feedthrough, (count, m)), (output_offset, (count,)))
-    )
-    if f.shape != (n, n) or h.shape != (count, n) or g.shape != (n, m):
-        raise ValueError(f"F {f.shape}, G {g.shape}, H {h.shape} do not fit {n} states, {m} inputs and {count} sensors")
-    if c.shape != (n,) or d.shape != (count, m) or e.shape != (count,):
-        raise ValueError(
-            f"offset {c.shape}, feedthrough {d.shape}, output_offset {e.shape} do not fit {n} states, {m} inputs and {count} "
-            f"sensors; expected {(n,)}, {(count, m)}, {(count,)}"
-        )
-    if not all(np.all(np.isfinite(a)) for a in (f, g, h, c, d, e)):
-        raise ValueError(f"F, G, H, D or an offset of plant {name!r} has entries that are not finite; give numbers")
-    return Plant(
-        name=name,
-        states=tuple(states or (Signal(f"x{i}") for i in range(n))),
-        inputs=tuple(inputs),
-        sensors=tuple(sensors),
-        step=partial(_linear_step, f, g, c),
-        output=partial(_linear_output, h, None if feedthrough is None else d, e),
-        step_jacobian=partial(constant, f),
-        output_jacobian=partial(constant, h),
-        dt=dt,
-        x0=np.asarray(x0, dtype=float),
-        initial_cov=np.asarray(initial_cov, dtype=float),
-        process_cov=np.asarray(process_cov, dtype=float),
-        fixed_dt=True,
-    )
-
-
-def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
-    """Return F = exp(A dt) and G = integral of exp(A s) B over a step: dx/dt = A x + B u with u held, exactly.
-
-    A (n, n), B (n, m); ValueError for other shapes or a dt that is not positive and finite.
-    """
-    if np.ndim(a) != 2 or np.ndim(b) != 2 or not a.shape[0] == a.shape[1] == b.shape[0]:
-        raise ValueError(f"A {np.shape(a)} and B {np.shape(b)} do not fit; wanted (n, n) and (n, m)")
-    if not (np.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt is {dt} s; it must be positive and finite")
-    n, m = b.shape
-    both = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * dt)
-    return both[:n, :n], both[:n, n:]

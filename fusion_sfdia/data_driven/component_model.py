@@ -101,13 +101,19 @@ class ComponentModel:
                 f"{len(train)} complete samples of {width} readings to train on; expected more samples than readings"
             )
         centre, scale = train[..., 0].mean(axis=0), plant.sensor_sigma
-        found = PCA(svd_solver="full").fit(((train - centre[:, None]) / scale[:, None]).reshape(-1, width))
+        with np.errstate(invalid="ignore"):  # shares of the variance, where there is none
+            found = PCA(svd_solver="full").fit(((train - centre[:, None]) / scale[:, None]).reshape(-1, width))
         if components is None:
             edge = marchenko_pastur_edge(width, len(train))
             components = min(int(np.sum(found.explained_variance_ > edge)), width - 1)
         if (k := whole("components", components, least=0)) >= width:
             raise ValueError(f"components is {k}; expected fewer than the {width} readings of a window of plant {plant.name!r}")
         retained, left = np.split(found.explained_variance_, [k])
+        if not left.mean() > 0:
+            raise ValueError(
+                f"beside {k} components the healthy readings of plant {plant.name!r} do not move, so that no noise is known; "
+                "record more, ask for fewer components, or use limits, which take sensors that never move"
+            )
         return cls(plant, centre, scale, found.components_[:k], retained, float(left.mean()), lags), train, judge
 
     @cached_property

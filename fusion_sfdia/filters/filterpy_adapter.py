@@ -23,8 +23,8 @@ from filterpy.kalman import (
 )
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import constant, linear_plant
 from fusion_sfdia.core.equation import difference_jacobian
+from fusion_sfdia.core.linear import constant, linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.filters.ukf import SigmaPoints

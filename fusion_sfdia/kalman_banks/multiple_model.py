@@ -14,8 +14,9 @@ and the merged ones, weighted by the modes' probabilities mu_i and with c_i = g_
 A fault begins in a step with the probability `false_alarm`, on any sensor alike, and ends with 1 / `duration`. Sensor i is held
 faulty where its mode has a larger probability than "all healthy" has, mu_i / mu_0 > 1. One sensor at a time: modes of several
 would be too many. Shown as its residual are sqrt(2 log(1 + E_i)) standard deviations of its leave-one-out innovation, where
-E_i = (mu_i / mu_0) / (false_alarm / N) is the likelihood ratio of what was read, against the threshold E_i = N / false_alarm:
-by Markov's inequality it would alarm falsely in a step with at most the probability false_alarm, were the modes not merged.
+E_i = (mu_i / mu_0) / (false_alarm / N), the odds over those with which a fault begins, against the threshold N / false_alarm.
+That is no rate of false alarms: a fault that may have begun at any time has prior odds of about false_alarm duration / N, so
+that Markov's inequality only gives a bound of about false_alarm duration a step, were the modes not merged.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ Array = NDArray[Any]
 class MultipleModel(BatchDetector):
     """GPB1 over N + 1 modes on an extended filter (or an unscented one with redraw).
 
-    inflation: noise of a faulty sensor over that of a healthy one. false_alarm: probability that a fault begins in a step, and
-    bound of the rate of false alarms, see above. duration: mean of a fault, in samples. Faulty sensors are not left out at a
+    inflation: noise of a faulty sensor over that of a healthy one. false_alarm: probability that a fault begins in a step; for
+    false alarms see above. duration: mean of a fault, in samples. Faulty sensors are not left out at a
     threshold but as far as they are improbable, so that the estimate depends on no threshold.
     """
 

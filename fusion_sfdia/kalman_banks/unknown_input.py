@@ -15,6 +15,7 @@ nor one whose effect the present readings show with less than the share SEEN of 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import NotApplicableError
-from fusion_sfdia.core.equation import COMPLEX_STEP
+from fusion_sfdia.core.equation import COMPLEX_STEP, complex_step_holds, difference_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Prior
 from fusion_sfdia.filters.gaussian import Joint
@@ -44,8 +45,8 @@ class UnknownInputFilter(SequentialBank):
     def __post_init__(self) -> None:
         super().__post_init__()
         plant = self.plant
-        _, effect = input_jacobians(plant, 0.0, plant.dt, plant.x0[None], plant.input_at(0.0)[None])
-        if not np.any(effect):
+        start = 0.0, plant.dt, plant.x0[None], plant.input_at(0.0)[None]
+        if not plant.inputs or not np.any(self._input_jacobians(*start)[1]):
             raise NotApplicableError(
                 f"plant {plant.name!r} has no input that moves a reading within a step; nothing can be decoupled: use a "
                 "detector that takes its inputs as known"
@@ -53,7 +54,7 @@ class UnknownInputFilter(SequentialBank):
 
     def _joint(self, now: Moment, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
         joint = super()._joint(now, before, prior, u, usable)
-        moved, effect = input_jacobians(self.plant, now.last, now.t, before, u)
+        moved, effect = self._input_jacobians(now.last, now.t, before, u)
         shown = effect**2 / self.plant.sensor_cov[:, None]
         information = np.sum(shown, axis=-2)
         seen = (information > 0) & (np.sum(shown * usable[..., None], axis=-2) > SEEN * information)
@@ -62,16 +63,52 @@ class UnknownInputFilter(SequentialBank):
         g_t, f_t = np.swapaxes(g, -1, -2), np.swapaxes(f, -1, -2)
         return joint._replace(P=joint.P + g @ g_t, S=joint.S + f @ f_t, C=joint.C + g @ f_t)
 
+    def _input_jacobians(self, last: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+        return input_jacobians(self.plant, last, t, x, u, self._complex_step)
 
-def input_jacobians(plant: Plant, last: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+    @cached_property
+    def _complex_step(self) -> bool:
+        return complex_step_in_inputs(self.plant)
+
+
+def input_jacobians(plant: Plant, last: float, t: float, x: Array, u: Array, exact: bool) -> tuple[Array, Array]:
     """G (..., n, m) of a step over [last, t] from states x (..., n) under inputs u (..., m), F (..., N, m) of its readings; 0
-    where the model has no number.
+    where the model has no number. exact: by the complex step; otherwise by central differences.
     """
     count = u.shape[-1]
     start = np.broadcast_to(plant.guard(x)[0][..., None, :], (*x.shape[:-1], count, x.shape[-1]))
-    perturbed = u[..., None, :] + 1j * COMPLEX_STEP * np.eye(count)
-    after = plant.step(last, start, perturbed, t - last)
-    effect = plant.output(t, after, perturbed)
-    sound = np.all(np.isfinite(effect), axis=(-2, -1)) & np.all(np.isfinite(after), axis=(-2, -1))
-    g, f = (np.where(sound[..., None, None], np.swapaxes(a.imag, -1, -2) / COMPLEX_STEP, 0.0) for a in (after, effect))
-    return g, f
+
+    def shown(inputs: Array) -> tuple[Array, Array]:
+        after = plant.step(last, start, inputs, t - last)
+        return after, plant.output(t, after, inputs)
+
+    if exact:
+        found = shown(u[..., None, :] + 1j * COMPLEX_STEP * np.eye(count))
+        g, f = (np.swapaxes(a.imag, -1, -2) / COMPLEX_STEP for a in found)
+    else:
+        found = shown(u[..., None, :])
+        both = difference_jacobian(lambda p: np.concatenate(shown(p), axis=-1), u, input_scale(plant))
+        g, f = both[..., : x.shape[-1], :], both[..., x.shape[-1] :, :]
+    sound = np.all([np.all(np.isfinite(a), axis=(-2, -1)) for a in (*found, g, f)], axis=0)[..., None, None]
+    return np.where(sound, g, 0.0), np.where(sound, f, 0.0)
+
+
+def input_scale(plant: Plant) -> Array:
+    """A size of change that matters for each input (m,): its nominal value or, if that is 0, its unit."""
+    return np.array([abs(s.nominal) or 1.0 for s in plant.inputs])
+
+
+def complex_step_in_inputs(plant: Plant) -> bool:
+    """Whether the complex step differentiates step and output by the inputs: not so for abs, sign, interp and the like of them.
+
+    At points within a tenth of `input_scale` about the usual input, under which a step from x0 is one of the operation's.
+    """
+    scale = 0.1 * input_scale(plant)
+    u = plant.input_at(0.0) + scale * np.random.default_rng(0).uniform(-1.0, 1.0, (4, scale.size))
+    x = np.broadcast_to(plant.x0, (4, plant.x0.size))
+
+    def shown(inputs: Array) -> Array:
+        after = plant.step(0.0, x, inputs, plant.dt)
+        return np.concatenate([after, plant.output(plant.dt, after, inputs)], axis=-1)
+
+    return complex_step_holds(shown, u, scale)

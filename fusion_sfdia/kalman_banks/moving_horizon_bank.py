@@ -1,0 +1,133 @@
+"""Detector: moving-horizon estimation of the state with sparse sensor faults (L1), see `moving_horizon`.
+
+The sums of a horizon depend on where it begins, so that sliding it sample by sample would cost as many recursions as it has
+samples. Here a horizon is begun every L // 2 samples and dropped after twice as many: there is always one of up to half the
+length and one longer than half. With that of the present reading alone, for large faults at once, these are the problems of a
+step. They share the false-alarm budget; the one with the largest |g_i| / s_i is solved, where that exceeds lambda.
+Sensors with a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`;
+the state is that of the moving-horizon problem with these faults free, and the horizons begin anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from fusion_sfdia.core.arguments import whole
+from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.filters.estimators import step_stream
+from fusion_sfdia.kalman_banks import moving_horizon
+from fusion_sfdia.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.kalman_banks.moving_horizon import Horizons
+
+Array = NDArray[Any]
+HORIZONS = 2  # beside that of the present reading
+
+
+@dataclass(frozen=True)
+class MovingHorizon(LeaveOneOutBank):
+    """Moving-horizon estimation with an L1 penalty on faults, on one central filter; settings as of LeaveOneOutBank.
+
+    window: the most samples in a horizon. false_alarm: shared equally by sensors and horizons (Bonferroni).
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        whole("window, in samples,", self.window, least=2)
+
+    @property
+    def penalty(self) -> float:
+        """lambda: what |g_i| / s_i of a healthy sensor exceeds, in a horizon, with its share of false_alarm."""
+        share = self.false_alarm / len(self.plant.sensors) / (1 + HORIZONS)
+        return float(-self.threshold_scale * ndtri(share / 2))
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+        """x, P, the exclusions, and the horizons' E, g, G."""
+        n, count = len(self.plant.states), len(self.plant.sensors)
+        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        return *core, *nobody(batch, count), *moving_horizon.empty(batch, HORIZONS, n, count)
+
+    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+        exclusion, past = Exclusion(*core[2:7]), Horizons(*core[7:])
+        plant, est, t = self.plant, self.estimator, now.t
+        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        joint = est.joint(plant, prior, t, u)
+        usable = np.isfinite(y) & ~exclusion.out
+        found = statistics(joint, y, usable)
+        x, p = posterior(joint, found)
+        gain = joint.C @ found.inverse
+        tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.last, core[0], u, now.dt)
+        if now.k % (self.window // 2) == 0:
+            past = moving_horizon.renew(past)
+        past = moving_horizon.extend(past, tangent, plant.output_jacobian_at(t, prior.core[0], u), gain, found)
+        present = moving_horizon.of_present(gain, found)
+        known = np.concatenate([moving_horizon.information(h, usable, plant.sensor_cov) for h in (present, past)], axis=-2)
+        g = np.concatenate([present.g, past.g], axis=-2)
+        deviation = 1 / np.sqrt(np.where(known > 0, known, np.inf))
+        ratio = np.abs(g) * deviation / self.penalty
+        room = self.most_faults - np.sum(exclusion.out, axis=-1)
+        free_x, free_p, named, size, capped = self._solve((present, past), known > 0, ratio, room, x, p)
+        if self.accommodate:
+            x, p = free_x, free_p
+            keep = ~np.any(named, axis=-1)[..., None, None]
+            past = Horizons(past.effect * keep[..., None], past.g * keep, past.G * keep[..., None])
+
+        limit = self.penalty**2
+        expected = plant.output(t, x, u)
+        h = plant.output_jacobian_at(t, x, u)
+        variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
+        error = y - expected  # of the sensors that are out: they have no part in `expected`
+        if self.accommodate:
+            exclusion = watch(exclusion, error, variance, limit, -np.log(self.false_alarm / y.shape[-1]))
+            exclusion = exclude(exclusion, named, error)
+        held = exclusion.out if self.accommodate else named
+        outside = np.isfinite(y) & ~usable
+        worst = np.argmax(ratio, axis=-2)[..., None, :]
+        alone, deviation = (np.take_along_axis(a, worst, axis=-2)[..., 0, :] for a in (g * deviation**2, deviation))
+        decision = Decision(
+            estimate=x,
+            measured=np.where(np.isfinite(y) & ~held, y, expected),
+            residual=np.where(outside, error, np.where(usable, alone, np.nan)),
+            threshold=np.where(outside, np.sqrt(limit * variance), np.where(deviation > 0, self.penalty * deviation, np.inf)),
+            isolated=held,
+            fault_size=np.where(held, exclusion.size if self.accommodate else size, np.nan),
+            diverged=prior.lost | broken(x, p),
+            guarded=prior.guarded,
+            nis=normalised_innovation_squared(joint, found, y),
+            covariance=p,
+            capped=capped,
+        )
+        return (x, p, *exclusion, *past), decision
+
+    def _solve(
+        self, problems: tuple[Horizons, ...], known: Array, ratio: Array, room: Array, x: Array, p: Array
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Solve, in each run with a ratio above 1 and room for a fault, the horizon with the largest.
+
+        Return estimate and covariance with the faults found free, the sensors named (..., N), the sizes of their faults
+        (..., N), and whether more would be named if there were room (...).
+        """
+        x, p = x.copy(), p.copy()
+        shape = (*x.shape[:-1], ratio.shape[-1])
+        named, size = np.zeros(shape, bool), np.zeros(shape)
+        above = np.any(ratio > 1, axis=(-2, -1))
+        capped = above & (room <= 0)
+        for run in zip(*np.nonzero(above & (room > 0)), strict=True):
+            j, worst = divmod(int(np.argmax(ratio[run])), ratio.shape[-1])
+            effect, g, G = (a[run][max(j - 1, 0)] for a in problems[min(j, 1)])
+            f = moving_horizon.sparse_faults(g, G, known[run][j], self.penalty)
+            f[worst] = f[worst] or g[worst]  # it enters first; at the threshold itself f is 0 to rounding
+            fit = moving_horizon.refitted(g, G, np.flatnonzero(f), self.penalty, int(room[run]))
+            named[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
+            moved = effect[:, fit.sensors]
+            x[run] -= moved @ fit.f
+            p[run] += moved @ fit.covariance @ moved.T
+        return x, p, named, size, capped
