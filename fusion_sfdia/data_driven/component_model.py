@@ -65,8 +65,8 @@ class ComponentModel:
     def __post_init__(self) -> None:
         for what in ("centre", "scale"):
             object.__setattr__(self, what, per_sensor(self.plant, what, getattr(self, what)))
-        for what in ("components", "variances"):
-            object.__setattr__(self, what, floats(what, getattr(self, what)))
+        for what in ("components", "variances"):  # in one order: products of a copy have the same bits
+            object.__setattr__(self, what, np.ascontiguousarray(floats(what, getattr(self, what))))
         k, d = self.variances.size, len(self.plant.sensors) * (whole("lags", self.lags, least=0) + 1)
         if self.components.shape != (k, d) or self.variances.ndim != 1 or k >= d:
             raise ValueError(
