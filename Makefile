@@ -6,9 +6,9 @@ DEV := .venv/.dev
 WORKERS ?= 2
 DEMO_OUT ?= demo-report
 # every plant and every school, with the detectors that are quick to set up
-DEMO_ARGS ?= --seeds 2 --set calibration_error=0.4 --set false_alarm=0.002 --set lengths=2,30 \
+DEMO_ARGS ?= --seeds 4 --set calibration_error=0.4 --set false_alarm=0.002 --set lengths=2,30 \
 	--faults bias,drift,freeze,dropout,three-faults,published \
-	--detectors fusing-ekf,loo-glr,limits,structural-residuals,adaptive-threshold,virtual-sensors,chebyshev
+	--detectors fusing-ekf,loo-glr,loo-cusum,limits-ewma,dynamic-pca,structural-residuals,adaptive-threshold,chebyshev
 BENCH_ARGS ?=
 
 # one thread for linear algebra: the work is shared out by process
