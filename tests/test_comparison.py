@@ -134,6 +134,8 @@ def test_the_sizes_of_a_kind_share_the_sensor_and_err_by_their_sigmas() -> None:
             assert all(f.length == condition.length * plant.dt for f in faults)
         if condition.kind == "scale":  # the signal is steady, so that the factor is an offset
             np.testing.assert_allclose((faults[0].magnitude - 1) * signal[0, chosen], condition.sigmas * sigma)
+        if condition.kind == "sign":
+            assert [(f.kind, f.magnitude) for f in faults] == [("scale", -1.0)]
 
 
 @pytest.mark.parametrize(
@@ -249,6 +251,8 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
         np.testing.assert_array_equal(outcomes.alarm[rows], as_deployed.alarm[:, 0])
         np.testing.assert_array_equal(outcomes.isolated[rows], as_deployed.isolated[:, 0, : len(plant.sensors)])
         np.testing.assert_allclose(outcomes.measured[rows], as_deployed.measured[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(outcomes.scores[rows], as_deployed.scores[:, 0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(outcomes.fault_size[rows], as_deployed.fault_size[:, 0, : len(plant.sensors)], rtol=1e-9)
     np.testing.assert_allclose(seen.trunk, silent_scores(quiet, recording), rtol=1e-9, atol=1e-9)
     state = seen.states[settle]
     on_trunk = run(loud, state, recording.t[settle:], recording.y[settle:], recording.u_of_runs[settle:])[1]
