@@ -510,6 +510,24 @@ def test_every_detector_has_a_look_of_its_own() -> None:
     assert len({(look["color"], look["marker"]) for look in found.values()}) == len(DETECTORS)
 
 
+def test_memory_of_a_step_is_what_it_holds_at_most_and_that_of_a_state_its_arrays() -> None:
+    class Wasteful:
+        """A run has a state of three numbers; a step fills 100 000 others and forgets them."""
+
+        plant = plant_of("two-tanks")
+
+        def init(self, batch: tuple[int, ...], t: float) -> tuple[NDArray[np.float64]]:
+            return (np.zeros((*batch, 3)),)
+
+        def step(self, state: Any, t: float, y: Any, u: Any) -> tuple[Any, None]:
+            np.ones(100_000).sum()
+            return state, None
+
+    found = comparison_work.cost(Wasteful(), healthy("two-tanks", 5, (3,)))  # type: ignore[arg-type]
+    assert found["state_bytes"] == 3 * 8
+    assert 800_000 <= found["step_bytes"] < 810_000  # the numbers, and some objects around them
+
+
 def test_without_faults_of_a_size_nothing_is_said_of_them() -> None:
     settings = tiny(faults="dropout", departures="no", plant_faults="no")
     found = summarise(settings, results(settings, seeds=2))
