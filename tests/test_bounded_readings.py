@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
+from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.stochastic_thresholds.bounded_readings import WITHIN, BoundedReadings
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.stochastic_thresholds.present_readings import PresentReadings
 from fusion_sfdia.stochastic_thresholds.threshold_rules import alpha_for, false_alarm_of
 
 BOUND = 0.3
@@ -53,6 +55,31 @@ def test_noise_within_its_bounds_never_alarms() -> None:
     one = detector(plant)
     _, d = run(one, one.init((runs,)), plant.dt * np.arange(1, steps + 1), y, u)
     assert 0.99 < d.scores.max() <= 1.0  # noise of two values meets its bounds now and then
+
+
+@pytest.mark.parametrize("kind", [PresentReadings, BoundedReadings])
+def test_a_fault_taken_out_leaves_its_doubt_and_runs_without_one_as_they_were(kind: type[PresentReadings]) -> None:
+    """Each reading is a state: a fault f of the last reading of sensor 1 has put F[:, 1] f into what is expected."""
+    plant, lam, size, doubt = bounded_chain(), 0.3, np.zeros((3, 6)), np.zeros((3, 6))
+    one, u = kind(plant, lam, Extended()), np.zeros((3, len(plant.inputs)))
+    F = plant.step_jacobian_at(0.0, plant.x0, u[0], plant.dt)
+    core = one.start((3,), 0)
+    for k in (0, 1):
+        outlook = one.foretell(core, Moment(k * plant.dt, (k + 1) * plant.dt, plant.dt, 0, k), u)
+        core = one.take(outlook, np.random.default_rng(k).normal(size=(3, 6))).core
+    now = Moment(2 * plant.dt, 3 * plant.dt, plant.dt, 0, 2)
+    before, outlook = one.foretell(core, now, u), one.foretell(core, now, u)
+    size[2, 1], doubt[2, 1] = 2.0, 0.25
+    freed = one.freed(core, outlook, now, u, size, doubt)
+    np.testing.assert_allclose(freed.expected[:2], before.expected[:2], rtol=0, atol=1e-12)  # of numbers of some units
+    np.testing.assert_allclose(freed.deviation[:2], before.deviation[:2], rtol=1e-12)
+    expected = before.expected[2] - 2.0 * F[:, 1]
+    expected[1] += lam * core[3][2, 1]  # its own last residual was that of the fault
+    np.testing.assert_allclose(freed.expected[2], expected, rtol=0, atol=1e-12)
+    memory = lam * core[4][2]
+    power = 1 if kind is BoundedReadings else 2  # bounds add up, variances do
+    wider = (before.deviation[2] - memory) ** power + np.abs(0.25 * F[:, 1]) ** power
+    np.testing.assert_allclose((freed.deviation[2] - memory) ** power, wider, rtol=1e-11)
 
 
 def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:
