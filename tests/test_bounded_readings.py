@@ -10,6 +10,7 @@ from toy_plants import chain
 
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import run
+from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.filters.estimators import Extended
@@ -80,6 +81,18 @@ def test_a_fault_taken_out_leaves_its_doubt_and_runs_without_one_as_they_were(ki
     power = 1 if kind is BoundedReadings else 2  # bounds add up, variances do
     wider = (before.deviation[2] - memory) ** power + np.abs(0.25 * F[:, 1]) ** power
     np.testing.assert_allclose((freed.deviation[2] - memory) ** power, wider, rtol=1e-11)
+
+
+def test_a_state_that_is_read_as_a_multiple_is_its_reading_over_it() -> None:
+    plant = linear_plant(
+        "scaled", 0.5 * np.eye(2), np.diag([2.0, -4.0]), [Sensor(f"s{i}", f"x{i}", sigma=0.1) for i in (0, 1)],
+        dt=1.0, x0=np.zeros(2), initial_cov=np.ones(2), process_cov=np.ones(2),
+    )  # fmt: skip
+    one, u = PresentReadings(plant, 0.0, Extended()), np.zeros((1, 0))
+    taken = one.take(one.foretell(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), np.array([[3.0, 3.0]]))
+    np.testing.assert_allclose(taken.estimate, [[1.5, -0.75]], rtol=1e-15)
+    assert taken.covariance is not None
+    np.testing.assert_allclose(taken.covariance[0], np.diag([0.1 / 2, 0.1 / 4]) ** 2, rtol=1e-14)
 
 
 def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:
