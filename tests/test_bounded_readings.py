@@ -95,6 +95,16 @@ def test_a_state_that_is_read_as_a_multiple_is_its_reading_over_it() -> None:
     np.testing.assert_allclose(taken.covariance[0], np.diag([0.1 / 2, 0.1 / 4]) ** 2, rtol=1e-14)
 
 
+def test_states_that_nobody_reads_have_the_gain_of_kalman() -> None:
+    plant = chain(6, sensors=4)
+    one, u, y = PresentReadings(plant, 0.0, Extended()), np.zeros((1, 0)), np.array([[1.0, -2.0, 3.0, 0.5]])
+    F, H = plant.step_jacobian_at(0.0, plant.x0, u[0], 1.0), plant.output_jacobian_at(0.0, plant.x0, u[0])
+    P = F @ np.diag(plant.initial_cov) @ F.T + np.diag(plant.process_cov)
+    taken = one.take(one.foretell(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), y)
+    expected = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(plant.sensor_cov), y[0])
+    np.testing.assert_allclose(taken.estimate[0], expected, rtol=0, atol=1e-12)  # of numbers of some units
+
+
 def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:
     plant = chain(6)
     one = detector(plant).diagnosis

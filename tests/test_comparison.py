@@ -118,6 +118,8 @@ def test_so_many_healthy_samples_that_the_rate_is_set_to_its_error() -> None:
         samples = protocol.calibration_runs(settings, plant) * protocol.judged_steps(settings, plant)
         exceeding = samples * settings["false_alarm"]
         assert 1 / np.sqrt(exceeding) <= settings["calibration_error"]  # of a Poisson number
+        one_less = exceeding - protocol.judged_steps(settings, plant) * settings["false_alarm"]
+        assert 1 / np.sqrt(one_less) > settings["calibration_error"]
     assert protocol.calibration_runs(settings | {"calibration_error": 0.9}, "two-tanks") == protocol.LEAST_RUNS
 
 
