@@ -213,6 +213,8 @@ def test_simultaneous_faults_are_named_at_once_as_many_as_may_be_and_readmitted(
         assert d.capped[40].all() == (most == 1) and not d.capped[:40].any()
         if most == 2:
             assert d.isolated[40:70, :, [2, 7]].all() and d.isolated[90:, :, [2, 7]].mean() < 0.02
+            assert abs(d.fault_size[60:70][..., [2, 7]].mean() - 15.0) < 1.0  # of 400 numbers of deviation 1 or 2
+        np.testing.assert_array_equal(np.isnan(d.fault_size), ~d.isolated)
 
 
 def test_without_accommodation_the_filter_stays_undisturbed() -> None:
