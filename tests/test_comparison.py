@@ -118,6 +118,8 @@ def test_so_many_healthy_samples_that_the_rate_is_set_to_its_error() -> None:
         samples = protocol.calibration_runs(settings, plant) * protocol.judged_steps(settings, plant)
         exceeding = samples * settings["false_alarm"]
         assert 1 / np.sqrt(exceeding) <= settings["calibration_error"]  # of a Poisson number
+        one_less = exceeding - protocol.judged_steps(settings, plant) * settings["false_alarm"]
+        assert 1 / np.sqrt(one_less) > settings["calibration_error"]
     assert protocol.calibration_runs(settings | {"calibration_error": 0.9}, "two-tanks") == protocol.LEAST_RUNS
 
 
@@ -134,6 +136,8 @@ def test_the_sizes_of_a_kind_share_the_sensor_and_err_by_their_sigmas() -> None:
             assert all(f.length == condition.length * plant.dt for f in faults)
         if condition.kind == "scale":  # the signal is steady, so that the factor is an offset
             np.testing.assert_allclose((faults[0].magnitude - 1) * signal[0, chosen], condition.sigmas * sigma)
+        if condition.kind == "sign":
+            assert [(f.kind, f.magnitude) for f in faults] == [("scale", -1.0)]
 
 
 @pytest.mark.parametrize(
@@ -249,6 +253,8 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
         np.testing.assert_array_equal(outcomes.alarm[rows], as_deployed.alarm[:, 0])
         np.testing.assert_array_equal(outcomes.isolated[rows], as_deployed.isolated[:, 0, : len(plant.sensors)])
         np.testing.assert_allclose(outcomes.measured[rows], as_deployed.measured[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(outcomes.scores[rows], as_deployed.scores[:, 0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(outcomes.fault_size[rows], as_deployed.fault_size[:, 0, : len(plant.sensors)], rtol=1e-9)
     np.testing.assert_allclose(seen.trunk, silent_scores(quiet, recording), rtol=1e-9, atol=1e-9)
     state = seen.states[settle]
     on_trunk = run(loud, state, recording.t[settle:], recording.y[settle:], recording.u_of_runs[settle:])[1]
@@ -504,6 +510,24 @@ def test_every_detector_has_a_look_of_its_own() -> None:
     found = looks(list(DETECTORS))
     assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(DETECTORS)
     assert len({(look["color"], look["marker"]) for look in found.values()}) == len(DETECTORS)
+
+
+def test_memory_of_a_step_is_what_it_holds_at_most_and_that_of_a_state_its_arrays() -> None:
+    class Wasteful:
+        """A run has a state of three numbers; a step fills 100 000 others and forgets them."""
+
+        plant = plant_of("two-tanks")
+
+        def init(self, batch: tuple[int, ...], t: float) -> tuple[NDArray[np.float64]]:
+            return (np.zeros((*batch, 3)),)
+
+        def step(self, state: Any, t: float, y: Any, u: Any) -> tuple[Any, None]:
+            np.ones(100_000).sum()
+            return state, None
+
+    found = comparison_work.cost(Wasteful(), healthy("two-tanks", 5, (3,)))  # type: ignore[arg-type]
+    assert found["state_bytes"] == 3 * 8
+    assert 800_000 <= found["step_bytes"] < 810_000  # the numbers, and some objects around them
 
 
 def test_without_faults_of_a_size_nothing_is_said_of_them() -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rounding import rounding
 from scipy.linalg import cholesky
 from scipy.optimize import minimize
-from scipy.stats import binom
+from scipy.stats import binom, norm
 from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.core.detector import State, run
@@ -213,6 +213,8 @@ def test_simultaneous_faults_are_named_at_once_as_many_as_may_be_and_readmitted(
         assert d.capped[40].all() == (most == 1) and not d.capped[:40].any()
         if most == 2:
             assert d.isolated[40:70, :, [2, 7]].all() and d.isolated[90:, :, [2, 7]].mean() < 0.02
+            assert abs(d.fault_size[60:70][..., [2, 7]].mean() - 15.0) < 1.0  # of 400 numbers of deviation 1 or 2
+        np.testing.assert_array_equal(np.isnan(d.fault_size), ~d.isolated)
 
 
 def test_without_accommodation_the_filter_stays_undisturbed() -> None:
@@ -229,6 +231,30 @@ def test_at_the_penalty_itself_there_is_no_fault_and_one_is_left_of_those_that_c
     np.testing.assert_allclose(sparse_faults(np.array([8.0, 0.0]), G, np.array([True, False]), 3.0), [0.5, 0.0])
     fit = refitted(np.array([8.0, 7.9]), G, np.array([0, 1]), 3.0, 2)
     assert len(fit.sensors) == 1 and not fit.capped
+
+
+def test_the_penalty_is_the_share_of_a_sensor_in_one_of_three_horizons() -> None:
+    bank = MovingHorizon(PLANT, false_alarm=0.03, threshold_scale=1.5)  # 0.002 of both tails: 5 sensors, 3 horizons
+    assert bank.penalty == pytest.approx(1.5 * norm.isf(0.001), rel=1e-12)
+
+
+@pytest.mark.parametrize("largest", [0, 1, 2])
+def test_the_horizon_with_the_largest_ratio_is_the_one_solved(largest: int) -> None:
+    """Of the present reading, and of a young and an old horizon; G = 1 of sensors apart, so that f = g and x loses E f."""
+    g = np.full((3, N), 0.5)
+    g[largest, 3], g[(largest + 1) % 3, 1] = 20.0, 10.0
+    effect = np.broadcast_to(np.arange(1.0, 4.0)[:, None, None], (3, n, N))
+    every = Horizons(effect, g, np.broadcast_to(np.eye(N), (3, N, N)))
+    present, past = (Horizons(*(a[None, part] for a in every)) for part in (slice(0, 1), slice(1, 3)))
+    bank = MovingHorizon(PLANT)
+    ratio = np.abs(g)[None] / bank.penalty
+    x, p, named, size, capped = bank._solve(
+        (present, past), np.ones((1, 3, N), bool), ratio, np.array([2]), np.zeros((1, n)), np.zeros((1, n, n))
+    )
+    assert np.flatnonzero(named[0]).tolist() == [3] and not capped[0]
+    np.testing.assert_allclose(size[0], [0, 0, 0, 20.0, 0])
+    np.testing.assert_allclose(x[0], np.full(n, -20.0 * (largest + 1)))
+    np.testing.assert_allclose(p[0], np.full((n, n), (largest + 1.0) ** 2))
 
 
 def test_a_horizon_needs_two_samples() -> None:

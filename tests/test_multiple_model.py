@@ -69,6 +69,16 @@ def test_probabilities_sum_to_one_with_missing_readings_and_huge_faults() -> Non
         np.testing.assert_allclose(np.exp(state[CLOCK + 3]).sum(axis=-1), 1.0, rtol=1e-12)
 
 
+def test_in_other_units_it_is_the_same() -> None:
+    one, other = chain(6), chain(6, sigma=0.01)
+    t, _, y, u = readings(one, 30, 2, seed=6)
+    y = y + 6.0 * (np.arange(6) == 2)
+    (_, a), (_, b) = (run(m, m.init((2,)), t, z, u) for m, z in ((MultipleModel(one), y), (MultipleModel(other), y / 100)))
+    assert a.isolated.any()
+    np.testing.assert_array_equal(a.isolated, b.isolated)
+    np.testing.assert_allclose(b.estimate * 100, a.estimate, rtol=0, atol=1e-9)  # matrices of condition below 100
+
+
 def test_of_one_model_it_is_the_kalman_filter() -> None:
     plant = chain(5, sensors=4)
     t, _, y, u = readings(plant, 40, 3, seed=3)
