@@ -33,7 +33,7 @@ evidence; "state estimate only" is a filter whose test judges the present sample
 Truth is not the detectors' model where one is at hand that differs: the pipeline is computed on a finer grid, the network as a
 whole where the model goes area by area, the tanks with friction in the outlets. The engine's truth is its model. So numbers for
 the engine, and for the tanks and the pipeline up to a small difference, are those of a right model; what happens with a wrong
-one is told by the tables of false isolation.
+one is shown by the tables of false isolation.
 """
 
 # title, what it shows, fault, quantity, metric
