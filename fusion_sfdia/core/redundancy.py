@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, qr
 
+from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
@@ -36,6 +37,12 @@ def most_faults(plant: Plant) -> int:
         seen = _seen(step * scale / scale[:, None], output * scale / plant.sensor_sigma[:, None])
         count = min([count, *((m - 1) // 2 for m in seen)])
     return max(count, 1)
+
+
+def require_max_faults(plant: Plant, given: int | None) -> None:
+    """Raise ValueError for a number of faults that is not None, for `most_faults`, nor from 1 to less than the sensors."""
+    if given is not None and not whole("max_faults", given, least=1) < len(plant.sensors):
+        raise ValueError(f"max_faults is {given}; plant {plant.name!r} has {len(plant.sensors)} sensors")
 
 
 def _seen(F: Array, H: Array) -> list[int]:

@@ -131,6 +131,13 @@ def require_filter(estimator: object) -> None:
         raise ValueError(f"estimator is {shown(estimator)}; wanted Extended(), Unscented() or Ensemble()")
 
 
+def require_consistent(estimator: object) -> None:
+    """Raise ValueError for anything but a filter whose mean and covariance are consistent: no ensemble, no other gain."""
+    require_filter(estimator)
+    if isinstance(estimator, Ensemble) or not estimator.consistent:  # type: ignore[attr-defined]
+        raise ValueError(f"{estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)")
+
+
 class _Moments:
     """What the filters that carry mean and covariance share."""
 

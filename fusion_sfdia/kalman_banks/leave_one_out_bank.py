@@ -13,28 +13,26 @@ The statistically consistent form of the bank: every sensor is judged against al
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fusion_sfdia.core.arguments import probability, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.arguments import whole
+from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import Decision, State
-from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
-from fusion_sfdia.core.health import broken
-from fusion_sfdia.core.redundancy import most_faults
-from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Prior, require_filter, step_stream
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.core.exclusion import Exclusion, nobody
+from fusion_sfdia.filters.estimators import Estimator, Extended, Prior, step_stream
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import Best, Evidence, Window, absorbed, advance, best_onset, empty, weigh
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class LeaveOneOutBank(BatchDetector):
+class LeaveOneOutBank(ExcludingBank):
     """Leave-one-out bank on one central filter (extended or unscented with redraw).
 
     window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
@@ -53,17 +51,7 @@ class LeaveOneOutBank(BatchDetector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_filter(self.estimator)
-        probability("false_alarm", self.false_alarm)
         whole("window, in samples,", self.window, least=1)
-        if isinstance(self.estimator, Ensemble) or not self.estimator.consistent:
-            raise ValueError(
-                f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)"
-            )
-        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
-            raise ValueError(
-                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
-            )
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -116,34 +104,10 @@ class LeaveOneOutBank(BatchDetector):
             restart = np.any(named, axis=-1) & self.accommodate
             window = advance(evidence, joint.C @ found.inverse, found, restart)
 
-        expected = plant.output(t, x, u)
-        h = plant.output_jacobian_at(t, x, u)
-        variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
-        error = y - expected  # of the sensors that are out: they have no part in `expected`
-        if self.accommodate:
-            exclusion = watch(exclusion, error, variance, one_limit, -np.log(self.false_alarm / y.shape[-1]))
-            exclusion = exclude(exclusion, named, error)
-        held = exclusion.out if self.accommodate else named
-        outside = np.isfinite(y) & ~usable
-        decision = Decision(
-            estimate=x,
-            measured=np.where(np.isfinite(y) & ~held, y, expected),
-            residual=np.where(outside, error, np.where(usable, residual, np.nan)),
-            threshold=np.where(outside, np.sqrt(one_limit * variance), threshold),
-            isolated=held,
-            fault_size=np.where(held, exclusion.size if self.accommodate else size, np.nan),
-            diverged=prior.lost | broken(x, p),
-            guarded=prior.guarded,
-            nis=normalised_innovation_squared(joint, found, y),
-            covariance=p,
-            capped=capped,
-        )
+        update = Update(x, p, prior, joint, found)
+        verdict = Verdict(usable, named, residual, threshold, size, capped, one_limit)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
         return (x, p, *exclusion, *window), decision
-
-    @cached_property
-    def most_faults(self) -> int:
-        """How many sensors may be out at once."""
-        return self.max_faults or most_faults(self.plant)
 
     def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above the one-sample threshold until none is left or too many are out.

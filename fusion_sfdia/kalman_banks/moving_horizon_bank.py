@@ -20,11 +20,11 @@ from scipy.special import ndtri
 from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import Decision, State
-from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
-from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.exclusion import Exclusion, nobody
 from fusion_sfdia.filters.estimators import step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
-from fusion_sfdia.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.kalman_banks.excluding_bank import Update, Verdict
+from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons
 
@@ -80,31 +80,12 @@ class MovingHorizon(LeaveOneOutBank):
             keep = ~np.any(named, axis=-1)[..., None, None]
             past = Horizons(past.effect * keep[..., None], past.g * keep, past.G * keep[..., None])
 
-        limit = self.penalty**2
-        expected = plant.output(t, x, u)
-        h = plant.output_jacobian_at(t, x, u)
-        variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
-        error = y - expected  # of the sensors that are out: they have no part in `expected`
-        if self.accommodate:
-            exclusion = watch(exclusion, error, variance, limit, -np.log(self.false_alarm / y.shape[-1]))
-            exclusion = exclude(exclusion, named, error)
-        held = exclusion.out if self.accommodate else named
-        outside = np.isfinite(y) & ~usable
         worst = np.argmax(ratio, axis=-2)[..., None, :]
         alone, deviation = (np.take_along_axis(a, worst, axis=-2)[..., 0, :] for a in (g * deviation**2, deviation))
-        decision = Decision(
-            estimate=x,
-            measured=np.where(np.isfinite(y) & ~held, y, expected),
-            residual=np.where(outside, error, np.where(usable, alone, np.nan)),
-            threshold=np.where(outside, np.sqrt(limit * variance), np.where(deviation > 0, self.penalty * deviation, np.inf)),
-            isolated=held,
-            fault_size=np.where(held, exclusion.size if self.accommodate else size, np.nan),
-            diverged=prior.lost | broken(x, p),
-            guarded=prior.guarded,
-            nis=normalised_innovation_squared(joint, found, y),
-            covariance=p,
-            capped=capped,
-        )
+        threshold = np.where(deviation > 0, self.penalty * deviation, np.inf)
+        update = Update(x, p, prior, joint, found)
+        verdict = Verdict(usable, named, alone, threshold, size, capped, self.penalty**2)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
         return (x, p, *exclusion, *past), decision
 
     def _solve(

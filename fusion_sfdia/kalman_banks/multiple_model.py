@@ -32,7 +32,7 @@ from fusion_sfdia.core.arguments import number, probability
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, require_filter, step_stream
+from fusion_sfdia.filters.estimators import Estimator, Extended, require_consistent, step_stream
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared, posterior, statistics
 
 Array = NDArray[Any]
@@ -54,12 +54,8 @@ class MultipleModel(BatchDetector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_filter(self.estimator)
+        require_consistent(self.estimator)
         probability("false_alarm", self.false_alarm)
-        if isinstance(self.estimator, Ensemble) or not self.estimator.consistent:
-            raise ValueError(
-                f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)"
-            )
         for what in ("inflation", "duration"):
             if not 1 < number(what, getattr(self, what)) < np.inf:
                 raise ValueError(f"{what} is {getattr(self, what)}; expected a number above 1")

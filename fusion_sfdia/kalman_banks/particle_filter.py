@@ -24,7 +24,7 @@ from fusion_sfdia.core.arguments import probability, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.core.redundancy import most_faults
+from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters import particle
 from fusion_sfdia.filters.estimators import guarded_points, readings_of, step_stream
 from fusion_sfdia.filters.gaussian import add, whiten
@@ -60,10 +60,7 @@ class ParticleFilter(BatchDetector):
         if whole("size", self.size, least=1) < 2:
             raise ValueError(f"{self.size} particles; a covariance needs at least 2, and a filter some hundreds")
         probability("false_alarm", self.false_alarm)
-        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
-            raise ValueError(
-                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
-            )
+        require_max_faults(self.plant, self.max_faults)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
         """Members (*batch, M, n) and log weights (*batch, M)."""

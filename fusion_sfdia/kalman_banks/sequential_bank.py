@@ -17,22 +17,20 @@ the fault over them.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fusion_sfdia.core.arguments import probability, shown, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import Decision, State
-from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
-from fusion_sfdia.core.health import broken
-from fusion_sfdia.core.redundancy import most_faults
-from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Prior, require_filter, step_stream
+from fusion_sfdia.core.exclusion import Exclusion, nobody
+from fusion_sfdia.filters.estimators import Estimator, Extended, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, normalised_innovation_squared, posterior, statistics
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.memory_rules import Rule, Shewhart
 
 Array = NDArray[Any]
@@ -50,7 +48,7 @@ class Judged(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SequentialBank(BatchDetector):
+class SequentialBank(ExcludingBank):
     """Sequential tests of every sensor on one central filter (extended or unscented with redraw).
 
     rules: what is remembered of z; alarm of any. leave_one_out: z from the other readings, too; otherwise from the model alone.
@@ -69,23 +67,8 @@ class SequentialBank(BatchDetector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_filter(self.estimator)
-        probability("false_alarm", self.false_alarm)
         if not isinstance(self.rules, tuple) or not self.rules:
             raise ValueError(f"rules is {shown(self.rules)}; expected a tuple of at least one, such as (Shewhart(), Cusum())")
-        if isinstance(self.estimator, Ensemble) or not self.estimator.consistent:
-            raise ValueError(
-                f"{self.estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)"
-            )
-        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
-            raise ValueError(
-                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
-            )
-
-    @cached_property
-    def most_faults(self) -> int:
-        """How many sensors may be out at once."""
-        return self.max_faults or most_faults(self.plant)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> State:
         """x, P, the exclusions, and the memory of each rule."""
@@ -111,31 +94,12 @@ class SequentialBank(BatchDetector):
             fresh = (rule.start(y.shape[:-1], count) for rule in self.rules)
             memory = tuple(np.where(restart, new, old) for new, old in zip(fresh, memory, strict=True))
 
-        expected = plant.output(now.t, x, u)
-        h = plant.output_jacobian_at(now.t, x, u)
-        variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
-        error = y - expected  # of the sensors that are out: they have no part in `expected`
         limit = (self.threshold_scale * ndtri(self.false_alarm / count / 2)) ** 2
-        if self.accommodate:
-            exclusion = watch(exclusion, error, variance, limit, -np.log(self.false_alarm / count))
-            exclusion = exclude(exclusion, named, error)
-        held = exclusion.out if self.accommodate else named
-        outside = np.isfinite(y) & ~usable
         signed = np.where(np.signbit(judged.innovation), -judged.ratio, judged.ratio)
         threshold = judged.deviation * np.sqrt(limit)
-        decision = Decision(
-            estimate=x,
-            measured=np.where(np.isfinite(y) & ~held, y, expected),
-            residual=np.where(outside, error, np.where(everything.used, signed * threshold, np.nan)),
-            threshold=np.where(outside, np.sqrt(limit * variance), threshold),
-            isolated=held,
-            fault_size=np.where(held, exclusion.size if self.accommodate else judged.innovation, np.nan),
-            diverged=prior.lost | broken(x, p),
-            guarded=prior.guarded,
-            nis=normalised_innovation_squared(joint, found, y),
-            covariance=p,
-            capped=capped,
-        )
+        update = Update(x, p, prior, joint, found)
+        verdict = Verdict(usable, named, signed * threshold, threshold, judged.innovation, capped, limit)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
         return (x, p, *exclusion, *memory), decision
 
     def _joint(self, now: Moment, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:

@@ -20,7 +20,7 @@ from fusion_sfdia.core.arguments import floats, number, probability, shown, whol
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State, run
 from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
-from fusion_sfdia.core.redundancy import most_faults
+from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
@@ -95,10 +95,7 @@ class Chebyshev(BatchDetector):
         require_rule(self.rule)
         require_filter(self.moments)
         whole("confirmations", self.confirmations, least=1)
-        if self.max_faults is not None and not whole("max_faults", self.max_faults, least=1) < len(self.plant.sensors):
-            raise ValueError(
-                f"max_faults is {self.max_faults}; plant {self.plant.name!r} has {len(self.plant.sensors)} sensors"
-            )
+        require_max_faults(self.plant, self.max_faults)
         if self.alpha is not None and self.false_alarm is not None:
             raise ValueError(
                 f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each follows from the other: give one"

@@ -1,0 +1,95 @@
+"""What banks on one central filter share that leave named sensors out: their settings, and how a step ends."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import probability
+from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.exclusion import Exclusion, exclude, watch
+from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.redundancy import most_faults, require_max_faults
+from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent
+from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared
+
+Array = NDArray[Any]
+
+
+class Update(NamedTuple):
+    """The update of a step: estimate x (..., n), covariance p (..., n, n), and the statistics of the readings in it."""
+
+    x: Array
+    p: Array
+    prior: Prior
+    joint: Joint
+    found: LeaveOneOut
+
+
+class Verdict(NamedTuple):
+    """Of the sensors (..., N): in use before the step, named in it, residual, threshold and size of fault; capped (...).
+
+    limit: chi-square limit on the readings of sensors that are out, compared with their expected values.
+    """
+
+    usable: Array
+    named: Array
+    residual: Array
+    threshold: Array
+    size: Array
+    capped: Array
+    limit: float
+
+
+class ExcludingBank(BatchDetector):
+    """A bank whose settings, declared by each with its defaults, include these; see them for what they mean."""
+
+    estimator: Estimator
+    false_alarm: float
+    max_faults: int | None
+    accommodate: bool
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_consistent(self.estimator)
+        probability("false_alarm", self.false_alarm)
+        require_max_faults(self.plant, self.max_faults)
+
+    @cached_property
+    def most_faults(self) -> int:
+        """How many sensors may be out at once."""
+        return self.max_faults or most_faults(self.plant)
+
+    def _conclude(
+        self, now: Moment, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
+    ) -> tuple[Exclusion, Decision]:
+        """Leave the named sensors out, readmit those that are healthy again, and say so; without `accommodate` only say."""
+        plant, (x, p, prior, joint, found) = self.plant, update
+        expected = plant.output(now.t, x, u)
+        h = plant.output_jacobian_at(now.t, x, u)
+        variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
+        error = y - expected  # of the sensors that are out: they have no part in `expected`
+        if self.accommodate:
+            exclusion = watch(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
+            exclusion = exclude(exclusion, verdict.named, error)
+        held = exclusion.out if self.accommodate else verdict.named
+        outside = np.isfinite(y) & ~verdict.usable
+        decision = Decision(
+            estimate=x,
+            measured=np.where(np.isfinite(y) & ~held, y, expected),
+            residual=np.where(outside, error, np.where(verdict.usable, verdict.residual, np.nan)),
+            threshold=np.where(outside, np.sqrt(verdict.limit * variance), verdict.threshold),
+            isolated=held,
+            fault_size=np.where(held, exclusion.size if self.accommodate else verdict.size, np.nan),
+            diverged=prior.lost | broken(x, p),
+            guarded=prior.guarded,
+            nis=normalised_innovation_squared(joint, found, y),
+            covariance=p,
+            capped=verdict.capped,
+        )
+        return exclusion, decision
