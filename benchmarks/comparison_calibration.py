@@ -34,9 +34,6 @@ CLAIMS = {  # alarms a step over all sensors, of those that have no setting fals
 }
 
 
-NO_CLAIM = ("multiple-model",)  # its false_alarm is the probability with which a fault begins
-
-
 class Calibrated(NamedTuple):
     """A detector, the scale of its thresholds for the common rate, its healthy scores (K, R) at its own, and its claim.
 
@@ -78,8 +75,6 @@ def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[floa
 
 def claim(name: str, detector: Any) -> float:
     """Alarms a step over all sensors that a detector claims at most, NaN where it claims nothing below 1."""
-    if name in NO_CLAIM:
-        return np.nan
     if (rate := getattr(detector, "false_alarm", None)) is not None:
         return float(rate)
     if (alpha := getattr(detector, "alpha", None)) is not None:  # Chebyshev's inequality for each sensor

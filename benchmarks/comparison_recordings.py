@@ -119,7 +119,7 @@ def distance_of_truth(plant: str) -> float:
     Over DISTANCE_STEPS samples of the usual operation, without process noise, controllers reading the same noise.
     """
     of = plant_of(plant)
-    run = partial(simulate, of, DISTANCE_STEPS, (0,), inputs=OPERATIONS.get(plant))
+    run = partial(simulate, of, DISTANCE_STEPS, (0,))
     finest, to_states = (of, None) if of.finer is None else of.finer()
     signals = [
         run(truth=replace(truth, sensors=of.sensors), to_states=mapped).signal

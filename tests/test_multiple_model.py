@@ -21,7 +21,7 @@ def test_it_is_the_literal_bank_of_filters_merged_at_every_step() -> None:
     t, _, y, u = readings(plant, 25, 1, seed=0)
     y = y[:, 0].copy()
     y[10:18, 1] += 9.0
-    bank = MultipleModel(plant, inflation=inflation, false_alarm=begins, duration=duration)
+    bank = MultipleModel(plant, inflation=inflation, fault_probability=begins, duration=duration)
     state = bank.init()
     f = plant.step_jacobian_at(0.0, plant.x0, u[0, 0], 1.0)
     h = plant.output_jacobian_at(0.0, plant.x0, u[0, 0])
@@ -82,7 +82,7 @@ def test_in_other_units_it_is_the_same() -> None:
 def test_of_one_model_it_is_the_kalman_filter() -> None:
     plant = chain(5, sensors=4)
     t, _, y, u = readings(plant, 40, 3, seed=3)
-    bank, single = MultipleModel(plant, false_alarm=1e-300), CentralFilter(plant)
+    bank, single = MultipleModel(plant, fault_probability=1e-300), CentralFilter(plant)
     _, a = run(bank, bank.init((3,)), t, y, u, covariance=True)
     _, b = run(single, single.init((3,)), t, y, u, covariance=True)
     np.testing.assert_allclose(a.estimate, b.estimate, rtol=1e-12, atol=1e-12)
@@ -94,7 +94,7 @@ def test_the_threshold_of_the_residual_is_where_the_odds_are_even() -> None:
     t, _, y, u = readings(plant, 80, 20, seed=4)
     y = y.copy()
     y[40:60, :, 3] += 5.0
-    bank = MultipleModel(plant, false_alarm=0.01)
+    bank = MultipleModel(plant, fault_probability=0.01)
     state = bank.init((20,))
     for k in range(80):
         state, d = bank.step(state, float(t[k]), y[k], u[k])
@@ -107,7 +107,7 @@ def test_the_threshold_of_the_residual_is_where_the_odds_are_even() -> None:
 def test_false_alarms_are_fewer_than_faults_that_begin_and_the_estimate_knows_its_error() -> None:
     plant = chain(8)
     t, x, y, u = readings(plant, 200, 60, seed=5)
-    bank = MultipleModel(plant, false_alarm=0.01)
+    bank = MultipleModel(plant, fault_probability=0.01)
     _, d = run(bank, bank.init((60,)), t, y, u, covariance=True)
     rate = d.alarm.mean(axis=0)  # samples of a run correlate, runs do not
     assert rate.mean() < 0.01 + 4 * rate.std() / np.sqrt(60)

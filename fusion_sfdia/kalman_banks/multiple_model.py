@@ -11,12 +11,12 @@ and the merged ones, weighted by the modes' probabilities mu_i and with c_i = g_
 
     x = x_0 - sum mu_i c_i K_i,    P = P_0 + sum mu_i (g_i + c_i^2) K_i K_i' - (sum mu_i c_i K_i)(...)'.
 
-A fault begins in a step with the probability `false_alarm`, on any sensor alike, and ends with 1 / `duration`. Sensor i is held
-faulty where its mode has a larger probability than "all healthy" has, mu_i / mu_0 > 1. One sensor at a time: modes of several
-would be too many. Shown as its residual are sqrt(2 log(1 + E_i)) standard deviations of its leave-one-out innovation, where
-E_i = (mu_i / mu_0) / (false_alarm / N), the odds over those with which a fault begins, against the threshold N / false_alarm.
-That is no rate of false alarms: a fault that may have begun at any time has prior odds of about false_alarm duration / N, so
-that Markov's inequality only gives a bound of about false_alarm duration a step, were the modes not merged.
+A fault begins in a step with the probability p, `fault_probability`, on any sensor alike, and ends with 1 / `duration`. Sensor i
+is held faulty where its mode has a larger probability than "all healthy" has, mu_i / mu_0 > 1. One sensor at a time: modes of
+several would be too many. Shown as its residual are sqrt(2 log(1 + E_i)) standard deviations of its leave-one-out innovation, where
+E_i = (mu_i / mu_0) / (p / N), the odds over those with which a fault begins, against the threshold N / p. That is no rate of false
+alarms: a fault that may have begun at any time has prior odds of about p duration / N, so that Markov's inequality only gives a
+bound of about p duration a step, were the modes not merged.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ Array = NDArray[Any]
 class MultipleModel(BatchDetector):
     """GPB1 over N + 1 modes on an extended filter (or an unscented one with redraw).
 
-    inflation: noise of a faulty sensor over that of a healthy one. false_alarm: probability that a fault begins in a step; for
-    false alarms see above. duration: mean of a fault, in samples. Faulty sensors are not left out at a
-    threshold but as far as they are improbable, so that the estimate depends on no threshold.
+    inflation: noise of a faulty sensor over that of a healthy one. fault_probability: that a fault begins in a step; for false
+    alarms see above. duration: mean of a fault, in samples. Faulty sensors are not left out at a threshold but as far as they
+    are improbable, so that the estimate depends on no threshold.
     """
 
     estimator: Estimator = field(default_factory=Extended)
     inflation: float = 10.0
-    false_alarm: float = 1e-3
+    fault_probability: float = 1e-3
     duration: float = 100.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_consistent(self.estimator)
-        probability("false_alarm", self.false_alarm)
+        probability("fault_probability", self.fault_probability)
         for what in ("inflation", "duration"):
             if not 1 < number(what, getattr(self, what)) < np.inf:
                 raise ValueError(f"{what} is {getattr(self, what)}; expected a number above 1")
@@ -64,7 +64,7 @@ class MultipleModel(BatchDetector):
         """x, P, and the logarithms of the modes' probabilities (N + 1,), healthy first."""
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         count = len(self.plant.sensors)
-        mode = np.log(np.append(1 - self.false_alarm, np.full(count, self.false_alarm / count)))
+        mode = np.log(np.append(1 - self.fault_probability, np.full(count, self.fault_probability / count)))
         return *core, np.broadcast_to(mode, (*batch, count + 1)).copy()
 
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
@@ -83,7 +83,7 @@ class MultipleModel(BatchDetector):
         spread = columns * np.sqrt(mu * (gain + c**2))[..., None, :]
         p = p + spread @ np.swapaxes(spread, -1, -2) - shift[..., :, None] * shift[..., None, :]
 
-        share = self.false_alarm / y.shape[-1]
+        share = self.fault_probability / y.shape[-1]
         evidence = np.logaddexp(0.0, mode[..., 1:] - mode[..., :1] - np.log(share))  # log(1 + E_i)
         deviation = np.sqrt(found.variance)
         limit = self.threshold_scale * np.sqrt(2 * np.log1p(1 / share))
@@ -107,7 +107,7 @@ class MultipleModel(BatchDetector):
 
     def _passed(self, mode: Array) -> Array:
         """Logarithms of the modes' probabilities (..., N + 1) a step later, before the readings."""
-        begins, ends = self.false_alarm, 1 / self.duration
+        begins, ends = self.fault_probability, 1 / self.duration
         count = mode.shape[-1] - 1
         healthy, faulty = mode[..., :1], mode[..., 1:]
         remains = np.logaddexp(healthy + np.log1p(-begins), logsumexp(faulty, axis=-1, keepdims=True) + np.log(ends))
