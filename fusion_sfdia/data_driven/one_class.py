@@ -59,8 +59,8 @@ class OneClass(ReconstructionDetector):
 
         Of the training half, at most TRAINED_ON samples evenly spread train the machine, of which at most the share `outliers`
         (nu) is left outside, 0.1 of 0.01, 0.1 and 0.5 that were tried on runs of other seeds than are compared; the other half
-        sets the limit as an order statistic. ValueError where the data are too few for the
-        rate or the sensors, NotApplicableError for a plant of one sensor.
+        sets the limit as an order statistic. ValueError where the data are too few for the rate or the sensors,
+        NotApplicableError for a plant of one sensor.
         """
         from sklearn.svm import OneClassSVM  # slow to import
 

@@ -11,12 +11,12 @@ and the merged ones, weighted by the modes' probabilities mu_i and with c_i = g_
 
     x = x_0 - sum mu_i c_i K_i,    P = P_0 + sum mu_i (g_i + c_i^2) K_i K_i' - (sum mu_i c_i K_i)(...)'.
 
-A fault begins in a step with the probability p, `fault_probability`, on any sensor alike, and ends with 1 / `duration`. Sensor i
-is held faulty where its mode has a larger probability than "all healthy" has, mu_i / mu_0 > 1. One sensor at a time: modes of
-several would be too many. Shown as its residual are sqrt(2 log(1 + E_i)) standard deviations of its leave-one-out innovation, where
-E_i = (mu_i / mu_0) / (p / N), the odds over those with which a fault begins, against the threshold N / p. That is no rate of false
-alarms: a fault that may have begun at any time has prior odds of about p duration / N, so that Markov's inequality only gives a
-bound of about p duration a step, were the modes not merged.
+A fault begins in a step with the probability p, `fault_probability`, on any sensor alike, and ends with 1 / `duration`.
+Sensor i is held faulty where its mode has a larger probability than "all healthy" has, mu_i / mu_0 > 1. One sensor at a time:
+modes of several would be too many. Shown as its residual are sqrt(2 log(1 + E_i)) standard deviations of its leave-one-out
+innovation, where E_i = (mu_i / mu_0) / (p / N), the odds over those with which a fault begins, against the threshold N / p.
+That is no rate of false alarms: a fault that may have begun at any time has prior odds of about p duration / N, so that
+Markov's inequality only gives a bound of about p duration a step, were the modes not merged.
 """
 
 from __future__ import annotations
