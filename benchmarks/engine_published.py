@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from fusion_sfdia.benchmarks.results import Published
 from fusion_sfdia.core.modules import ObserverBound
+from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.models.marine_engine import GAINS, OBSERVER_BOUNDS
 
 K24, K22 = "Kougiatsos 2024", "Kougiatsos 2022"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.evaluation.results import Row
 
 
 def pick(rows: Iterable[Row], **wanted: str | Sequence[str]) -> list[Row]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fusion_sfdia.benchmarks.results import Row
+from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.stochastic_thresholds.threshold_rules import CONFORMAL
 
 ALPHAS = (2.0, 5.0, 10.0)

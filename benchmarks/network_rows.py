@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.results import Published, Row
 from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
+from fusion_sfdia.evaluation.results import Published, Row
 
 Array = NDArray[Any]
 

@@ -15,9 +15,9 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from fusion_sfdia.benchmarks.output import Command
-from fusion_sfdia.benchmarks.results import Row
 from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary
 from fusion_sfdia.core.storage import atomic_write
+from fusion_sfdia.evaluation.results import Row
 
 OPEN_ROWS = 40  # a longer table is folded
 MOST_ROWS = 5000  # of more the page would be slow: they are in metrics.csv alone

@@ -36,9 +36,9 @@ from fusion_sfdia.benchmarks.parts import part_name, read_part
 from fusion_sfdia.benchmarks.plots import write_figure
 from fusion_sfdia.benchmarks.provenance import cores, git_commit, sources_digest, versions
 from fusion_sfdia.benchmarks.report import Section, write_report
-from fusion_sfdia.benchmarks.results import Row, write_rows
 from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Task, adjust
 from fusion_sfdia.benchmarks.workers import Done, Piece, work_off
+from fusion_sfdia.evaluation.results import Row, write_rows
 
 WorkOff = Callable[[Sequence[Piece]], Iterator[Done]]
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.results import Published, Row
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.numerals import decimal, integer
+from fusion_sfdia.evaluation.results import Published, Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing

@@ -164,8 +164,8 @@ def _list(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.benchmarks.registry import match_scenarios, scenario
-    from fusion_sfdia.benchmarks.results import as_json
     from fusion_sfdia.benchmarks.runner import run_scenarios
+    from fusion_sfdia.evaluation.results import as_json
 
     changes = _settings(chosen.set)
     names = match_scenarios(chosen.scenario)
@@ -263,7 +263,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
 
 def _bench(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.benchmarks import bench
-    from fusion_sfdia.benchmarks.results import as_json
+    from fusion_sfdia.evaluation.results import as_json
 
     rows = bench.run(chosen.part, chosen.out, chosen.seconds, force=chosen.force)
     print(as_json(rows) if chosen.json else "\n".join(bench.as_text(row) for row in rows))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from toy_plants import Array, chain, readings, tanks
 
-from fusion_sfdia.benchmarks.trials import faulted, outcome
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.evaluation.trials import faulted, outcome
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented, guarded_points
 from fusion_sfdia.filters.ukf import SigmaPoints

@@ -10,9 +10,9 @@ from fusion_sfdia.benchmarks.detectors import as_printed, build
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, detection_rows, gather, tasks, trial
 from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
-from fusion_sfdia.benchmarks.trials import decide, faulted, outcome
 from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
 from fusion_sfdia.evaluation.fault_draws import FaultRange
+from fusion_sfdia.evaluation.trials import decide, faulted, outcome
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 from fusion_sfdia.models.two_tanks import two_tanks
 

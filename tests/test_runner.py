@@ -16,9 +16,9 @@ from toy_scenario import TOY, toy
 
 from fusion_sfdia.benchmarks.output import Command, all_or_none, locked, open_output
 from fusion_sfdia.benchmarks.parts import part_name, read_part, write_part
-from fusion_sfdia.benchmarks.results import COLUMNS, Row, as_json, read_rows, write_rows
 from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.benchmarks.scenario import Published, adjust, seed_blocks
+from fusion_sfdia.evaluation.results import COLUMNS, Row, as_json, read_rows, write_rows
 
 PLAIN = {"figure": "no"}
 
