@@ -23,8 +23,8 @@ from fusion_sfdia.benchmarks.comparison_rows import rows_of_cell
 from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings, choices_table, ranks_table, standing_rows
 from fusion_sfdia.benchmarks.comparison_words import words
 from fusion_sfdia.benchmarks.comparison_work import work
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
 
 
 def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:

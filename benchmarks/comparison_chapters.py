@@ -28,8 +28,8 @@ from fusion_sfdia.benchmarks.comparison_tables import (
     ranks_table,
 )
 from fusion_sfdia.benchmarks.registry import PLANTS
-from fusion_sfdia.benchmarks.scenario import Chapter, Figure, Settings
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Chapter, Figure, Settings
 
 Cells = Mapping[str, Cell]  # of one plant, by detector
 

@@ -10,8 +10,8 @@ import numpy as np
 from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, sizes
 from fusion_sfdia.benchmarks.comparison_recordings import distance_of_truth
-from fusion_sfdia.benchmarks.scenario import Settings
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate
+from fusion_sfdia.experiments.scenario import Settings
 
 SAME = 1e-6  # sigma: less is the same model
 GLANCE = 8  # the first of them are shown at a glance

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.scenario import Arrays
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.detection_metrics import judged_right
+from fusion_sfdia.experiments.scenario import Arrays
 
 Array = NDArray[Any]
 

@@ -20,9 +20,9 @@ from fusion_sfdia.benchmarks.comparison_protocol import PUBLISHED, TROUBLED_SIGM
 from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS
 from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, Standing
 from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
-from fusion_sfdia.benchmarks.scenario import Interval, Settings, Table
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Interval, Settings, Table
 
 Standings = Mapping[str, Mapping[str, Mapping[str, Standing]]]  # plant, criterion, detector
 EVERY = "all plants"

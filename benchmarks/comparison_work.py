@@ -39,10 +39,10 @@ from fusion_sfdia.benchmarks.comparison_protocol import (
 from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
 from fusion_sfdia.benchmarks.comparison_records import Branch, Outcome, join, record
 from fusion_sfdia.benchmarks.comparison_truths import departed
-from fusion_sfdia.benchmarks.scenario import Arrays, Task
 from fusion_sfdia.core.detector import Detector, NotApplicableError, State
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
+from fusion_sfdia.experiments.scenario import Arrays, Task
 
 Array = NDArray[Any]
 

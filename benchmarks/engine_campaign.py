@@ -18,7 +18,6 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import ENVELOPE, Adapti
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
 from fusion_sfdia.benchmarks.detectors import adaptive_threshold
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, MOST_NOISE, engine, extremes
-from fusion_sfdia.benchmarks.scenario import Arrays, Settings
 from fusion_sfdia.core.detector import State
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
@@ -26,6 +25,7 @@ from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.experiments.scenario import Arrays, Settings
 from fusion_sfdia.models.marine_engine import marine_engine
 from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine_faults import ProcessFault

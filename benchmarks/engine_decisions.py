@@ -14,10 +14,10 @@ from fusion_sfdia.benchmarks.engine_published import Experiment
 from fusion_sfdia.benchmarks.engine_trials import NAMES, Array, Timeline, engine, row
 from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Published, Table
 from fusion_sfdia.evaluation.diagnosis_metrics import exoneration_performance, isolation_performance
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Published, Table
 
 UNITS = {s.name: s.unit for s in engine(0.05, "K24").sensors}
 

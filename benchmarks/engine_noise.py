@@ -27,7 +27,10 @@ from fusion_sfdia.benchmarks.engine_noise_figures import (
 from fusion_sfdia.benchmarks.engine_published import DELAYS, Delay, Offset
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row, timeline
 from fusion_sfdia.benchmarks.findings import listed, pick, span
-from fusion_sfdia.benchmarks.scenario import (
+from fusion_sfdia.evaluation.diagnosis_metrics import Response
+from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.experiments.scenario import (
     Arrays,
     Row,
     Scenario,
@@ -37,9 +40,6 @@ from fusion_sfdia.benchmarks.scenario import (
     Task,
     seed_blocks,
 )
-from fusion_sfdia.evaluation.diagnosis_metrics import Response
-from fusion_sfdia.evaluation.faults import Fault, apply
-from fusion_sfdia.evaluation.metrics import Estimate
 
 Array = NDArray[Any]
 

@@ -9,7 +9,7 @@ from fusion_sfdia.benchmarks.engine_campaign import DRIVES, Array, logic
 from fusion_sfdia.benchmarks.engine_campaign_figures import share_matrix
 from fusion_sfdia.benchmarks.engine_trials import NAMES
 from fusion_sfdia.benchmarks.plots import panels
-from fusion_sfdia.benchmarks.scenario import Figure
+from fusion_sfdia.experiments.scenario import Figure
 from fusion_sfdia.models.marine_engine import SENSORS
 from fusion_sfdia.models.marine_engine_faults import PROCESS_FAULTS
 

@@ -16,10 +16,10 @@ from fusion_sfdia.adaptive_thresholds.signatures import SignatureMatrix, global_
 from fusion_sfdia.benchmarks.engine_published import K22, K24, SIGNATURES, signatures
 from fusion_sfdia.benchmarks.engine_trials import Results, engine, row
 from fusion_sfdia.benchmarks.plots import panels
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.models.marine_engine import MODULES, SENSORS
 
 NAME, DETECTOR = "engine/signatures", "adaptive-threshold"

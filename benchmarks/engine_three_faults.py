@@ -24,8 +24,8 @@ from fusion_sfdia.benchmarks.engine_published import (
 )
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, Results, gather, published_first, row, tasks, timeline, trial
 from fusion_sfdia.benchmarks.findings import listed, pick
-from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Task
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
 
 NAME, FAULT = "engine/three-faults", "three-faults"
 PUBLISHED = (ISOLATION_PERFORMANCE, EXONERATION_PERFORMANCE)

@@ -18,13 +18,13 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshol
 from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes
 from fusion_sfdia.benchmarks.detectors import build
 from fusion_sfdia.benchmarks.engine_published import AT_NOMINAL_SPEED, DESIGNS, Offset
-from fusion_sfdia.benchmarks.scenario import Arrays, Published, Settings, Task, seed_blocks
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.simulate import Recording, simulate
+from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine import MODULES, marine_engine
 from fusion_sfdia.models.marine_engine_equations import NOMINAL_SPEED
 

@@ -26,7 +26,7 @@ from fusion_sfdia.benchmarks.engine_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
 
 NAME, FAULT, DETECTOR = "engine/virtual-sensors", "three-faults", "virtual-sensors"
 V22 = "Kougiatsos and Reppa 2022, sec. 5, one run"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network_trials import PATIENCE
 from fusion_sfdia.benchmarks.plots import panels
-from fusion_sfdia.benchmarks.scenario import Figure
+from fusion_sfdia.experiments.scenario import Figure
 
 Array = NDArray[Any]
 

@@ -14,10 +14,10 @@ from fusion_sfdia.benchmarks.network_published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_rows import share, spread, teller, time_rows
 from fusion_sfdia.benchmarks.network_trials import LATE, Arrays, Watch, gather, trial
 from fusion_sfdia.benchmarks.registry import detector, require_known
-from fusion_sfdia.benchmarks.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.models.power_network import power_network
 from fusion_sfdia.models.power_network_equations import STATES
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model

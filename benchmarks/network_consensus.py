@@ -23,9 +23,9 @@ from fusion_sfdia.benchmarks.network_consensus_figures import (
     unequal_figure,
 )
 from fusion_sfdia.benchmarks.network_residuals import B18, PAPER, SETTLE, Variant, row, watch
-from fusion_sfdia.benchmarks.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, mean_over_runs
+from fusion_sfdia.experiments.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import load_profile

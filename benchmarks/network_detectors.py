@@ -20,8 +20,8 @@ from fusion_sfdia.benchmarks.network_detector_figures import (
 )
 from fusion_sfdia.benchmarks.network_innovations import chi_square, innovations, standardised
 from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, SETTLE, owners, row, streams
-from fusion_sfdia.benchmarks.scenario import Arrays, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.evaluation.metrics import mean_over_runs, proportion, rate_over_runs
+from fusion_sfdia.experiments.scenario import Arrays, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import AreaFault, load_profile
 from fusion_sfdia.models.power_network_parameters import load_steps

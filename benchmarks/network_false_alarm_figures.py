@@ -11,8 +11,8 @@ from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.network_claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, bound, claim, verdict
 from fusion_sfdia.benchmarks.network_residuals import VARIANTS
 from fusion_sfdia.benchmarks.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Figure, Table
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE
 
 QUANTITIES = ("theta, 2 sharers", "theta, 3 sharers", "theta, 4 sharers", "omega", "p_m", "p_v")

@@ -24,9 +24,9 @@ from fusion_sfdia.benchmarks.network_residuals import (
     streams,
     three_points,
 )
-from fusion_sfdia.benchmarks.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.metrics import NOTHING, proportion, rate_over_runs
+from fusion_sfdia.experiments.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import load_profile
 from fusion_sfdia.models.power_network_parameters import load_steps

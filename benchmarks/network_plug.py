@@ -22,9 +22,9 @@ from fusion_sfdia.benchmarks.network_plug_figures import (
     tables,
 )
 from fusion_sfdia.benchmarks.network_residuals import B18, CORRECTED, SETTLE, normalised, owners, row
-from fusion_sfdia.benchmarks.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import NOTHING, proportion, rate_over_runs
+from fusion_sfdia.experiments.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, NetworkModel, network_model
 from fusion_sfdia.models.power_network_operation import Switch, load_profile

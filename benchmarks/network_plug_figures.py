@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Figure, Table
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE
 
 Array = NDArray[Any]

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.scenario import Published
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Published
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import NetworkModel
 from fusion_sfdia.models.power_network_simulation import Draw, Moment

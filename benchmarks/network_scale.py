@@ -17,10 +17,10 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.plots import panels
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
-from fusion_sfdia.benchmarks.timing import Timing, best_times
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.experiments.timing import Timing, best_times
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import NetworkModel, network_model
 from fusion_sfdia.models.power_network_parameters import generate_network

@@ -22,10 +22,10 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Figure, Row, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.trials import READINGS
+from fusion_sfdia.experiments.scenario import Figure, Row, Scenario, Settings, Summary, Table, Task
 
 NAMES = (*PAPER, "loo-glr")
 UNITS = dict(zip(QUANTITIES, ("Pa", "kg/s", "K"), strict=True))

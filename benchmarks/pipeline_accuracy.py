@@ -21,9 +21,9 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Figure, Published, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.experiments.scenario import Figure, Published, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.models.gas_pipeline import SIGMA
 
 DETECTORS = (*PAPER, "loo-glr")

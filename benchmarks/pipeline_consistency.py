@@ -23,9 +23,9 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.evaluation.trials import decide, faulted
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 

@@ -25,10 +25,10 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Published, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Published, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline

@@ -23,7 +23,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import isolation_matrix, panels
-from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary, Task
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
@@ -33,6 +32,7 @@ from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )
 from fusion_sfdia.evaluation.metrics import mean_over_runs
+from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary, Task
 
 PLANT_DT = 10.0  # s between readings (Shaheen 2024, sec. IV-A)
 

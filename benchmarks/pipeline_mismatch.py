@@ -20,7 +20,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
@@ -29,6 +28,7 @@ from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fusion_sfdia.benchmarks.scenario import Interval, Published, Settings, Table
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.experiments.scenario import Interval, Published, Settings, Table
 from fusion_sfdia.models.gas_pipeline import PROCESS_NOISE
 
 OTHER = "process noise"  # in the names of rows of the reading that is not that of the settings

@@ -24,8 +24,8 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import panels, roc_curves
-from fusion_sfdia.benchmarks.scenario import Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.evaluation import detection_metrics as metrics
+from fusion_sfdia.experiments.scenario import Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
 

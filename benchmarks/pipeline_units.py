@@ -20,11 +20,11 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.filters.estimators import Estimator, Extended, Unscented
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline

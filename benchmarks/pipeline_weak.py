@@ -21,13 +21,13 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
-from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary, Task
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
     false_flag_rate,
     isolation_recall,
 )
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary, Task
 
 WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 

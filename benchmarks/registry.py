@@ -9,9 +9,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fusion_sfdia.benchmarks.scenario import Scenario
     from fusion_sfdia.core.detector import Detector
     from fusion_sfdia.core.plant import Plant
+    from fusion_sfdia.experiments.scenario import Scenario
 
 # name: "module:attribute", the attribute being a Scenario
 SCENARIOS: dict[str, str] = (

@@ -14,10 +14,10 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from fusion_sfdia.benchmarks.output import Command
-from fusion_sfdia.benchmarks.scenario import Figure, Scenario, Settings, Summary
 from fusion_sfdia.core.storage import atomic_write
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.output import Command
+from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary
 
 OPEN_ROWS = 40  # a longer table is folded
 MOST_ROWS = 5000  # of more the page would be slow: they are in metrics.csv alone

@@ -164,8 +164,8 @@ def _list(chosen: argparse.Namespace) -> int:
 
 def _run(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.benchmarks.registry import match_scenarios, scenario
-    from fusion_sfdia.benchmarks.runner import run_scenarios
     from fusion_sfdia.evaluation.results import as_json
+    from fusion_sfdia.experiments.runner import run_scenarios
 
     changes = _settings(chosen.set)
     names = match_scenarios(chosen.scenario)

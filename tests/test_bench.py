@@ -10,10 +10,10 @@ import pytest
 from fusion_sfdia.benchmarks import bench, bench_engine, bench_lorenz
 from fusion_sfdia.benchmarks.bench_filterpy import compiled_model, numpy_model, step_call
 from fusion_sfdia.benchmarks.engine_campaign import truth
-from fusion_sfdia.benchmarks.timing import best_times
 from fusion_sfdia.cli import main
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.results import read_rows
+from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.filters import ekf, ukf
 from fusion_sfdia.filters.gaussian import condition, dense
 from fusion_sfdia.models.gas_pipeline import gas_pipeline

@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 from toy_scenario import TOY
 
-from fusion_sfdia.benchmarks import cluster as on_cluster
-from fusion_sfdia.benchmarks import parts, provenance
-from fusion_sfdia.benchmarks.cluster import connected
 from fusion_sfdia.benchmarks.comparison_protocol import CHUNK
-from fusion_sfdia.benchmarks.runner import run_scenarios
-from fusion_sfdia.benchmarks.scenario import Arrays, Task
-from fusion_sfdia.benchmarks.workers import Piece
 from fusion_sfdia.cli import main
+from fusion_sfdia.experiments import cluster as on_cluster
+from fusion_sfdia.experiments import parts, provenance
+from fusion_sfdia.experiments.cluster import connected
+from fusion_sfdia.experiments.runner import run_scenarios
+from fusion_sfdia.experiments.scenario import Arrays, Task
+from fusion_sfdia.experiments.workers import Piece
 
 distributed = pytest.importorskip("distributed", reason="needs the optional package distributed")
 

@@ -33,12 +33,12 @@ from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.comparison_work import work
 from fusion_sfdia.benchmarks.detectors import DETECTORS, NamedDetector
 from fusion_sfdia.benchmarks.registry import PLANTS
-from fusion_sfdia.benchmarks.runner import run_scenarios
-from fusion_sfdia.benchmarks.scenario import Published, adjust
 from fusion_sfdia.cli import main, parser
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
+from fusion_sfdia.experiments.runner import run_scenarios
+from fusion_sfdia.experiments.scenario import Published, adjust
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 
 TINY = {

@@ -23,8 +23,8 @@ from fusion_sfdia.benchmarks.engine_virtual_trials import (
     virtual_sensors,
 )
 from fusion_sfdia.benchmarks.registry import scenario
-from fusion_sfdia.benchmarks.scenario import Arrays
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays
 
 NAME = "engine/virtual-sensors"
 

@@ -11,8 +11,8 @@ import pytest
 
 from fusion_sfdia.benchmarks import network_scale
 from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
-from fusion_sfdia.benchmarks.scenario import Summary
-from fusion_sfdia.benchmarks.timing import best_times
+from fusion_sfdia.experiments.scenario import Summary
+from fusion_sfdia.experiments.timing import best_times
 
 SCALE = scenario("network/scale")
 

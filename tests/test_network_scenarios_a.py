@@ -13,7 +13,7 @@ from fusion_sfdia.benchmarks.network_published import ATTACKS, GOVERNOR, SIGN_FL
 from fusion_sfdia.benchmarks.network_rows import spread, teller, time_rows
 from fusion_sfdia.benchmarks.network_trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, gather, trial
 from fusion_sfdia.benchmarks.registry import scenario
-from fusion_sfdia.benchmarks.scenario import Summary
+from fusion_sfdia.experiments.scenario import Summary
 from fusion_sfdia.models.power_network_accommodation import Compensated
 from fusion_sfdia.models.power_network_control import generation_control
 from fusion_sfdia.models.power_network_diagnosis import network_areas

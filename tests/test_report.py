@@ -17,8 +17,8 @@ from toy_scenario import NASTY, TOY
 from fusion_sfdia.benchmarks.findings import left_out, listed, pick, span
 from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, isolation_matrix, legend_above, panels, roc_curves, write_figure
 from fusion_sfdia.benchmarks.report import inline, number
-from fusion_sfdia.benchmarks.runner import run_scenarios
 from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.runner import run_scenarios
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

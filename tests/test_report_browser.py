@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from toy_scenario import TOY
 
-from fusion_sfdia.benchmarks.runner import run_scenarios
-from fusion_sfdia.benchmarks.scenario import Arrays, Settings, Summary, Task
+from fusion_sfdia.experiments.runner import run_scenarios
+from fusion_sfdia.experiments.scenario import Arrays, Settings, Summary, Task
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs the optional package selenium")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")

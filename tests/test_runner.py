@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from toy_scenario import TOY, toy
 
-from fusion_sfdia.benchmarks.output import Command, all_or_none, locked, open_output
-from fusion_sfdia.benchmarks.parts import part_name, read_part, write_part
-from fusion_sfdia.benchmarks.runner import run_scenarios
-from fusion_sfdia.benchmarks.scenario import Published, adjust, seed_blocks
 from fusion_sfdia.evaluation.results import COLUMNS, Row, as_json, read_rows, write_rows
+from fusion_sfdia.experiments.output import Command, all_or_none, locked, open_output
+from fusion_sfdia.experiments.parts import part_name, read_part, write_part
+from fusion_sfdia.experiments.runner import run_scenarios
+from fusion_sfdia.experiments.scenario import Published, adjust, seed_blocks
 
 PLAIN = {"figure": "no"}
 
@@ -183,7 +183,7 @@ def test_a_folder_is_of_one_run_at_a_time(tmp_path: Path) -> None:
 
 
 def test_the_lock_of_a_killed_process_blocks_nobody(tmp_path: Path, root: Path) -> None:
-    code = "import os, pathlib\nfrom fusion_sfdia.benchmarks.output import locked\n"
+    code = "import os, pathlib\nfrom fusion_sfdia.experiments.output import locked\n"
     code += f"with locked(pathlib.Path({str(tmp_path)!r})):\n    os._exit(9)"
     environment = {**os.environ, "PYTHONPATH": str(root)}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 9
@@ -214,7 +214,7 @@ def test_files_move_into_a_folder_all_or_none(tmp_path: Path, monkeypatch: pytes
             raise OSError(errno.ENOSPC, "No space left on device", str(target))
         replace_file(source, target)
 
-    monkeypatch.setattr("fusion_sfdia.benchmarks.output.os.replace", full_at_the_third)
+    monkeypatch.setattr("fusion_sfdia.experiments.output.os.replace", full_at_the_third)
     with pytest.raises(OSError, match="No space left"), all_or_none(out) as new:
         for name in ("a", "aa", "b"):
             (new / name).write_text("second")
@@ -229,7 +229,7 @@ def test_a_run_that_fails_leaves_the_results_of_the_one_before(tmp_path: Path, m
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     with monkeypatch.context() as patch:
-        patch.setattr("fusion_sfdia.benchmarks.runner.write_report", full)
+        patch.setattr("fusion_sfdia.experiments.runner.write_report", full)
         with pytest.raises(OSError) as caught:
             run_scenarios([TOY], tmp_path, seeds=4, workers=1, changes=PLAIN, force=True)
     assert caught.value.filename == str(tmp_path / "report.html")

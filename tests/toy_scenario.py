@@ -11,8 +11,19 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.plots import panels, time_series
-from fusion_sfdia.benchmarks.scenario import Arrays, Chapter, Figure, Row, Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.experiments.scenario import (
+    Arrays,
+    Chapter,
+    Figure,
+    Row,
+    Scenario,
+    Settings,
+    Summary,
+    Table,
+    Task,
+    seed_blocks,
+)
 
 NASTY = '<script>alert(1)</script> & "quotes" -->'
 

@@ -15,9 +15,9 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from fusion_sfdia.benchmarks.parts import decisive, write_part
-from fusion_sfdia.benchmarks.scenario import Arrays, Task
-from fusion_sfdia.benchmarks.workers import Done, Piece, timed
+from fusion_sfdia.experiments.parts import decisive, write_part
+from fusion_sfdia.experiments.scenario import Arrays, Task
+from fusion_sfdia.experiments.workers import Done, Piece, timed
 
 PATIENCE = 15.0  # seconds to wait for the scheduler, and for its first worker
 

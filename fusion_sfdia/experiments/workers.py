@@ -20,8 +20,8 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 from scipy import linalg  # noqa: F401  # its linear algebra is limited to one thread too, once it is loaded
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.benchmarks.parts import write_part
-from fusion_sfdia.benchmarks.scenario import Arrays, Task
+from fusion_sfdia.experiments.parts import write_part
+from fusion_sfdia.experiments.scenario import Arrays, Task
 
 
 class Piece(NamedTuple):

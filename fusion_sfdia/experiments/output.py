@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.benchmarks.parts import PART_NAME
 from fusion_sfdia.core.storage import atomic_write, made_folder
+from fusion_sfdia.experiments.parts import PART_NAME
 
 if sys.platform != "win32":
     import fcntl

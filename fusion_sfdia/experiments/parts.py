@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fusion_sfdia
-from fusion_sfdia.benchmarks.provenance import OPTIONAL, sources_digest, versions
-from fusion_sfdia.benchmarks.scenario import Arrays, Task
 from fusion_sfdia.core.storage import read_arrays, write_arrays
+from fusion_sfdia.experiments.provenance import OPTIONAL, sources_digest, versions
+from fusion_sfdia.experiments.scenario import Arrays, Task
 
 Array = NDArray[Any]
 
