@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.comparison_measures import Measure
 from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
 from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY, LENGTH
-from fusion_sfdia.benchmarks.plots import COLOURS, DASHES, MARKERS, panels
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, panels
 
 Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], Cell]

@@ -19,8 +19,8 @@ from fusion_sfdia.benchmarks.comparison_numbers import Cell
 from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, length_name, sizes
 from fusion_sfdia.benchmarks.comparison_ranking import Standing
 from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings
-from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.experiments.scenario import Settings
+from fusion_sfdia.report.findings import span
 
 MOST_LEADERS = 3  # of whom the ranks by plant are told at the top
 RARELY = 0.01  # of samples: what is less is not told, or as hardly any

@@ -29,12 +29,12 @@ from fusion_sfdia.benchmarks.engine_trials import (
     row,
     tasks,
 )
-from fusion_sfdia.benchmarks.findings import pick
-from fusion_sfdia.benchmarks.plots import Bars, bars, legend_above, panels
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.report.findings import pick
+from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 
 NAME = "engine/minimum-fault"
 ONSET = 0.5  # s: the observers have forgotten how they began

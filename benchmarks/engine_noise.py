@@ -26,7 +26,6 @@ from fusion_sfdia.benchmarks.engine_noise_figures import (
 )
 from fusion_sfdia.benchmarks.engine_published import DELAYS, Delay, Offset
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row, timeline
-from fusion_sfdia.benchmarks.findings import listed, pick, span
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
@@ -40,6 +39,7 @@ from fusion_sfdia.experiments.scenario import (
     Task,
     seed_blocks,
 )
+from fusion_sfdia.report.findings import listed, pick, span
 
 Array = NDArray[Any]
 

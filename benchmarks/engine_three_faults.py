@@ -23,9 +23,9 @@ from fusion_sfdia.benchmarks.engine_published import (
     THREE_FAULTS,
 )
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, Results, gather, published_first, row, tasks, timeline, trial
-from fusion_sfdia.benchmarks.findings import listed, pick
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
+from fusion_sfdia.report.findings import listed, pick
 
 NAME, FAULT = "engine/three-faults", "three-faults"
 PUBLISHED = (ISOLATION_PERFORMANCE, EXONERATION_PERFORMANCE)

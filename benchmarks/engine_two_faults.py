@@ -13,9 +13,9 @@ from fusion_sfdia.benchmarks.engine_decisions import (
 )
 from fusion_sfdia.benchmarks.engine_published import TWO_FAULTS
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, Results, gather, published_first, tasks, timeline, trial
-from fusion_sfdia.benchmarks.findings import listed, pick
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
+from fusion_sfdia.report.findings import listed, pick
 
 NAME, FAULT = "engine/two-faults", "two-faults"
 TOLD = "the paper's own timeline"

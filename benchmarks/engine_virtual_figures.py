@@ -10,9 +10,9 @@ from matplotlib.lines import Line2D
 
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, engine
 from fusion_sfdia.benchmarks.engine_virtual_trials import FAULTS, INTERSECTED, MAPE, PRINTED, SINCE, SIZED, VARIANTS
-from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, legend_above, panels
 from fusion_sfdia.evaluation.metrics import proportion
 from fusion_sfdia.experiments.scenario import Arrays, Figure
+from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 
 TRUE, FOUND, INSTANT, LOWER, UPPER = COLOURS[0], COLOURS[2], COLOURS[4], COLOURS[1], COLOURS[3]
 DRAWN = {INTERSECTED: FOUND, PRINTED: INSTANT}

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network_trials import PATIENCE
-from fusion_sfdia.benchmarks.plots import panels
 from fusion_sfdia.experiments.scenario import Figure
+from fusion_sfdia.report.plots import panels
 
 Array = NDArray[Any]
 

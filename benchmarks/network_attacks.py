@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.findings import span
 from fusion_sfdia.benchmarks.network_attack_figures import answers_figure, blamed_figure
 from fusion_sfdia.benchmarks.network_published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_rows import share, spread, teller, time_rows
@@ -23,6 +22,7 @@ from fusion_sfdia.models.power_network_equations import STATES
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import AreaFault
 from fusion_sfdia.models.power_network_simulation import Moment
+from fusion_sfdia.report.findings import span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import pick, span
-from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, legend_above, panels
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE
+from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 
 ALONE = "alone"
 WEIGHTS = ("corrected", "paper")  # modes of consensus: (17) as it should be and as printed

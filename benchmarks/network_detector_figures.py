@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import pick, span
-from fusion_sfdia.benchmarks.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE
+from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 
 LEVELS = (0.03, 0.01, 0.003, 0.001)  # false alarms per step
 LEVEL = 0.001

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.network_claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, bound, claim, verdict
 from fusion_sfdia.benchmarks.network_residuals import VARIANTS
-from fusion_sfdia.benchmarks.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE
+from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 
 QUANTITIES = ("theta, 2 sharers", "theta, 3 sharers", "theta, 4 sharers", "omega", "p_m", "p_v")
 SYMBOLS = {"theta": "$\\theta$", "omega": "$\\omega$", "p_m": "$p_m$", "p_v": "$p_v$"}

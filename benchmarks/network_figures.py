@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network_published import GOVERNOR, PLUGGED_IN, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_trials import ALPHA, BOUND, Arrays
-from fusion_sfdia.benchmarks.plots import COLOURS, legend_above, panels
 from fusion_sfdia.experiments.scenario import Figure
+from fusion_sfdia.report.plots import COLOURS, legend_above, panels
 
 Array = NDArray[Any]
 

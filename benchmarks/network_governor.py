@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.findings import pick, span
 from fusion_sfdia.benchmarks.network_figures import both_bounds, times_figure, unplugged_operation
 from fusion_sfdia.benchmarks.network_published import DETERMINISTIC_MISSES, GOVERNOR, PLUGGED_IN
 from fusion_sfdia.benchmarks.network_rows import (
@@ -23,6 +22,7 @@ from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import Switch
+from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 
 Array = NDArray[Any]

@@ -16,7 +16,6 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.plots import panels
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
@@ -25,6 +24,7 @@ from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import NetworkModel, network_model
 from fusion_sfdia.models.power_network_parameters import generate_network
 from fusion_sfdia.models.power_network_running import RunningNetwork
+from fusion_sfdia.report.plots import panels
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork, Readings

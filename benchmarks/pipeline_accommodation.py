@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import left_out, listed, pick, span
 from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -21,11 +20,12 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.trials import READINGS
 from fusion_sfdia.experiments.scenario import Figure, Row, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.report.findings import left_out, listed, pick, span
+from fusion_sfdia.report.plots import bars, legend_above, panels
 
 NAMES = (*PAPER, "loo-glr")
 UNITS = dict(zip(QUANTITIES, ("Pa", "kg/s", "K"), strict=True))

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS, build, watching
-from fusion_sfdia.benchmarks.findings import listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -22,12 +21,13 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     row,
     tasks,
 )
-from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.evaluation.trials import decide, faulted
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.report.findings import listed, pick
+from fusion_sfdia.report.plots import bars, legend_above, panels
 
 BUDGETS = (1e-1, 1e-2, 1e-3)
 

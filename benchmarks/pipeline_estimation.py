@@ -10,7 +10,6 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks import pipeline_published as published
 from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
-from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_readings import OTHER, nearer, readings, readings_table
 from fusion_sfdia.benchmarks.pipeline_trials import (
@@ -24,7 +23,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
@@ -32,6 +30,8 @@ from fusion_sfdia.experiments.scenario import Arrays, Figure, Published, Row, Sc
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.plots import bars, legend_above, panels
 
 LEVELS = ("high", "moderate", "low")
 

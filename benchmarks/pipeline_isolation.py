@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import left_out
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -22,7 +21,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.plots import isolation_matrix, panels
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
@@ -33,6 +31,8 @@ from fusion_sfdia.evaluation.isolation_metrics import (
 )
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.report.findings import left_out
+from fusion_sfdia.report.plots import isolation_matrix, panels
 
 PLANT_DT = 10.0  # s between readings (Shaheen 2024, sec. IV-A)
 

@@ -7,7 +7,6 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -19,7 +18,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
@@ -31,6 +29,8 @@ from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters
+from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.plots import bars, legend_above, panels
 
 TRUTHS = ("the filter's model", "finer grid", "roughness +25 %", "ambient +1 K", "heat transfer +10 %", "all of these")
 NAMES = ("fusing-enkf", *OURS)

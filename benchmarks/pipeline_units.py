@@ -8,7 +8,6 @@ from typing import Any
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.detectors import PAPER_UNITS
-from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -19,7 +18,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )
@@ -28,6 +26,8 @@ from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Set
 from fusion_sfdia.filters.estimators import Estimator, Extended, Unscented
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.plots import bars, legend_above, panels
 
 VARIANTS: dict[str, tuple[Estimator, str]] = {  # filter, and what divides the states in (20)
     "EKF, paper's units": (Extended(), "paper"),

@@ -6,7 +6,6 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.findings import left_out, listed, pick
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -20,7 +19,6 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.benchmarks.plots import bars, legend_above, panels
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
     false_flag_rate,
@@ -28,6 +26,8 @@ from fusion_sfdia.evaluation.isolation_metrics import (
 )
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.plots import bars, legend_above, panels
 
 WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 

@@ -235,8 +235,8 @@ def _simulate(chosen: argparse.Namespace) -> int:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.diagnosis import FILES, as_text, diagnose_log
     from fusion_sfdia.benchmarks.registry import plant
+    from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with warnings.catch_warnings(record=True) as told:

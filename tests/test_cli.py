@@ -254,7 +254,7 @@ def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str]
 
     altered(len)
     capsys.readouterr()
-    monkeypatch.setattr("fusion_sfdia.benchmarks.diagnosis.write_log", full)
+    monkeypatch.setattr("fusion_sfdia.report.log_report.write_log", full)
     code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert (code, out) == (1, "")
     assert err == "fusion-sfdia: diagnosis/other/reconstructed.csv: No space left on device; make room, or name another place\n"
@@ -275,7 +275,7 @@ def test_a_forced_diagnosis_that_fails_leaves_the_one_before(
         raise RuntimeError("the figure failed")
 
     with monkeypatch.context() as patch:
-        patch.setattr("fusion_sfdia.benchmarks.diagnosis.write_figure", failing)
+        patch.setattr("fusion_sfdia.report.log_report.write_figure", failing)
         assert call(capsys, *once)[0] == 1
     assert {p.name: p.read_bytes() for p in Path("found").iterdir()} == before
     assert call(capsys, *once)[0] == 0

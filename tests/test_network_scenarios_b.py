@@ -17,7 +17,6 @@ from fusion_sfdia.benchmarks.network_plug import MANNERS, changes, switched
 from fusion_sfdia.benchmarks.network_plug import watch as watch_switches
 from fusion_sfdia.benchmarks.network_plug_figures import JOINS, LEAVES
 from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, draw_of, groups, owners, watch
-from fusion_sfdia.benchmarks.plots import style
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Summary
@@ -25,6 +24,7 @@ from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_operation import Switch
 from fusion_sfdia.models.power_network_simulation import run_network
+from fusion_sfdia.report.plots import style
 
 TINY: dict[str, dict[str, Any]] = {
     "network/false-alarms": {"steps": 110, "shock_steps": 500, "laws": ("gaussian",), "shocks": ("three-point 90",)},

@@ -14,11 +14,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure as Drawing
 from toy_scenario import NASTY, TOY
 
-from fusion_sfdia.benchmarks.findings import left_out, listed, pick, span
-from fusion_sfdia.benchmarks.plots import COLOURS, Bars, bars, isolation_matrix, legend_above, panels, roc_curves, write_figure
-from fusion_sfdia.benchmarks.report import inline, number
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.runner import run_scenarios
+from fusion_sfdia.report.findings import left_out, listed, pick, span
+from fusion_sfdia.report.page import inline, number
+from fusion_sfdia.report.plots import COLOURS, Bars, bars, isolation_matrix, legend_above, panels, roc_curves, write_figure
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.plots import panels, time_series
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.experiments.scenario import (
     Arrays,
@@ -24,6 +23,7 @@ from fusion_sfdia.experiments.scenario import (
     Task,
     seed_blocks,
 )
+from fusion_sfdia.report.plots import panels, time_series
 
 NASTY = '<script>alert(1)</script> & "quotes" -->'
 

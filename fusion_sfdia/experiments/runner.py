@@ -20,8 +20,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
-from fusion_sfdia.benchmarks.plots import write_figure
-from fusion_sfdia.benchmarks.report import Section, write_report
 from fusion_sfdia.evaluation.results import Row, write_rows
 from fusion_sfdia.experiments.cluster import connected
 from fusion_sfdia.experiments.output import (
@@ -39,6 +37,8 @@ from fusion_sfdia.experiments.parts import part_name, read_part
 from fusion_sfdia.experiments.provenance import cores, git_commit, sources_digest, versions
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task, adjust
 from fusion_sfdia.experiments.workers import Done, Piece, work_off
+from fusion_sfdia.report.page import Section, write_report
+from fusion_sfdia.report.plots import write_figure
 
 WorkOff = Callable[[Sequence[Piece]], Iterator[Done]]
 
