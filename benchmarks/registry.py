@@ -58,7 +58,7 @@ SCENARIOS |= {
         "scale",
     )
 }
-SCENARIOS["comparison"] = "fusion_sfdia.benchmarks.comparison:SCENARIO"
+SCENARIOS["comparison"] = "fusion_sfdia.comparison.scenario:SCENARIO"
 
 # name: what it is, and "module:function" that returns the Plant with its usual settings
 PLANTS: dict[str, tuple[str, str]] = {

@@ -11,11 +11,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
 
-from fusion_sfdia.benchmarks import comparison_protocol as protocol
-from fusion_sfdia.benchmarks import comparison_recordings, comparison_work, detectors, registry
-from fusion_sfdia.benchmarks.comparison import SCENARIO, summarise
-from fusion_sfdia.benchmarks.comparison_branches import deployed_walk, silent_walk
-from fusion_sfdia.benchmarks.comparison_calibration import (
+from fusion_sfdia.benchmarks import detectors, registry
+from fusion_sfdia.benchmarks.detectors import DETECTORS, NamedDetector
+from fusion_sfdia.benchmarks.registry import PLANTS
+from fusion_sfdia.cli import main, parser
+from fusion_sfdia.comparison import protocol
+from fusion_sfdia.comparison import recordings as comparison_recordings
+from fusion_sfdia.comparison import work as comparison_work
+from fusion_sfdia.comparison.branches import deployed_walk, silent_walk
+from fusion_sfdia.comparison.calibration import (
     calibrated,
     deployed,
     silent,
@@ -23,17 +27,15 @@ from fusion_sfdia.benchmarks.comparison_calibration import (
     silent_scores,
     standard_ends,
 )
-from fusion_sfdia.benchmarks.comparison_figures import looks
-from fusion_sfdia.benchmarks.comparison_findings import broken_claims, distinct
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion, gather, widened
-from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
-from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
-from fusion_sfdia.benchmarks.comparison_records import in_a_row, until
-from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
-from fusion_sfdia.benchmarks.comparison_work import work
-from fusion_sfdia.benchmarks.detectors import DETECTORS, NamedDetector
-from fusion_sfdia.benchmarks.registry import PLANTS
-from fusion_sfdia.cli import main, parser
+from fusion_sfdia.comparison.figures import looks
+from fusion_sfdia.comparison.findings import broken_claims, distinct
+from fusion_sfdia.comparison.numbers import Cell, confusion, gather, widened
+from fusion_sfdia.comparison.published import published_accuracy, published_delay
+from fusion_sfdia.comparison.recordings import healthy, plant_of
+from fusion_sfdia.comparison.records import in_a_row, until
+from fusion_sfdia.comparison.scenario import SCENARIO, summarise
+from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
+from fusion_sfdia.comparison.work import work
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording

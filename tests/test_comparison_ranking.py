@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks.comparison_ranking import holm, ranking, sign_flips
+from fusion_sfdia.comparison.ranking import holm, ranking, sign_flips
 
 
 def test_holm_is_step_down_and_keeps_the_order() -> None:

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks import comparison_measures as measures
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, complete, confusion, gather, share_right, widened, within
-from fusion_sfdia.benchmarks.comparison_protocol import SETTINGS
-from fusion_sfdia.benchmarks.comparison_ranking import accommodation, clusters, detection, exoneration, isolation
-from fusion_sfdia.benchmarks.comparison_recordings import plant_of
-from fusion_sfdia.benchmarks.comparison_records import Branch, Outcome, record
-from fusion_sfdia.benchmarks.comparison_rows import rows_of_cell
+from fusion_sfdia.comparison import measures
+from fusion_sfdia.comparison.numbers import Cell, complete, confusion, gather, share_right, widened, within
+from fusion_sfdia.comparison.protocol import SETTINGS
+from fusion_sfdia.comparison.ranking import accommodation, clusters, detection, exoneration, isolation
+from fusion_sfdia.comparison.recordings import plant_of
+from fusion_sfdia.comparison.records import Branch, Outcome, record
+from fusion_sfdia.comparison.rows import rows_of_cell
 from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
 
 Arrays = dict[str, NDArray[Any]]

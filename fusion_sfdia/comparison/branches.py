@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_calibration import silent_score
-from fusion_sfdia.benchmarks.comparison_protocol import Condition, faults_of
-from fusion_sfdia.benchmarks.comparison_records import Branch, Outcome, outcome
-from fusion_sfdia.benchmarks.comparison_truths import failing
+from fusion_sfdia.comparison.calibration import silent_score
+from fusion_sfdia.comparison.protocol import Condition, faults_of
+from fusion_sfdia.comparison.records import Branch, Outcome, outcome
+from fusion_sfdia.comparison.truths import failing
 from fusion_sfdia.core.batch_detector import CLOCK
 from fusion_sfdia.core.detector import Decision, Detector, State
 from fusion_sfdia.core.plant import Plant

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
-from fusion_sfdia.benchmarks.comparison_measures import (
+from fusion_sfdia.comparison.figures import Cells, of_plant
+from fusion_sfdia.comparison.measures import (
     exactly,
     names_most,
     seen,
@@ -15,10 +15,10 @@ from fusion_sfdia.benchmarks.comparison_measures import (
     under_departures,
     under_plant_faults,
 )
-from fusion_sfdia.benchmarks.comparison_numbers import Cell
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, length_name, sizes
-from fusion_sfdia.benchmarks.comparison_ranking import Standing
-from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings
+from fusion_sfdia.comparison.numbers import Cell
+from fusion_sfdia.comparison.protocol import HEALTHY, length_name, sizes
+from fusion_sfdia.comparison.ranking import Standing
+from fusion_sfdia.comparison.tables import EVERY, Standings
 from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.report.findings import span
 

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS, PaperFault
-from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.benchmarks.detectors import DETECTORS
 from fusion_sfdia.benchmarks.registry import PLANTS, require_known
+from fusion_sfdia.comparison.published import PAPER_FAULTS, PaperFault
+from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.faults import Fault

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.comparison_numbers import Cell
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, sizes
-from fusion_sfdia.benchmarks.comparison_recordings import distance_of_truth
+from fusion_sfdia.comparison.numbers import Cell
+from fusion_sfdia.comparison.protocol import HEALTHY, sizes
+from fusion_sfdia.comparison.recordings import distance_of_truth
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate
 from fusion_sfdia.experiments.scenario import Settings
 

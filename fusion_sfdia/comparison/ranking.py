@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, mean, within
+from fusion_sfdia.comparison.numbers import Cell, mean, within
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.metrics import LEVEL, Estimate
 

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_recordings import repeated_loads, simulated
 from fusion_sfdia.benchmarks.network_published import GOVERNOR
+from fusion_sfdia.comparison.recordings import repeated_loads, simulated
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.models.gas_pipeline import demand, gas_pipeline

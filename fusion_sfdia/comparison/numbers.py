@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from fusion_sfdia.benchmarks.comparison_protocol import GRADED, conditions
-from fusion_sfdia.benchmarks.comparison_recordings import plant_of
+from fusion_sfdia.comparison.protocol import GRADED, conditions
+from fusion_sfdia.comparison.recordings import plant_of
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import LEVEL, Estimate, mean_over_runs, proportion, rate_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.comparison_figures import Cells, of_plant
-from fusion_sfdia.benchmarks.comparison_measures import (
+from fusion_sfdia.comparison.figures import Cells, of_plant
+from fusion_sfdia.comparison.measures import (
     exactly,
     measures,
     names_most,
@@ -15,11 +15,11 @@ from fusion_sfdia.benchmarks.comparison_measures import (
     under_departures,
     under_plant_faults,
 )
-from fusion_sfdia.benchmarks.comparison_numbers import Cell
-from fusion_sfdia.benchmarks.comparison_protocol import PUBLISHED, TROUBLED_SIGMA, length_name, sizes
-from fusion_sfdia.benchmarks.comparison_published import PAPER_FAULTS
-from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, Standing
-from fusion_sfdia.benchmarks.comparison_truths import DEPARTURES, PLANT_FAULTS
+from fusion_sfdia.comparison.numbers import Cell
+from fusion_sfdia.comparison.protocol import PUBLISHED, TROUBLED_SIGMA, length_name, sizes
+from fusion_sfdia.comparison.published import PAPER_FAULTS
+from fusion_sfdia.comparison.ranking import CRITERIA, Standing
+from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Interval, Settings, Table

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from fusion_sfdia.benchmarks.comparison_figures import (
+from fusion_sfdia.benchmarks.registry import PLANTS
+from fusion_sfdia.comparison.figures import (
     departure_panels,
     draw_confusion,
     draw_cost,
@@ -14,12 +15,12 @@ from fusion_sfdia.benchmarks.comparison_figures import (
     draw_roc,
     other_panels,
 )
-from fusion_sfdia.benchmarks.comparison_findings import extremes, healthy_alarms, others_told, plant_findings
-from fusion_sfdia.benchmarks.comparison_measures import exactly, told_distance
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, share_right
-from fusion_sfdia.benchmarks.comparison_protocol import TROUBLED_SIGMA, settle_of, sizes
-from fusion_sfdia.benchmarks.comparison_ranking import Standing
-from fusion_sfdia.benchmarks.comparison_tables import (
+from fusion_sfdia.comparison.findings import extremes, healthy_alarms, others_told, plant_findings
+from fusion_sfdia.comparison.measures import exactly, told_distance
+from fusion_sfdia.comparison.numbers import Cell, share_right
+from fusion_sfdia.comparison.protocol import TROUBLED_SIGMA, settle_of, sizes
+from fusion_sfdia.comparison.ranking import Standing
+from fusion_sfdia.comparison.tables import (
     changes_table,
     cost_table,
     lengths_tables,
@@ -27,7 +28,6 @@ from fusion_sfdia.benchmarks.comparison_tables import (
     paper_table,
     ranks_table,
 )
-from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Chapter, Figure, Settings
 

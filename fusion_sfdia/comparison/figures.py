@@ -12,9 +12,9 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_measures import Measure
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, confusion
-from fusion_sfdia.benchmarks.comparison_protocol import GRADED, HEALTHY, LENGTH
+from fusion_sfdia.comparison.measures import Measure
+from fusion_sfdia.comparison.numbers import Cell, confusion
+from fusion_sfdia.comparison.protocol import GRADED, HEALTHY, LENGTH
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, panels

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_numbers import Cell, Measure, confusion, widened, within
-from fusion_sfdia.benchmarks.comparison_protocol import HEALTHY, PUBLISHED, sizes
-from fusion_sfdia.benchmarks.comparison_published import published_accuracy, published_delay
+from fusion_sfdia.comparison.numbers import Cell, Measure, confusion, widened, within
+from fusion_sfdia.comparison.protocol import HEALTHY, PUBLISHED, sizes
+from fusion_sfdia.comparison.published import published_accuracy, published_delay
 from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
 from fusion_sfdia.evaluation.results import Published, Row
 

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.comparison_branches import Branches, Run, branches, deployed_walk, silent_walk
-from fusion_sfdia.benchmarks.comparison_calibration import Calibrated, calibrated, deployed, silent
-from fusion_sfdia.benchmarks.comparison_protocol import (
+from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, silent_walk
+from fusion_sfdia.comparison.calibration import Calibrated, calibrated, deployed, silent
+from fusion_sfdia.comparison.protocol import (
     GRADED,
     HEALTHY,
     LENGTH,
@@ -36,9 +36,9 @@ from fusion_sfdia.benchmarks.comparison_protocol import (
     sizes,
     trunk_steps,
 )
-from fusion_sfdia.benchmarks.comparison_recordings import healthy, plant_of
-from fusion_sfdia.benchmarks.comparison_records import Branch, Outcome, join, record
-from fusion_sfdia.benchmarks.comparison_truths import departed
+from fusion_sfdia.comparison.recordings import healthy, plant_of
+from fusion_sfdia.comparison.records import Branch, Outcome, join, record
+from fusion_sfdia.comparison.truths import departed
 from fusion_sfdia.core.detector import Detector, NotApplicableError, State
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording

@@ -11,18 +11,18 @@ from functools import partial
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.comparison_chapters import plant_chapter
-from fusion_sfdia.benchmarks.comparison_figures import Cells, draw_overview, of_plant
-from fusion_sfdia.benchmarks.comparison_findings import absent, highlights, left_out, overview_caption, remarks
-from fusion_sfdia.benchmarks.comparison_measures import glance
-from fusion_sfdia.benchmarks.comparison_numbers import complete, gather
-from fusion_sfdia.benchmarks.comparison_protocol import SETTINGS, tasks
-from fusion_sfdia.benchmarks.comparison_ranking import CRITERIA, SHARES, clusters, ranking
-from fusion_sfdia.benchmarks.comparison_rows import SCENARIO as NAME
-from fusion_sfdia.benchmarks.comparison_rows import rows_of_cell
-from fusion_sfdia.benchmarks.comparison_tables import EVERY, Standings, choices_table, ranks_table, standing_rows
-from fusion_sfdia.benchmarks.comparison_words import words
-from fusion_sfdia.benchmarks.comparison_work import work
+from fusion_sfdia.comparison.chapters import plant_chapter
+from fusion_sfdia.comparison.figures import Cells, draw_overview, of_plant
+from fusion_sfdia.comparison.findings import absent, highlights, left_out, overview_caption, remarks
+from fusion_sfdia.comparison.measures import glance
+from fusion_sfdia.comparison.numbers import complete, gather
+from fusion_sfdia.comparison.protocol import SETTINGS, tasks
+from fusion_sfdia.comparison.ranking import CRITERIA, SHARES, clusters, ranking
+from fusion_sfdia.comparison.rows import SCENARIO as NAME
+from fusion_sfdia.comparison.rows import rows_of_cell
+from fusion_sfdia.comparison.tables import EVERY, Standings, choices_table, ranks_table, standing_rows
+from fusion_sfdia.comparison.words import words
+from fusion_sfdia.comparison.work import work
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
 
