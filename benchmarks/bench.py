@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.benchmarks import bench_engine, bench_filterpy, bench_lorenz
-from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import PAPER_FILTERS
 from fusion_sfdia.evaluation.results import Row, write_rows
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.experiments.output import require_free

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes
-from fusion_sfdia.benchmarks.detectors import build
 from fusion_sfdia.benchmarks.engine_published import AT_NOMINAL_SPEED, DESIGNS, Offset
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import build
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row

@@ -12,7 +12,6 @@ from fusion_sfdia.benchmarks.network_attack_figures import answers_figure, blame
 from fusion_sfdia.benchmarks.network_published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_rows import share, spread, teller, time_rows
 from fusion_sfdia.benchmarks.network_trials import LATE, Arrays, Watch, gather, trial
-from fusion_sfdia.benchmarks.registry import detector, require_known
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
@@ -22,6 +21,7 @@ from fusion_sfdia.models.power_network_equations import STATES
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import AreaFault
 from fusion_sfdia.models.power_network_simulation import Moment
+from fusion_sfdia.registry import detector, require_known
 from fusion_sfdia.report.findings import span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED

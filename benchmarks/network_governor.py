@@ -16,12 +16,12 @@ from fusion_sfdia.benchmarks.network_rows import (
     time_rows,
 )
 from fusion_sfdia.benchmarks.network_trials import BOUND, CONFIRMATIONS, CONTROLLERS, SHOWN, Arrays, Watch, gather, trial
-from fusion_sfdia.benchmarks.registry import require_known
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network_operation import Switch
+from fusion_sfdia.registry import require_known
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS, build, watching
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -21,6 +20,7 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     row,
     tasks,
 )
+from fusion_sfdia.detectors import PAPER_FILTERS, build, watching
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.evaluation.trials import decide, faulted
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task

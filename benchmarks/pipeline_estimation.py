@@ -9,7 +9,6 @@ from typing import Any
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks import pipeline_published as published
-from fusion_sfdia.benchmarks.detectors import PAPER_FILTERS
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_readings import OTHER, nearer, readings, readings_table
 from fusion_sfdia.benchmarks.pipeline_trials import (
@@ -24,6 +23,7 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     trial,
 )
 from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.detectors import PAPER_FILTERS
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Published, Row, Scenario, Settings, Summary, Task

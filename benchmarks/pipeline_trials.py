@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.detectors import build, fusing_bank, watching
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import build, fusing_bank, watching
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion

@@ -7,7 +7,6 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.detectors import PAPER_UNITS
 from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -18,6 +17,7 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
     tasks,
     trial,
 )
+from fusion_sfdia.detectors import PAPER_UNITS
 from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )

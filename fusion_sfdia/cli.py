@@ -144,7 +144,7 @@ def _done(chosen: argparse.Namespace) -> int:
 
 
 def _list(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.registry import listing
+    from fusion_sfdia.registry import listing
 
     found = {kind: entries for kind, entries in listing().items() if chosen.kind in (None, kind)}
     if chosen.json:
@@ -163,9 +163,9 @@ def _list(chosen: argparse.Namespace) -> int:
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.registry import match_scenarios, scenario
     from fusion_sfdia.evaluation.results import as_json
     from fusion_sfdia.experiments.runner import run_scenarios
+    from fusion_sfdia.registry import match_scenarios, scenario
 
     changes = _settings(chosen.set)
     names = match_scenarios(chosen.scenario)
@@ -206,11 +206,11 @@ def _settings(texts: Sequence[str]) -> dict[str, str]:
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.registry import fault, plant
     from fusion_sfdia.evaluation.fault_draws import draw_apart
     from fusion_sfdia.evaluation.faults import apply, load_faults
     from fusion_sfdia.evaluation.logs import write_log
     from fusion_sfdia.evaluation.simulate import simulate
+    from fusion_sfdia.registry import fault, plant
 
     if chosen.out.is_dir():
         raise ValueError(f"{chosen.out} is a folder; name a file with --out")
@@ -235,7 +235,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks.registry import plant
+    from fusion_sfdia.registry import plant
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem

@@ -16,8 +16,7 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from fusion_sfdia import __version__
-from fusion_sfdia.benchmarks import registry
+from fusion_sfdia import __version__, registry
 from fusion_sfdia.cli import main
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 

@@ -11,9 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
 
-from fusion_sfdia.benchmarks import detectors, registry
-from fusion_sfdia.benchmarks.detectors import DETECTORS, NamedDetector
-from fusion_sfdia.benchmarks.registry import PLANTS
+from fusion_sfdia import detectors, registry
 from fusion_sfdia.cli import main, parser
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.comparison import recordings as comparison_recordings
@@ -38,10 +36,12 @@ from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.comparison.work import work
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import DETECTORS, NamedDetector
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.experiments.scenario import Published, adjust
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.registry import PLANTS
 
 TINY = {
     "plants": "two-tanks",

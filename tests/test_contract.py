@@ -14,8 +14,7 @@ import pytest
 from scipy.stats import betabinom, binom
 from toy_plants import Array, chain
 
-from fusion_sfdia.benchmarks import registry
-from fusion_sfdia.benchmarks.detectors import CALIBRATION_SEEDS, CALIBRATION_STEPS, DETECTORS, FALSE_ALARM, WARM_UP, build
+from fusion_sfdia import registry
 from fusion_sfdia.core.batch_detector import CLOCK
 from fusion_sfdia.core.detector import Decision, Detector, State, run
 from fusion_sfdia.core.plant import Plant
@@ -24,6 +23,7 @@ from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents
+from fusion_sfdia.detectors import CALIBRATION_SEEDS, CALIBRATION_STEPS, DETECTORS, FALSE_ALARM, WARM_UP, build
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals

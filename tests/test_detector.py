@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia.benchmarks.detectors import build
 from fusion_sfdia.core.detector import Decision, MissingPackageError, NotApplicableError, check_reading, run, stack
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import build
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 

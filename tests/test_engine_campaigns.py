@@ -13,9 +13,9 @@ from fusion_sfdia.benchmarks import engine_noise, engine_process, engine_process
 from fusion_sfdia.benchmarks.engine_campaign import VALID, engine_detector, fork, noise, response, truth, watch
 from fusion_sfdia.benchmarks.engine_noise_figures import AGENTS, FAULTS, OTHERS, OWN, modules_of, published
 from fusion_sfdia.benchmarks.engine_trials import BIN, NAMES
-from fusion_sfdia.benchmarks.registry import scenario
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.models.marine_engine import MODULES, SENSORS
+from fusion_sfdia.registry import scenario
 
 SMALL = {
     "engine/noise": {"levels": (0.03, 0.05), "onset": 0.5, "duration": 1.0},

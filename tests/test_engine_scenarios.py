@@ -22,11 +22,11 @@ from fusion_sfdia.benchmarks.engine_trials import (
     timeline,
     trial,
 )
-from fusion_sfdia.benchmarks.registry import SCENARIOS, scenario
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Summary
+from fusion_sfdia.registry import SCENARIOS, scenario
 
 MINE = ("engine/three-faults", "engine/two-faults", "engine/minimum-fault", "engine/signatures")
 SHORT = {"engine/three-faults": 72.0, "engine/two-faults": 22.0, "engine/minimum-fault": 1.5}  # s

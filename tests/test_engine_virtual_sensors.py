@@ -22,9 +22,9 @@ from fusion_sfdia.benchmarks.engine_virtual_trials import (
     follow,
     virtual_sensors,
 )
-from fusion_sfdia.benchmarks.registry import scenario
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
+from fusion_sfdia.registry import scenario
 
 NAME = "engine/virtual-sensors"
 

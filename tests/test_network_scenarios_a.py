@@ -12,13 +12,13 @@ from fusion_sfdia.benchmarks import network_sign_flip as flip
 from fusion_sfdia.benchmarks.network_published import ATTACKS, GOVERNOR, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_rows import spread, teller, time_rows
 from fusion_sfdia.benchmarks.network_trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, gather, trial
-from fusion_sfdia.benchmarks.registry import scenario
 from fusion_sfdia.experiments.scenario import Summary
 from fusion_sfdia.models.power_network_accommodation import Compensated
 from fusion_sfdia.models.power_network_control import generation_control
 from fusion_sfdia.models.power_network_diagnosis import network_areas
 from fusion_sfdia.models.power_network_model import network_model
 from fusion_sfdia.models.power_network_operation import Switch
+from fusion_sfdia.registry import scenario
 
 MINE = {
     "network/governor": {"noises": ("lit",), "duration": 75.0},

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks import registry
+from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.network_claims import ALPHAS, bound, verdict
 from fusion_sfdia.benchmarks.network_consensus import ALONE, alone, consensus_work, copies, network, theory
 from fusion_sfdia.benchmarks.network_detectors import SETTLE, delays

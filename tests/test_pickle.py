@@ -12,11 +12,10 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from toy_plants import Array, chain
 
-from fusion_sfdia import Physics, Sensor, Signal, discretise, simulate
-from fusion_sfdia.benchmarks import registry
-from fusion_sfdia.benchmarks.detectors import build
+from fusion_sfdia import Physics, Sensor, Signal, discretise, registry, simulate
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import build
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy
 from fusion_sfdia.models.marine_engine import engine_physics, marine_engine
 from fusion_sfdia.models.marine_engine_equilibrium import equilibrium

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_plants import chain, tank_physics, tanks
 
-from fusion_sfdia.benchmarks import registry
+from fusion_sfdia import registry
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.linear import linear_plant

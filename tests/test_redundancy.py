@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_plants import Array, chain, tanks
 
-from fusion_sfdia.benchmarks import registry
+from fusion_sfdia import registry
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import most_faults

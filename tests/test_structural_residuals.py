@@ -12,8 +12,7 @@ import pytest
 from scipy.stats import betabinom
 from toy_plants import Array, chain
 
-from fusion_sfdia.benchmarks import registry
-from fusion_sfdia.benchmarks.detectors import FALSE_ALARM, build, healthy_data
+from fusion_sfdia import registry
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import argument_names
@@ -21,6 +20,7 @@ from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.detectors import FALSE_ALARM, build, healthy_data
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.two_tanks import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
 from fusion_sfdia.structural_residuals.selection import isolable, reads, selected, usable

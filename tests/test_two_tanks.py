@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks import registry
+from fusion_sfdia import registry
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.models.two_tanks import EQUATIONS, INFLOW, SWING_PERIOD, Tanks, tank_physics, two_tanks

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from fusion_sfdia.benchmarks.detectors import DETECTORS
+from fusion_sfdia.detectors import DETECTORS
 
 HERE = Path(__file__).parent
 COLUMNS = ("plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n")

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks import registry
+from fusion_sfdia import registry
 from fusion_sfdia.comparison.recordings import healthy, plant_of
 from fusion_sfdia.core.detector import Decision, Detector, NotApplicableError
 from fusion_sfdia.core.order_statistics import order_statistic

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from fusion_sfdia.benchmarks.registry import PLANTS
 from fusion_sfdia.comparison.figures import (
     departure_panels,
     draw_confusion,
@@ -30,6 +29,7 @@ from fusion_sfdia.comparison.tables import (
 )
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Chapter, Figure, Settings
+from fusion_sfdia.registry import PLANTS
 
 Cells = Mapping[str, Cell]  # of one plant, by detector
 

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.benchmarks.detectors import DETECTORS
-from fusion_sfdia.benchmarks.registry import PLANTS, require_known
 from fusion_sfdia.comparison.published import PAPER_FAULTS, PaperFault
 from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.detectors import DETECTORS
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.experiments.scenario import Array, Settings, Task, seed_blocks
+from fusion_sfdia.registry import PLANTS, require_known
 
 GRADED = ("bias", "drift", "noise", "scale")  # kinds that have a size
 UNGRADED = ("freeze", "dropout")

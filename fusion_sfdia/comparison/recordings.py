@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks import registry
+from fusion_sfdia import registry
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.models.gas_pipeline import demand

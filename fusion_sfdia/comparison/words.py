@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fusion_sfdia.benchmarks.detectors import DETECTORS
+from fusion_sfdia.detectors import DETECTORS
 from fusion_sfdia.experiments.scenario import Chapter, Table
 
 WORDS = {

@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.registry import detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.storage import atomic_write
 from fusion_sfdia.evaluation.diagnose import Diagnosis, Event, diagnose
 from fusion_sfdia.evaluation.logs import read_log, write_log
 from fusion_sfdia.experiments.output import all_or_none, require_free
+from fusion_sfdia.registry import detector
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
 FILES = ("events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")

@@ -124,7 +124,7 @@ def plant(name: str) -> Plant:
 
 def detector(name: str, of: Plant) -> Detector:
     """Return a detector with its usual settings on a plant; ValueError for an unknown name."""
-    from fusion_sfdia.benchmarks.detectors import DETECTORS
+    from fusion_sfdia.detectors import DETECTORS
 
     return DETECTORS[require_known("detector", name, DETECTORS)].build(of)
 
@@ -144,7 +144,7 @@ def fault(text: str) -> tuple[str, str | None]:
 
 def listing() -> dict[str, list[dict[str, str]]]:
     """Return names and descriptions of everything, by kind: plants, detectors, faults (and how each is used), scenarios."""
-    from fusion_sfdia.benchmarks.detectors import DETECTORS
+    from fusion_sfdia.detectors import DETECTORS
     from fusion_sfdia.evaluation.fault_draws import PRESETS
     from fusion_sfdia.evaluation.faults import FAULT_KINDS
 
