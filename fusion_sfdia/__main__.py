@@ -1,5 +1,5 @@
 """python -m fusion_sfdia: the command line."""
 
-from fusion_sfdia.cli import main
+from fusion_sfdia.cli.main import main
 
 raise SystemExit(main())

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia import __version__, registry
-from fusion_sfdia.cli import main
+from fusion_sfdia.cli.main import main
 from fusion_sfdia.models.gas_pipeline import gas_pipeline
 
 PLANT = gas_pipeline()
@@ -299,7 +299,7 @@ def test_simulate_writes_through_a_pipe_and_keeps_the_mode_of_a_file(capsys: pyt
 
 
 def run_alone(root: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
-    code = "import sys; from fusion_sfdia.cli import main; sys.exit(main(sys.argv[1:]))"
+    code = "import sys; from fusion_sfdia.cli.main import main; sys.exit(main(sys.argv[1:]))"
     known = {**os.environ, "PYTHONPATH": str(root), **environment}
     return subprocess.run([sys.executable, "-c", code, *arguments], env=known, capture_output=True, check=False)
 

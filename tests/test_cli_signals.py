@@ -16,7 +16,7 @@ import os, signal, sys
 import numpy as np
 from toy_scenario import toy
 from fusion_sfdia import registry
-from fusion_sfdia.cli import main
+from fusion_sfdia.cli.main import main
 
 def work(*arguments):
     if arguments[-1]["detector"] == "b":

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from toy_scenario import TOY
 
-from fusion_sfdia.cli import main
+from fusion_sfdia.cli.main import main
 from fusion_sfdia.comparison.protocol import CHUNK
 from fusion_sfdia.experiments import cluster as on_cluster
 from fusion_sfdia.experiments import parts, provenance

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
 
 from fusion_sfdia import detectors, registry
-from fusion_sfdia.cli import main, parser
+from fusion_sfdia.cli.main import main, parser
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.comparison import recordings as comparison_recordings
 from fusion_sfdia.comparison import work as comparison_work

@@ -29,7 +29,7 @@ def python(code: str, cwd: Path, *options: str) -> str:
     "code",
     [
         "import fusion_sfdia",
-        "from fusion_sfdia.cli import parser; parser().format_help()",
+        "from fusion_sfdia.cli.main import parser; parser().format_help()",
         "import fusion_sfdia; fusion_sfdia.__version__; dir(fusion_sfdia)",
     ],
 )

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia import __version__
-from fusion_sfdia.cli_runs import add_compare, add_run
+from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.core.numerals import decimal, integer
 
 KINDS = ("plants", "detectors", "faults", "scenarios")
