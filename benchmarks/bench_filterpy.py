@@ -18,7 +18,7 @@ from fusion_sfdia.core.discretise import runge_kutta_4
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.gaussian import dense
-from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters, pipeline_physics
+from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters, pipeline_physics
 
 Array = NDArray[Any]
 Call = Callable[[], Array]

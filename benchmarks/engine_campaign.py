@@ -26,11 +26,11 @@ from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings
-from fusion_sfdia.models.marine_engine import marine_engine
-from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
-from fusion_sfdia.models.marine_engine_faults import ProcessFault
-from fusion_sfdia.models.marine_engine_governor import governed_settings
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.governor import governed_settings
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 
 Array = NDArray[Any]
 

@@ -32,7 +32,7 @@ from fusion_sfdia.benchmarks.engine_campaign_figures import drive_figure, run_fi
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
-from fusion_sfdia.models.marine_engine import SENSORS
+from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.report.plots import panels
 

@@ -41,7 +41,7 @@ from fusion_sfdia.benchmarks.engine_trials import NAMES, row
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
-from fusion_sfdia.models.marine_engine import SENSORS
+from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.report.findings import pick, span
 
 Array = NDArray[Any]

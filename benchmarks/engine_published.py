@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.core.modules import ObserverBound
 from fusion_sfdia.evaluation.results import Published
-from fusion_sfdia.models.marine_engine import GAINS, OBSERVER_BOUNDS
+from fusion_sfdia.models.marine_engine.plant import GAINS, OBSERVER_BOUNDS
 
 K24, K22 = "Kougiatsos 2024", "Kougiatsos 2022"
 

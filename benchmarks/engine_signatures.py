@@ -19,7 +19,7 @@ from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
-from fusion_sfdia.models.marine_engine import MODULES, SENSORS
+from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
 from fusion_sfdia.report.plots import panels
 
 NAME, DETECTOR = "engine/signatures", "adaptive-threshold"

@@ -25,8 +25,8 @@ from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
-from fusion_sfdia.models.marine_engine import MODULES, marine_engine
-from fusion_sfdia.models.marine_engine_equations import NOMINAL_SPEED
+from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
+from fusion_sfdia.models.marine_engine.plant import MODULES, marine_engine
 
 Array = NDArray[Any]
 Results = Sequence[tuple[Task, Arrays]]

@@ -16,11 +16,11 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
-from fusion_sfdia.models.power_network import power_network
-from fusion_sfdia.models.power_network_equations import STATES
-from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
-from fusion_sfdia.models.power_network_operation import AreaFault
-from fusion_sfdia.models.power_network_simulation import Moment
+from fusion_sfdia.models.power_network.equations import STATES
+from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
+from fusion_sfdia.models.power_network.operation import AreaFault
+from fusion_sfdia.models.power_network.plant import power_network
+from fusion_sfdia.models.power_network.simulation import Moment
 from fusion_sfdia.registry import detector, require_known
 from fusion_sfdia.report.findings import span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES

@@ -26,11 +26,11 @@ from fusion_sfdia.benchmarks.network_residuals import B18, PAPER, SETTLE, Varian
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, mean_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE, network_model
-from fusion_sfdia.models.power_network_operation import load_profile
-from fusion_sfdia.models.power_network_parameters import load_steps
-from fusion_sfdia.models.power_network_simulation import Moment, run_network
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
+from fusion_sfdia.models.power_network.operation import load_profile
+from fusion_sfdia.models.power_network.parameters import load_steps
+from fusion_sfdia.models.power_network.simulation import Moment, run_network
 from fusion_sfdia.stochastic_thresholds.consensus_equations import precision_printed, precision_read, shared_term
 
 Array = NDArray[Any]

@@ -11,7 +11,7 @@ from fusion_sfdia.benchmarks.network_claims import ALPHAS, B18_ALPHA, LEVELS, RU
 from fusion_sfdia.benchmarks.network_residuals import VARIANTS
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Figure, Table
-from fusion_sfdia.models.power_network_model import PROCESS_VARIANCE
+from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel
-from fusion_sfdia.models.power_network_simulation import Moment
+from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
+from fusion_sfdia.models.power_network.simulation import Moment
 
 Array = NDArray[Any]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from fusion_sfdia.evaluation.results import Published
-from fusion_sfdia.models.power_network_operation import AreaFault
+from fusion_sfdia.models.power_network.operation import AreaFault
 
 B18 = "Boem 2018"
 

@@ -14,9 +14,9 @@ from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Published
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_model import NetworkModel
-from fusion_sfdia.models.power_network_simulation import Draw, Moment
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import NetworkModel
+from fusion_sfdia.models.power_network.simulation import Draw, Moment
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 

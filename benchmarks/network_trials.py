@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.models.power_network_accommodation import Compensated
-from fusion_sfdia.models.power_network_control import Control, PredictiveControl, generation_control
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_faults import fault_function
-from fusion_sfdia.models.power_network_model import NetworkModel
-from fusion_sfdia.models.power_network_operation import AreaFault, Switch, load_profile
-from fusion_sfdia.models.power_network_parameters import load_steps
-from fusion_sfdia.models.power_network_simulation import Moment, run_network
+from fusion_sfdia.models.power_network.accommodation import Compensated
+from fusion_sfdia.models.power_network.control import Control, PredictiveControl, generation_control
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.faults import fault_function
+from fusion_sfdia.models.power_network.model import NetworkModel
+from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile
+from fusion_sfdia.models.power_network.parameters import load_steps
+from fusion_sfdia.models.power_network.simulation import Moment, run_network
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners, foretell, take
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses
 

@@ -22,7 +22,7 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Figure, Published, Row, Scenario, Settings, Summary, Task
-from fusion_sfdia.models.gas_pipeline import SIGMA
+from fusion_sfdia.models.gas_pipeline.plant import SIGMA
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

@@ -25,7 +25,7 @@ from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_
 from fusion_sfdia.evaluation.trials import decide, faulted
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.report.findings import listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

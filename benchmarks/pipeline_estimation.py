@@ -29,7 +29,7 @@ from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Published, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

@@ -27,8 +27,8 @@ from fusion_sfdia.evaluation.isolation_metrics import (
 )
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
-from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters
+from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

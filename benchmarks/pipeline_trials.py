@@ -19,7 +19,7 @@ from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.trials import faulted, join, outcome, unpack
 from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
-from fusion_sfdia.models.gas_pipeline import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
+from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
 from fusion_sfdia.report.plots import Bars
 
 Array = NDArray[Any]

@@ -25,7 +25,7 @@ from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.filters.estimators import Estimator, Extended, Unscented
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

@@ -71,9 +71,9 @@ if TYPE_CHECKING:
     from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter as ParticleFilter
     from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank as SequentialBank
     from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
-    from fusion_sfdia.models.gas_pipeline import gas_pipeline as gas_pipeline
-    from fusion_sfdia.models.marine_engine import marine_engine as marine_engine
-    from fusion_sfdia.models.two_tanks import two_tanks as two_tanks
+    from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
+    from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine
+    from fusion_sfdia.models.two_tanks.plant import two_tanks as two_tanks
     from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
     from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses as FaultHypotheses
     from fusion_sfdia.stochastic_thresholds.monte_carlo import MonteCarlo as MonteCarlo

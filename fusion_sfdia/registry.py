@@ -64,19 +64,19 @@ SCENARIOS["comparison"] = "fusion_sfdia.comparison.scenario:SCENARIO"
 PLANTS: dict[str, tuple[str, str]] = {
     "gas-pipeline": (
         "150 km of high-pressure natural gas under transient flow, 21 nodes, 63 sensors (Shaheen 2024)",
-        "fusion_sfdia.models.gas_pipeline:gas_pipeline",
+        "fusion_sfdia.models.gas_pipeline.plant:gas_pipeline",
     ),
     "marine-engine": (
         "four-stroke marine diesel engine with turbocharger in 4 blocks, 10 sensors (Kougiatsos and Reppa 2024)",
-        "fusion_sfdia.models.marine_engine:marine_engine",
+        "fusion_sfdia.models.marine_engine.plant:marine_engine",
     ),
     "power-network": (
         "15 generation areas joined by tie lines, 94 sensors, of which 34 read a neighbour's angle (Boem 2018)",
-        "fusion_sfdia.models.power_network:power_network",
+        "fusion_sfdia.models.power_network.plant:power_network",
     ),
     "two-tanks": (
         "two water tanks in series, checkable by hand: 2 levels and 2 flows measured",
-        "fusion_sfdia.models.two_tanks:two_tanks",
+        "fusion_sfdia.models.two_tanks.plant:two_tanks",
     ),
 }
 

@@ -14,7 +14,7 @@ from fusion_sfdia.adaptive_thresholds.algebraic_bounds import TOLERANCE
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.models.marine_engine import OBSERVER_BOUNDS, marine_engine
+from fusion_sfdia.models.marine_engine.plant import OBSERVER_BOUNDS, marine_engine
 
 ENGINE = marine_engine()
 DETECTOR = AdaptiveThreshold(ENGINE)

@@ -16,8 +16,8 @@ from fusion_sfdia.evaluation.results import read_rows
 from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.filters import ekf, ukf
 from fusion_sfdia.filters.gaussian import condition, dense
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
-from fusion_sfdia.models.marine_engine import MODULES
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.marine_engine.plant import MODULES
 
 SHORT = 1e-3  # s
 

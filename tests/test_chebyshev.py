@@ -13,9 +13,9 @@ from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Array, Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended, Unscented
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
-from fusion_sfdia.models.marine_engine import marine_engine
-from fusion_sfdia.models.power_network import power_network
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.marine_engine.plant import marine_engine
+from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev, calibrated
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, foretell, take

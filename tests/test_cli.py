@@ -18,7 +18,7 @@ import pytest
 
 from fusion_sfdia import __version__, registry
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
 PLANT = gas_pipeline()
 
@@ -242,7 +242,7 @@ def test_a_model_without_numbers_fails_the_diagnosis(
 ) -> None:
     altered(len)
     capsys.readouterr()
-    monkeypatch.setattr("fusion_sfdia.models.gas_pipeline_equations.advance", lambda x, *_: np.full_like(x, np.nan))
+    monkeypatch.setattr("fusion_sfdia.models.gas_pipeline.equations.advance", lambda x, *_: np.full_like(x, np.nan))
     code, _, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert code == 1 and re.search(r"diverged and does not count in \d+ of 12 samples, first at", err)
 

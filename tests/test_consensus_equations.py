@@ -10,9 +10,9 @@ from rounding import rounding
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.plant import Array
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_model import network_model
-from fusion_sfdia.models.power_network_simulation import run_network
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
 from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners, foretell, take
 

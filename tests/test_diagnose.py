@@ -15,7 +15,7 @@ from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 
 

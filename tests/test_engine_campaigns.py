@@ -14,7 +14,7 @@ from fusion_sfdia.benchmarks.engine_campaign import VALID, engine_detector, fork
 from fusion_sfdia.benchmarks.engine_noise_figures import AGENTS, FAULTS, OTHERS, OWN, modules_of, published
 from fusion_sfdia.benchmarks.engine_trials import BIN, NAMES
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.models.marine_engine import MODULES, SENSORS
+from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
 from fusion_sfdia.registry import scenario
 
 SMALL = {

@@ -15,10 +15,10 @@ from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.intervals.expression import record
 from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.intervals.monotone import derivative, gradient
-from fusion_sfdia.models import marine_engine as engine
-from fusion_sfdia.models import marine_engine_equations as equations
-from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.models.marine_engine import equations
+from fusion_sfdia.models.marine_engine import plant as engine
+from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 
 C = engine_parameters()
 # fuel, torque, p_receiver, p_charge about their nominal values: the load's range, and the envelope less twice the noise

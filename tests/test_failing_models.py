@@ -159,7 +159,7 @@ def test_a_campaign_and_a_calibration_go_on() -> None:
 
 def test_the_gas_pipeline_is_a_plant_too() -> None:
     from fusion_sfdia.evaluation.simulate import simulate
-    from fusion_sfdia.models.gas_pipeline import gas_pipeline
+    from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
     usual: Plant = gas_pipeline()
 

@@ -12,12 +12,12 @@ import pytest
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.plant import Array
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_faults import fault_function
-from fusion_sfdia.models.power_network_model import network_model
-from fusion_sfdia.models.power_network_operation import AreaFault, conditions, load_profile
-from fusion_sfdia.models.power_network_parameters import load_steps
-from fusion_sfdia.models.power_network_simulation import run_network
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.faults import fault_function
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.operation import AreaFault, conditions, load_profile
+from fusion_sfdia.models.power_network.parameters import load_steps
+from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners, foretell, take
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED, FaultHypotheses, exclusion_alpha
 

@@ -20,10 +20,9 @@ from fusion_sfdia.core.discretise import runge_kutta_4
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models import gas_pipeline_equations as equations
-from fusion_sfdia.models.fit_natural_gas import gerg_2008
-from fusion_sfdia.models.gas_pipeline import SIGMA, coarse_state, demand, gas_pipeline
-from fusion_sfdia.models.gas_pipeline_physics import (
+from fusion_sfdia.models.gas_pipeline import equations
+from fusion_sfdia.models.gas_pipeline.fit_natural_gas import gerg_2008
+from fusion_sfdia.models.gas_pipeline.physics import (
     INLET_PRESSURE,
     INLET_TEMPERATURE,
     largest_step,
@@ -31,6 +30,7 @@ from fusion_sfdia.models.gas_pipeline_physics import (
     pipeline_physics,
     steady_state,
 )
+from fusion_sfdia.models.gas_pipeline.plant import SIGMA, coarse_state, demand, gas_pipeline
 
 Array = NDArray[Any]
 
@@ -406,7 +406,7 @@ def test_second_process_starts_from_the_cache(root: Path) -> None:
     """Machine code on disk, parameters as a NamedTuple included: nothing is compiled twice."""
     gas_pipeline().step(0.0, gas_pipeline().x0, np.array([8.4e6, 303.15, 300.0]), 10.0)
     script = (
-        "from fusion_sfdia.models.gas_pipeline import gas_pipeline, equations\n"
+        "from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline, equations\n"
         "p = gas_pipeline(); p.step(0.0, p.x0, p.input_at(0.0), 10.0)\n"
         "print(sum(equations.advance.stats.cache_hits.values()), sum(equations.advance.stats.cache_misses.values()))"
     )

@@ -11,9 +11,9 @@ from rounding import rounding, rounding_of_solution
 from scipy.optimize import brentq
 
 from fusion_sfdia.core.equation import COMPLEX_STEP, complex_step_jacobian
-from fusion_sfdia.models import gas_pipeline_equations as equations
-from fusion_sfdia.models.gas_pipeline_physics import STENCIL, pipeline_parameters, pipeline_physics, steady_state
-from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES
+from fusion_sfdia.models.gas_pipeline import equations
+from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
+from fusion_sfdia.models.gas_pipeline.physics import STENCIL, pipeline_parameters, pipeline_physics, steady_state
 
 Array = NDArray[Any]
 

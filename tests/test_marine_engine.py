@@ -14,8 +14,10 @@ from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import complex_step_jacobian, difference_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models import marine_engine_equations as equations
-from fusion_sfdia.models.marine_engine import (
+from fusion_sfdia.models.marine_engine import equations
+from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import (
     BLOCKS,
     MODULES,
     SENSORS,
@@ -23,8 +25,6 @@ from fusion_sfdia.models.marine_engine import (
     engine_physics,
     marine_engine,
 )
-from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
 
 Array = NDArray[Any]
 EPS = np.finfo(float).eps

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from fusion_sfdia.models import marine_engine_equations as equations
-from fusion_sfdia.models.marine_engine import MODULES, SENSORS
-from fusion_sfdia.models.marine_engine_equations import CONSTANT_SLIP, EQUATIONS, NOMINAL_SPEED, variables_of
-from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.models.marine_engine import equations
+from fusion_sfdia.models.marine_engine.equations import CONSTANT_SLIP, EQUATIONS, NOMINAL_SPEED, variables_of
+from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
 
 Array = NDArray[Any]
 

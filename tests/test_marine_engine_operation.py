@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models.marine_engine import marine_engine
-from fusion_sfdia.models.marine_engine_faults import PROCESS_FAULTS, ProcessFault, parameter_schedule
-from fusion_sfdia.models.marine_engine_governor import Governor, governed_settings
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.faults import PROCESS_FAULTS, ProcessFault, parameter_schedule
+from fusion_sfdia.models.marine_engine.governor import Governor, governed_settings
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 
 C = engine_parameters()
 PLANT = marine_engine()

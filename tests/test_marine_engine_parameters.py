@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
-from fusion_sfdia.models.marine_engine_parameters import (
+from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine.parameters import (
     ENGINE_FILE,
     PROVENANCE,
     UNITS,

@@ -13,11 +13,11 @@ from fusion_sfdia.benchmarks.network_published import ATTACKS, GOVERNOR, SIGN_FL
 from fusion_sfdia.benchmarks.network_rows import spread, teller, time_rows
 from fusion_sfdia.benchmarks.network_trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, gather, trial
 from fusion_sfdia.experiments.scenario import Summary
-from fusion_sfdia.models.power_network_accommodation import Compensated
-from fusion_sfdia.models.power_network_control import generation_control
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_model import network_model
-from fusion_sfdia.models.power_network_operation import Switch
+from fusion_sfdia.models.power_network.accommodation import Compensated
+from fusion_sfdia.models.power_network.control import generation_control
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.operation import Switch
 from fusion_sfdia.registry import scenario
 
 MINE = {

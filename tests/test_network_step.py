@@ -10,9 +10,9 @@ from consensus_arrays import foretell, take
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.plant import Array
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_model import network_model
-from fusion_sfdia.models.power_network_parameters import generate_network
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.stochastic_thresholds import consensus
 from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners
 from fusion_sfdia.stochastic_thresholds.network_step import network_step

@@ -108,5 +108,6 @@ def test_the_wheel_from_the_sdist_holds_the_package_and_nothing_else(root: Path,
         wanted |= {f"{package}/{p.relative_to(copy / folder)}" for p in files}
     assert {n for n in names if ".dist-info/" not in n} == wanted
     code = f"sys.path[0] = {str(tmp_path / 'site')!r}; "
-    code += "import fusion_sfdia.models.gas_pipeline as m, fusion_sfdia.experiments.runner as r; print(m.__file__, r.__file__)"
+    code += "import fusion_sfdia.models.two_tanks.plant as m, fusion_sfdia.benchmarks.pipeline.roc as r; "
+    code += "print(m.__file__, r.__file__)"
     assert all(path.startswith(str(tmp_path / "site")) for path in python(code, tmp_path).split())

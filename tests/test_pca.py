@@ -17,7 +17,7 @@ from fusion_sfdia.data_driven.component_model import ComponentModel, complete_wi
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models.two_tanks import two_tanks
+from fusion_sfdia.models.two_tanks.plant import two_tanks
 
 NOISE = 0.3
 PLANT = chain(6, sigma=NOISE)

@@ -17,14 +17,14 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import build
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy
-from fusion_sfdia.models.marine_engine import engine_physics, marine_engine
-from fusion_sfdia.models.marine_engine_equilibrium import equilibrium
-from fusion_sfdia.models.marine_engine_faults import ProcessFault
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
-from fusion_sfdia.models.power_network import network_physics, power_network
-from fusion_sfdia.models.power_network_model import network_model
-from fusion_sfdia.models.power_network_operation import AreaFault, Switch
-from fusion_sfdia.models.two_tanks import tank_physics, two_tanks
+from fusion_sfdia.models.marine_engine.equilibrium import equilibrium
+from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import engine_physics, marine_engine
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.operation import AreaFault, Switch
+from fusion_sfdia.models.power_network.plant import network_physics, power_network
+from fusion_sfdia.models.two_tanks.plant import tank_physics, two_tanks
 
 
 def fading(t: float, x: Array, z: Array, u: Array, c: object) -> Array:

@@ -12,8 +12,8 @@ from fusion_sfdia.detectors import as_printed, build
 from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
 from fusion_sfdia.evaluation.fault_draws import FaultRange
 from fusion_sfdia.evaluation.trials import decide, faulted, outcome
-from fusion_sfdia.models.gas_pipeline import gas_pipeline
-from fusion_sfdia.models.two_tanks import two_tanks
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.registry import SCENARIOS, scenario
 
 SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "truth": "finer"}

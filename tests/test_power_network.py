@@ -9,12 +9,12 @@ from scipy.linalg import expm
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models import power_network_equations as equations
-from fusion_sfdia.models.power_network import network_physics, network_sensors, power_network
-from fusion_sfdia.models.power_network_control import generation_control
-from fusion_sfdia.models.power_network_model import NetworkModel, network_model
-from fusion_sfdia.models.power_network_operation import AreaFault, Switch
-from fusion_sfdia.models.power_network_parameters import generate_network, load_network
+from fusion_sfdia.models.power_network import equations
+from fusion_sfdia.models.power_network.control import generation_control
+from fusion_sfdia.models.power_network.model import NetworkModel, network_model
+from fusion_sfdia.models.power_network.operation import AreaFault, Switch
+from fusion_sfdia.models.power_network.parameters import generate_network, load_network
+from fusion_sfdia.models.power_network.plant import network_physics, network_sensors, power_network
 
 MODEL = network_model()
 NAMES = MODEL.names

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fusion_sfdia.models.power_network_control import BY_ANGLE, BY_SPEED, PredictiveControl, generation_control
-from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel, network_model
-from fusion_sfdia.models.power_network_operation import AreaFault, Switch, conditions, load_profile
-from fusion_sfdia.models.power_network_parameters import LoadStep, generate_network, load_steps
-from fusion_sfdia.models.power_network_simulation import Moment, run_network
+from fusion_sfdia.models.power_network.control import BY_ANGLE, BY_SPEED, PredictiveControl, generation_control
+from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel, network_model
+from fusion_sfdia.models.power_network.operation import AreaFault, Switch, conditions, load_profile
+from fusion_sfdia.models.power_network.parameters import LoadStep, generate_network, load_steps
+from fusion_sfdia.models.power_network.simulation import Moment, run_network
 
 MODEL = network_model()
 RNG = np.random.default_rng(5)

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from fusion_sfdia.core.network import Network, Topology
-from fusion_sfdia.models.power_network_parameters import (
+from fusion_sfdia.models.power_network.parameters import (
     DYNAMIC,
     NETWORK_FILE,
     NetworkParameters,

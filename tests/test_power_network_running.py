@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_model import NetworkModel, network_model
-from fusion_sfdia.models.power_network_parameters import generate_network
-from fusion_sfdia.models.power_network_running import RunningNetwork
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import NetworkModel, network_model
+from fusion_sfdia.models.power_network.parameters import generate_network
+from fusion_sfdia.models.power_network.running import RunningNetwork
 from fusion_sfdia.stochastic_thresholds.consensus import beginners
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 

@@ -13,10 +13,10 @@ from toy_plants import chain
 from fusion_sfdia.core.detector import Decision, State, run
 from fusion_sfdia.core.plant import Array, Plant
 from fusion_sfdia.core.storage import load_state, save_state
-from fusion_sfdia.models.power_network import power_network
-from fusion_sfdia.models.power_network_model import network_model
-from fusion_sfdia.models.power_network_operation import Switch
-from fusion_sfdia.models.power_network_simulation import run_network
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.operation import Switch
+from fusion_sfdia.models.power_network.plant import power_network
+from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.stochastic_thresholds.replug import replug
 

@@ -96,7 +96,7 @@ PREDICTIONS = {
 
 
 def engine_signatures(suffix: str = "") -> SignatureMatrix:
-    equations = pytest.importorskip("fusion_sfdia.models.marine_engine_equations")
+    equations = pytest.importorskip("fusion_sfdia.models.marine_engine.equations")
     named = {
         module: (variable, *argument_names(getattr(equations, name + suffix, None) or getattr(equations, name)))
         for module, (variable, name) in PREDICTIONS.items()

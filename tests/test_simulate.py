@@ -14,8 +14,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models.gas_pipeline import coarse_state, gas_pipeline
-from fusion_sfdia.models.power_network import power_network
+from fusion_sfdia.models.gas_pipeline.plant import coarse_state, gas_pipeline
+from fusion_sfdia.models.power_network.plant import power_network
 
 
 def walk(sensor: Sensor | None = None, process_cov: float = 1.0, **changes) -> Plant:

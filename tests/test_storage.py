@@ -156,8 +156,8 @@ def test_a_state_of_a_plant_with_other_parameters_or_another_taper_is_refused(tm
     from fusion_sfdia.filters.enkf import EnKFSettings, taper
     from fusion_sfdia.filters.estimators import Ensemble
     from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-    from fusion_sfdia.models.gas_pipeline import gas_pipeline
-    from fusion_sfdia.models.gas_pipeline_physics import pipeline_parameters
+    from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
+    from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
     smooth = CentralFilter(gas_pipeline())
     save_state(tmp_path / "state.npz", smooth, smooth.init())

@@ -22,7 +22,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.detectors import FALSE_ALARM, build, healthy_data
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models.two_tanks import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
+from fusion_sfdia.models.two_tanks.plant import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
 from fusion_sfdia.structural_residuals.selection import isolable, reads, selected, usable
 from fusion_sfdia.structural_residuals.sequences import Sequences
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals

@@ -8,7 +8,7 @@ import pytest
 from fusion_sfdia import registry
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.intervals.interval import Interval
-from fusion_sfdia.models.two_tanks import EQUATIONS, INFLOW, SWING_PERIOD, Tanks, tank_physics, two_tanks
+from fusion_sfdia.models.two_tanks.plant import EQUATIONS, INFLOW, SWING_PERIOD, Tanks, tank_physics, two_tanks
 
 EPS = np.finfo(float).eps
 

@@ -17,7 +17,7 @@ from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
 from fusion_sfdia.core.detector import Decision, State, run
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.intervals.interval import Interval
-from fusion_sfdia.models.marine_engine import marine_engine
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 
 Array = NDArray[Any]
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor
-from fusion_sfdia.models.two_tanks import tank_modules as tank_modules
-from fusion_sfdia.models.two_tanks import tank_physics as tank_physics
-from fusion_sfdia.models.two_tanks import two_tanks as tanks  # noqa: F401
+from fusion_sfdia.models.two_tanks.plant import tank_modules as tank_modules
+from fusion_sfdia.models.two_tanks.plant import tank_physics as tank_physics
+from fusion_sfdia.models.two_tanks.plant import two_tanks as tanks  # noqa: F401
 
 Array = NDArray[Any]
 

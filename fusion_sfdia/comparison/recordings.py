@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from fusion_sfdia import registry
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.models.gas_pipeline import demand
-from fusion_sfdia.models.gas_pipeline_physics import INLET_PRESSURE, INLET_TEMPERATURE
-from fusion_sfdia.models.power_network import power_network
-from fusion_sfdia.models.power_network_parameters import LoadStep, load_steps
+from fusion_sfdia.models.gas_pipeline.physics import INLET_PRESSURE, INLET_TEMPERATURE
+from fusion_sfdia.models.gas_pipeline.plant import demand
+from fusion_sfdia.models.power_network.parameters import LoadStep, load_steps
+from fusion_sfdia.models.power_network.plant import power_network
 
 Array = NDArray[Any]
 

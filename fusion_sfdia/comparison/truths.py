@@ -18,15 +18,15 @@ from fusion_sfdia.benchmarks.network_published import GOVERNOR
 from fusion_sfdia.comparison.recordings import repeated_loads, simulated
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
-from fusion_sfdia.models.gas_pipeline import demand, gas_pipeline
-from fusion_sfdia.models.gas_pipeline_physics import INLET_PRESSURE, INLET_TEMPERATURE, pipeline_parameters
-from fusion_sfdia.models.marine_engine import marine_engine
-from fusion_sfdia.models.marine_engine_faults import ProcessFault
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
-from fusion_sfdia.models.power_network import power_network
-from fusion_sfdia.models.power_network_operation import AreaFault
-from fusion_sfdia.models.power_network_parameters import NetworkParameters, load_network
-from fusion_sfdia.models.two_tanks import two_tanks
+from fusion_sfdia.models.gas_pipeline.physics import INLET_PRESSURE, INLET_TEMPERATURE, pipeline_parameters
+from fusion_sfdia.models.gas_pipeline.plant import demand, gas_pipeline
+from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import marine_engine
+from fusion_sfdia.models.power_network.operation import AreaFault
+from fusion_sfdia.models.power_network.parameters import NetworkParameters, load_network
+from fusion_sfdia.models.power_network.plant import power_network
+from fusion_sfdia.models.two_tanks.plant import two_tanks
 
 Array = NDArray[Any]
 

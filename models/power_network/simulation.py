@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.random_streams import require_seeds, stream
-from fusion_sfdia.models.power_network_control import Control, generation_control
-from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel
-from fusion_sfdia.models.power_network_operation import AreaFault, Condition, Switch, conditions
+from fusion_sfdia.models.power_network.control import Control, generation_control
+from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
+from fusion_sfdia.models.power_network.operation import AreaFault, Condition, Switch, conditions
 
 Array = NDArray[Any]
 Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]

@@ -35,12 +35,12 @@ from fusion_sfdia.core.linear import constant, picked
 from fusion_sfdia.core.physics import Block, Physics
 from fusion_sfdia.core.plant import Plant, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.models.power_network_control import generation_control
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_equations import STATES, area_rates
-from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel, network_model
-from fusion_sfdia.models.power_network_operation import AreaFault, Condition, Switch, conditions, load_profile
-from fusion_sfdia.models.power_network_parameters import (
+from fusion_sfdia.models.power_network.control import generation_control
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.equations import STATES, area_rates
+from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel, network_model
+from fusion_sfdia.models.power_network.operation import AreaFault, Condition, Switch, conditions, load_profile
+from fusion_sfdia.models.power_network.parameters import (
     LoadStep,
     NetworkParameters,
     generate_network,

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.models.marine_engine import marine_engine
-from fusion_sfdia.models.marine_engine_equations import EngineParameters
-from fusion_sfdia.models.marine_engine_equilibrium import LOADS
-from fusion_sfdia.models.marine_engine_faults import ProcessFault, parameter_schedule
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.equations import EngineParameters
+from fusion_sfdia.models.marine_engine.equilibrium import LOADS
+from fusion_sfdia.models.marine_engine.faults import ProcessFault, parameter_schedule
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 
 Array = NDArray[Any]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.models.power_network_model import NetworkModel
-from fusion_sfdia.models.power_network_operation import AreaFault
+from fusion_sfdia.models.power_network.model import NetworkModel
+from fusion_sfdia.models.power_network.operation import AreaFault
 
 Array = NDArray[Any]
 

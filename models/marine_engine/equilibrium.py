@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.equation import complex_step_jacobian
-from fusion_sfdia.models import marine_engine_equations as equations
-from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, STATES, EngineParameters
+from fusion_sfdia.models.marine_engine import equations
+from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 
 Array = NDArray[Any]
 

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.equation import compiled, equation
-from fusion_sfdia.models.natural_gas import Gas
+from fusion_sfdia.models.gas_pipeline.natural_gas import Gas
 
 Array = NDArray[Any]
 

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.models import marine_engine_equations as equations
-from fusion_sfdia.models.marine_engine_equations import EngineParameters
+from fusion_sfdia.models.marine_engine import equations
+from fusion_sfdia.models.marine_engine.equations import EngineParameters
 
-ENGINE_FILE = Path(__file__).with_name("marine_engine_parameters.toml")
+ENGINE_FILE = Path(__file__).with_name("parameters.toml")
 PROVENANCE = ("paper", "recalled", "derived", "chosen")
 UNITS: dict[str, dict[str, float]] = {  # SI unit: units a file may use, as multiples of it
     "1": {},

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from fusion_sfdia.models.power_network_model import NetworkModel
+from fusion_sfdia.models.power_network.model import NetworkModel
 
 Array = NDArray[Any]
 Control = Callable[[NetworkModel, Array, Array], Array]

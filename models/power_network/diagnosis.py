@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.models.power_network_equations import STATES
-from fusion_sfdia.models.power_network_model import NOISE_VARIANCE, NetworkModel
+from fusion_sfdia.models.power_network.equations import STATES
+from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
 
 
 def network_areas(model: NetworkModel, *, named: bool = True) -> Areas:

@@ -21,7 +21,7 @@ from fusion_sfdia.core.network import Topology
 
 Array = NDArray[Any]
 
-NETWORK_FILE = Path(__file__).with_name("power_network_parameters.toml")
+NETWORK_FILE = Path(__file__).with_name("parameters.toml")
 PROVENANCE = ("paper", "recalled", "derived", "chosen")
 UNITS = {  # of an area's constants
     "inertia": "s2/rad",

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.models.power_network_model import NetworkModel
-from fusion_sfdia.models.power_network_parameters import LoadStep
+from fusion_sfdia.models.power_network.model import NetworkModel
+from fusion_sfdia.models.power_network.parameters import LoadStep
 
 Array = NDArray[Any]
 

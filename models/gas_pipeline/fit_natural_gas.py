@@ -1,6 +1,6 @@
 """Fit the gas of the pipeline to GERG-2008 and print its coefficients and error box.
 
-    python -m fusion_sfdia.models.fit_natural_gas
+    python -m fusion_sfdia.models.gas_pipeline.fit_natural_gas
 
 needs pyaga8 (the extra "gas"), an implementation of ISO 20765-2. One linear least squares for compressibility, its two
 logarithmic derivatives and the heat capacity together: all are linear in the coefficients of z and of the ideal-gas C_p,
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.models.gas_pipeline_equations import (
+from fusion_sfdia.models.gas_pipeline.equations import (
     POWERS_OF_PRESSURE,
     POWERS_OF_TAU,
     PRESSURE_SCALE,
@@ -23,7 +23,7 @@ from fusion_sfdia.models.gas_pipeline_equations import (
     gas,
     wave_speed_squared,
 )
-from fusion_sfdia.models.natural_gas import COMPOSITION, PRESSURES, TEMPERATURES, natural_gas
+from fusion_sfdia.models.gas_pipeline.natural_gas import COMPOSITION, PRESSURES, TEMPERATURES, natural_gas
 
 Array = NDArray[Any]
 

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.models import gas_pipeline_equations as equations
-from fusion_sfdia.models.gas_pipeline_equations import PipelineParameters
-from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES, natural_gas
+from fusion_sfdia.models.gas_pipeline import equations
+from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
+from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES, natural_gas
 
 Array = NDArray[Any]
 

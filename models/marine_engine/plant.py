@@ -31,11 +31,11 @@ from fusion_sfdia.core.modules import Modules, ObserverBound
 from fusion_sfdia.core.physics import Block, Physics
 from fusion_sfdia.core.plant import Plant, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.models import marine_engine_equations as equations
-from fusion_sfdia.models.marine_engine_equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
-from fusion_sfdia.models.marine_engine_equilibrium import LOADS, engine_variables, equilibrium, follows_law
-from fusion_sfdia.models.marine_engine_faults import ProcessFault, parameter_schedule
-from fusion_sfdia.models.marine_engine_parameters import engine_parameters
+from fusion_sfdia.models.marine_engine import equations
+from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
+from fusion_sfdia.models.marine_engine.equilibrium import LOADS, engine_variables, equilibrium, follows_law
+from fusion_sfdia.models.marine_engine.faults import ProcessFault, parameter_schedule
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 
 Array = NDArray[Any]
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.linear import zero_order_hold
 from fusion_sfdia.core.network import Network
-from fusion_sfdia.models import power_network_equations as equations
-from fusion_sfdia.models.power_network_parameters import DYNAMIC, NetworkParameters, load_network
+from fusion_sfdia.models.power_network import equations
+from fusion_sfdia.models.power_network.parameters import DYNAMIC, NetworkParameters, load_network
 
 Array = NDArray[Any]
 

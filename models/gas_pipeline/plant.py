@@ -33,9 +33,10 @@ from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.physics import Block
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.models import gas_pipeline_equations as equations
-from fusion_sfdia.models.gas_pipeline_equations import PipelineParameters
-from fusion_sfdia.models.gas_pipeline_physics import (
+from fusion_sfdia.models.gas_pipeline import equations
+from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
+from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
+from fusion_sfdia.models.gas_pipeline.physics import (
     FLOW,
     INLET_PRESSURE,
     INLET_TEMPERATURE,
@@ -46,7 +47,6 @@ from fusion_sfdia.models.gas_pipeline_physics import (
     require_parameters,
     signals,
 )
-from fusion_sfdia.models.natural_gas import PRESSURES, TEMPERATURES
 
 Array = NDArray[Any]
 

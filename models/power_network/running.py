@@ -9,8 +9,8 @@ import numpy as np
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.network import Change, Network
-from fusion_sfdia.models.power_network_diagnosis import network_areas
-from fusion_sfdia.models.power_network_model import NetworkModel
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import NetworkModel
 
 
 class RunningNetwork:

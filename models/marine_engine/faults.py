@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from fusion_sfdia.models.marine_engine_equations import EngineParameters
-from fusion_sfdia.models.marine_engine_equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine.equations import EngineParameters
+from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 
 PROCESS_FAULTS = {  # kind: what a severity s does
     "turbine-fouling": "the turbine's effective area is (1 - s) times as large",

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.models.power_network_control import Control
-from fusion_sfdia.models.power_network_model import NetworkModel
+from fusion_sfdia.models.power_network.control import Control
+from fusion_sfdia.models.power_network.model import NetworkModel
 
 Array = NDArray[Any]
 

@@ -1,0 +1,1 @@
+"""Generation areas joined by tie lines, which are plugged in and out (Boem 2018)."""

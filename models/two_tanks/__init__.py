@@ -1,0 +1,1 @@
+"""Two water tanks in series, checkable by hand."""
