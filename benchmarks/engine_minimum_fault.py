@@ -16,7 +16,6 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine_decisions import value_of
-from fusion_sfdia.benchmarks.engine_published import minimum_fault
 from fusion_sfdia.benchmarks.engine_trials import (
     BLOCK,
     DETECTORS,
@@ -33,6 +32,7 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.models.marine_engine.published import minimum_fault
 from fusion_sfdia.report.findings import pick
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 

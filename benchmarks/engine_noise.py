@@ -24,7 +24,6 @@ from fusion_sfdia.benchmarks.engine_noise_figures import (
     modules_of,
     published,
 )
-from fusion_sfdia.benchmarks.engine_published import DELAYS, Delay, Offset
 from fusion_sfdia.benchmarks.engine_trials import NAMES, row, timeline
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.faults import Fault, apply
@@ -39,6 +38,7 @@ from fusion_sfdia.experiments.scenario import (
     Task,
     seed_blocks,
 )
+from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, Offset
 from fusion_sfdia.report.findings import listed, pick, span
 
 Array = NDArray[Any]

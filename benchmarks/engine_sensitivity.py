@@ -11,12 +11,12 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine_campaign import USUAL_NOISE, VALID, check, engine_detector, fork, noise, truth, watch
-from fusion_sfdia.benchmarks.engine_published import DESIGNS, minimum_fault
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, row
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import GAINS, MODULES
+from fusion_sfdia.models.marine_engine.published import DESIGNS, minimum_fault
 from fusion_sfdia.report.findings import listed, pick, span
 from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, legend_above, panels
 

@@ -13,13 +13,13 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.signatures import SignatureMatrix, global_signatures, local_signatures, sensors_read
-from fusion_sfdia.benchmarks.engine_published import K22, K24, SIGNATURES, signatures
 from fusion_sfdia.benchmarks.engine_trials import Results, engine, row
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
+from fusion_sfdia.models.marine_engine.published import K22, K24, SIGNATURES, signatures
 from fusion_sfdia.report.plots import panels
 
 NAME, DETECTOR = "engine/signatures", "adaptive-threshold"

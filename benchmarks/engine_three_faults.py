@@ -14,7 +14,10 @@ from fusion_sfdia.benchmarks.engine_decisions import (
     shares,
     value_of,
 )
-from fusion_sfdia.benchmarks.engine_published import (
+from fusion_sfdia.benchmarks.engine_trials import DETECTORS, Results, gather, published_first, row, tasks, timeline, trial
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
+from fusion_sfdia.models.marine_engine.published import (
     AT_NOMINAL_SPEED,
     EXONERATION_HALF_WIDTH,
     EXONERATION_PERFORMANCE,
@@ -22,9 +25,6 @@ from fusion_sfdia.benchmarks.engine_published import (
     ISOLATION_PERFORMANCE,
     THREE_FAULTS,
 )
-from fusion_sfdia.benchmarks.engine_trials import DETECTORS, Results, gather, published_first, row, tasks, timeline, trial
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
 from fusion_sfdia.report.findings import listed, pick
 
 NAME, FAULT = "engine/three-faults", "three-faults"

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes
-from fusion_sfdia.benchmarks.engine_published import AT_NOMINAL_SPEED, DESIGNS, Offset
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import build
@@ -27,6 +26,7 @@ from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
 from fusion_sfdia.models.marine_engine.plant import MODULES, marine_engine
+from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, Offset
 
 Array = NDArray[Any]
 Results = Sequence[tuple[Task, Arrays]]

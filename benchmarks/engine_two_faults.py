@@ -11,10 +11,10 @@ from fusion_sfdia.benchmarks.engine_decisions import (
     shares,
     value_of,
 )
-from fusion_sfdia.benchmarks.engine_published import TWO_FAULTS
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, Results, gather, published_first, tasks, timeline, trial
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
+from fusion_sfdia.models.marine_engine.published import TWO_FAULTS
 from fusion_sfdia.report.findings import listed, pick
 
 NAME, FAULT = "engine/two-faults", "two-faults"

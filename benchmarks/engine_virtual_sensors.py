@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion_sfdia.adaptive_thresholds.adaptive_observer import adaptive_rate
-from fusion_sfdia.benchmarks.engine_published import K22_GAINS
 from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, Array, Results, engine, row
 from fusion_sfdia.benchmarks.engine_virtual_figures import figures
 from fusion_sfdia.benchmarks.engine_virtual_trials import (
@@ -34,6 +33,7 @@ from fusion_sfdia.benchmarks.engine_virtual_trials import (
 from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Published, Scenario, Settings, Summary, Table
+from fusion_sfdia.models.marine_engine.published import K22_GAINS
 from fusion_sfdia.report.findings import pick, span
 
 NAME, FAULT = "engine/virtual-sensors", "three-faults"

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
-from fusion_sfdia.benchmarks.engine_published import Offset
 from fusion_sfdia.benchmarks.engine_trials import (
     CHUNK,
     DETECTORS,
@@ -27,6 +26,7 @@ from fusion_sfdia.benchmarks.engine_trials import (
     trial,
 )
 from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.models.marine_engine.published import Offset
 
 NAME, FAULT, DETECTOR = "engine/virtual-sensors", "three-faults", "virtual-sensors"
 V22 = "Kougiatsos and Reppa 2022, sec. 5, one run"

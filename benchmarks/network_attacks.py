@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network_attack_figures import answers_figure, blamed_figure
-from fusion_sfdia.benchmarks.network_published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_rows import share, spread, teller, time_rows
 from fusion_sfdia.benchmarks.network_trials import LATE, Arrays, Watch, gather, trial
 from fusion_sfdia.core.detector import run
@@ -20,6 +19,7 @@ from fusion_sfdia.models.power_network.equations import STATES
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import AreaFault
 from fusion_sfdia.models.power_network.plant import power_network
+from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.models.power_network.simulation import Moment
 from fusion_sfdia.registry import detector, require_known
 from fusion_sfdia.report.findings import span

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network_figures import both_bounds, times_figure, unplugged_operation
-from fusion_sfdia.benchmarks.network_published import DETERMINISTIC_MISSES, GOVERNOR, PLUGGED_IN
 from fusion_sfdia.benchmarks.network_rows import (
     share,
     spread,
@@ -21,6 +20,7 @@ from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import Switch
+from fusion_sfdia.models.power_network.published import DETERMINISTIC_MISSES, GOVERNOR, PLUGGED_IN
 from fusion_sfdia.registry import require_known
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network_figures import area_residuals, reconfigured_operation, times_figure
-from fusion_sfdia.benchmarks.network_published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_rows import (
     share,
     spread,
@@ -31,6 +30,7 @@ from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
+from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.registry import require_known
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES

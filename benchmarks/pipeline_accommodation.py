@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
     PAPER,
@@ -24,6 +23,7 @@ from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.trials import READINGS
 from fusion_sfdia.experiments.scenario import Figure, Row, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
 from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

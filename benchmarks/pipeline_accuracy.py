@@ -6,8 +6,6 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks import pipeline_published as published
-from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_readings import OTHER, nearer, readings, readings_table
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -22,7 +20,9 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Figure, Published, Row, Scenario, Settings, Summary, Task
+from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import SIGMA
+from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
     OURS,
@@ -26,6 +25,7 @@ from fusion_sfdia.evaluation.trials import decide, faulted
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.findings import listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

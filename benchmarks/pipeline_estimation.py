@@ -8,8 +8,6 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks import pipeline_published as published
-from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_readings import OTHER, nearer, readings, readings_table
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
@@ -29,7 +27,9 @@ from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Published, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

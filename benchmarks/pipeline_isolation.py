@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
     OURS,
@@ -31,6 +30,7 @@ from fusion_sfdia.evaluation.isolation_metrics import (
 )
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.findings import left_out
 from fusion_sfdia.report.plots import isolation_matrix, panels
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_published import FAULTS, QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     AFTERMATH,
     COMMON,
@@ -25,6 +24,7 @@ from fusion_sfdia.benchmarks.pipeline_trials import (
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.experiments.scenario import Figure, Row, Scenario, Settings, Summary, Task
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
 from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.plots import panels, roc_curves
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import build, fusing_bank, watching
@@ -20,6 +19,7 @@ from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.trials import faulted, join, outcome, unpack
 from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
+from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.plots import Bars
 
 Array = NDArray[Any]

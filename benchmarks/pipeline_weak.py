@@ -6,7 +6,6 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import (
     COMMON,
     OURS,
@@ -26,6 +25,7 @@ from fusion_sfdia.evaluation.isolation_metrics import (
 )
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

@@ -1,4 +1,4 @@
-"""The marine engine's signature matrices as printed (benchmarks/engine_published.py), and the structure of its equations.
+"""The marine engine's signature matrices as printed (models/marine_engine/published.py), and the structure of its equations.
 
 K24: Kougiatsos and Reppa 2024, Tables I-IV. K22: Kougiatsos et al. 2022, Tables 1-3. f3(2) is the fault of sensor
 S(2){3}, E(2,3) the residual of module M(2,3). Only single faults are printed; a column that is not printed is 0.
@@ -7,7 +7,7 @@ S(2){3}, E(2,3) the residual of module M(2,3). Only single faults are printed; a
 from __future__ import annotations
 
 from fusion_sfdia.adaptive_thresholds.signatures import Agent
-from fusion_sfdia.benchmarks.engine_published import SIGNATURES
+from fusion_sfdia.models.marine_engine.published import SIGNATURES
 
 SENSORS = ("f1(1)", "f1(2)", "f2(2)", "f3(2)", "f1(3)", "f2(3)", "f3(3)", "f1(4)", "f2(4)", "f3(4)")
 # the papers print no matrix of agent 1; K24 excludes f1(1) because D(1) = 0, so the entry is 1

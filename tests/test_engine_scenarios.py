@@ -8,7 +8,6 @@ from engine_signatures import K22_LOCAL, K24_LOCAL
 
 from fusion_sfdia.benchmarks import engine_minimum_fault as minimum
 from fusion_sfdia.benchmarks import engine_signatures
-from fusion_sfdia.benchmarks.engine_published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
 from fusion_sfdia.benchmarks.engine_trials import (
     BIN,
     DETECTORS,
@@ -26,6 +25,7 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Summary
+from fusion_sfdia.models.marine_engine.published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
 from fusion_sfdia.registry import SCENARIOS, scenario
 
 MINE = ("engine/three-faults", "engine/two-faults", "engine/minimum-fault", "engine/signatures")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks.engine_published import Offset
 from fusion_sfdia.benchmarks.engine_trials import NAMES, offsets, recording
 from fusion_sfdia.benchmarks.engine_virtual_trials import (
     FAULTS,
@@ -24,6 +23,7 @@ from fusion_sfdia.benchmarks.engine_virtual_trials import (
 )
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
+from fusion_sfdia.models.marine_engine.published import Offset
 from fusion_sfdia.registry import scenario
 
 NAME = "engine/virtual-sensors"

@@ -9,7 +9,6 @@ import pytest
 
 from fusion_sfdia.benchmarks import network_attacks as attacks
 from fusion_sfdia.benchmarks import network_sign_flip as flip
-from fusion_sfdia.benchmarks.network_published import ATTACKS, GOVERNOR, SIGN_FLIP
 from fusion_sfdia.benchmarks.network_rows import spread, teller, time_rows
 from fusion_sfdia.benchmarks.network_trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, gather, trial
 from fusion_sfdia.experiments.scenario import Summary
@@ -18,6 +17,7 @@ from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
+from fusion_sfdia.models.power_network.published import ATTACKS, GOVERNOR, SIGN_FLIP
 from fusion_sfdia.registry import scenario
 
 MINE = {

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks import pipeline_published as published
-from fusion_sfdia.benchmarks.pipeline_published import QUANTITIES
 from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, detection_rows, gather, tasks, trial
 from fusion_sfdia.detectors import as_printed, build
 from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
 from fusion_sfdia.evaluation.fault_draws import FaultRange
 from fusion_sfdia.evaluation.trials import decide, faulted, outcome
+from fusion_sfdia.models.gas_pipeline import published
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.registry import SCENARIOS, scenario
 

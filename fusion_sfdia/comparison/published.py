@@ -12,14 +12,14 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from fusion_sfdia.benchmarks import pipeline_published
-from fusion_sfdia.benchmarks.engine_published import THREE_FAULTS, Offset
-from fusion_sfdia.benchmarks.network_published import GOVERNOR
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.fault_draws import PRESETS, draw
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.models.gas_pipeline import published as pipeline_published
+from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, Offset
+from fusion_sfdia.models.power_network.published import GOVERNOR
 
 PIPELINE, ENGINE, NETWORK = "gas-pipeline", "marine-engine", "power-network"
 

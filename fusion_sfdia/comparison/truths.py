@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_published import GOVERNOR
 from fusion_sfdia.comparison.recordings import repeated_loads, simulated
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import Recording
@@ -26,6 +25,7 @@ from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.power_network.operation import AreaFault
 from fusion_sfdia.models.power_network.parameters import NetworkParameters, load_network
 from fusion_sfdia.models.power_network.plant import power_network
+from fusion_sfdia.models.power_network.published import GOVERNOR
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 
 Array = NDArray[Any]
