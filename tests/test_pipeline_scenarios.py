@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks.pipeline_trials import Cell, aftermath, detection_rows, gather, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.trials import Cell, aftermath, detection_rows, gather, tasks, trial
 from fusion_sfdia.detectors import as_printed, build
 from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
 from fusion_sfdia.evaluation.fault_draws import FaultRange

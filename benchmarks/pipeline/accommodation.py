@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_trials import (
+from fusion_sfdia.benchmarks.pipeline.support.trials import (
     COMMON,
     PAPER,
     Results,

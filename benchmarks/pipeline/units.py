@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_trials import (
+from fusion_sfdia.benchmarks.pipeline.support.trials import (
     COMMON,
     Results,
     bar_series,

@@ -8,8 +8,8 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_readings import OTHER, nearer, readings, readings_table
-from fusion_sfdia.benchmarks.pipeline_trials import (
+from fusion_sfdia.benchmarks.pipeline.support.readings import OTHER, nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline.support.trials import (
     COMMON,
     PAPER,
     Results,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_trials import (
+from fusion_sfdia.benchmarks.pipeline.support.trials import (
     COMMON,
     OURS,
     PAPER,

@@ -6,7 +6,7 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline_trials import (
+from fusion_sfdia.benchmarks.pipeline.support.trials import (
     COMMON,
     OURS,
     PAPER,
