@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.benchmarks.engine_campaign import engine_detector, noise, truth
-from fusion_sfdia.benchmarks.engine_trials import NAMES
+from fusion_sfdia.benchmarks.engine.support.campaign import engine_detector, noise, truth
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.intervals.codac_adapter import codac_sivia

@@ -9,7 +9,7 @@ import pytest
 
 from fusion_sfdia.benchmarks import bench, bench_engine, bench_lorenz
 from fusion_sfdia.benchmarks.bench_filterpy import compiled_model, numpy_model, step_call
-from fusion_sfdia.benchmarks.engine_campaign import truth
+from fusion_sfdia.benchmarks.engine.support.campaign import truth
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.results import read_rows

@@ -8,11 +8,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks import engine_campaign as campaign
-from fusion_sfdia.benchmarks import engine_noise, engine_process, engine_process_figures, engine_sensitivity
-from fusion_sfdia.benchmarks.engine_campaign import VALID, engine_detector, fork, noise, response, truth, watch
-from fusion_sfdia.benchmarks.engine_noise_figures import AGENTS, FAULTS, OTHERS, OWN, modules_of, published
-from fusion_sfdia.benchmarks.engine_trials import BIN, NAMES
+from fusion_sfdia.benchmarks.engine import noise as engine_noise
+from fusion_sfdia.benchmarks.engine import process as engine_process
+from fusion_sfdia.benchmarks.engine import sensitivity as engine_sensitivity
+from fusion_sfdia.benchmarks.engine.support import campaign
+from fusion_sfdia.benchmarks.engine.support import process_figures as engine_process_figures
+from fusion_sfdia.benchmarks.engine.support.campaign import VALID, engine_detector, fork, noise, response, truth, watch
+from fusion_sfdia.benchmarks.engine.support.noise_figures import AGENTS, FAULTS, OTHERS, OWN, modules_of, published
+from fusion_sfdia.benchmarks.engine.support.trials import BIN, NAMES
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
 from fusion_sfdia.registry import scenario

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from engine_signatures import K22_LOCAL, K24_LOCAL
 
-from fusion_sfdia.benchmarks import engine_minimum_fault as minimum
-from fusion_sfdia.benchmarks import engine_signatures
-from fusion_sfdia.benchmarks.engine_trials import (
+from fusion_sfdia.benchmarks.engine import minimum_fault as minimum
+from fusion_sfdia.benchmarks.engine import signatures as engine_signatures
+from fusion_sfdia.benchmarks.engine.support.trials import (
     BIN,
     DETECTORS,
     NAMES,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks.engine_trials import NAMES, offsets, recording
-from fusion_sfdia.benchmarks.engine_virtual_trials import (
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES, offsets, recording
+from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     FAULTS,
     GUARANTEED,
     INTERSECTED,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import ENVELOPE, AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
-from fusion_sfdia.benchmarks.engine_trials import DETECTORS, MOST_NOISE, engine, extremes
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, engine, extremes
 from fusion_sfdia.core.detector import State
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine_campaign import VALID, check, engine_detector, fork, noise, response, truth, watch
-from fusion_sfdia.benchmarks.engine_decisions import isolation_rows
-from fusion_sfdia.benchmarks.engine_noise_figures import (
+from fusion_sfdia.benchmarks.engine.support.campaign import VALID, check, engine_detector, fork, noise, response, truth, watch
+from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows
+from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     AGENTS,
     FAULTS,
     GROUPS,
@@ -24,7 +24,7 @@ from fusion_sfdia.benchmarks.engine_noise_figures import (
     modules_of,
     published,
 )
-from fusion_sfdia.benchmarks.engine_trials import NAMES, row, timeline
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate

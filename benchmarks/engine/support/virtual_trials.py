@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
-from fusion_sfdia.benchmarks.engine_trials import (
+from fusion_sfdia.benchmarks.engine.support.trials import (
     CHUNK,
     DETECTORS,
     Array,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine_campaign import (
+from fusion_sfdia.benchmarks.engine.support.campaign import (
     DRIVES,
     USUAL_NOISE,
     VALID,
@@ -27,8 +27,8 @@ from fusion_sfdia.benchmarks.engine_campaign import (
     verdict_rows,
     watch,
 )
-from fusion_sfdia.benchmarks.engine_campaign_figures import run_figure
-from fusion_sfdia.benchmarks.engine_process_figures import (
+from fusion_sfdia.benchmarks.engine.support.campaign_figures import run_figure
+from fusion_sfdia.benchmarks.engine.support.process_figures import (
     ALL,
     ATTACKS,
     attack_cases,
@@ -37,7 +37,7 @@ from fusion_sfdia.benchmarks.engine_process_figures import (
     process_figure,
     told,
 )
-from fusion_sfdia.benchmarks.engine_trials import NAMES, row
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks

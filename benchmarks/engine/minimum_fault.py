@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.benchmarks.engine_decisions import value_of
-from fusion_sfdia.benchmarks.engine_trials import (
+from fusion_sfdia.benchmarks.engine.support.decisions import value_of
+from fusion_sfdia.benchmarks.engine.support.trials import (
     BLOCK,
     DETECTORS,
     NAMES,

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fusion_sfdia.adaptive_thresholds.adaptive_observer import adaptive_rate
-from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, Array, Results, engine, row
-from fusion_sfdia.benchmarks.engine_virtual_figures import figures
-from fusion_sfdia.benchmarks.engine_virtual_trials import (
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, Array, Results, engine, row
+from fusion_sfdia.benchmarks.engine.support.virtual_figures import figures
+from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     DETECTOR,
     DURATION,
     FAULTS,

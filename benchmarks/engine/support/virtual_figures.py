@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
-from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, engine
-from fusion_sfdia.benchmarks.engine_virtual_trials import FAULTS, INTERSECTED, MAPE, PRINTED, SINCE, SIZED, VARIANTS
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, engine
+from fusion_sfdia.benchmarks.engine.support.virtual_trials import FAULTS, INTERSECTED, MAPE, PRINTED, SINCE, SIZED, VARIANTS
 from fusion_sfdia.evaluation.metrics import proportion
 from fusion_sfdia.experiments.scenario import Arrays, Figure
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.benchmarks.engine_campaign import (
+from fusion_sfdia.benchmarks.engine.support.campaign import (
     DRIVES,
     USUAL_NOISE,
     VALID,
@@ -28,8 +28,8 @@ from fusion_sfdia.benchmarks.engine_campaign import (
     verdict_rows,
     watch,
 )
-from fusion_sfdia.benchmarks.engine_campaign_figures import drive_figure, run_figure, share_matrix
-from fusion_sfdia.benchmarks.engine_trials import NAMES, row
+from fusion_sfdia.benchmarks.engine.support.campaign_figures import drive_figure, run_figure, share_matrix
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import SENSORS

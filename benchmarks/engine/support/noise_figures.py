@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.engine_trials import NAMES
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Figure

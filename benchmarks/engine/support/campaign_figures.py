@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine_campaign import DRIVES
-from fusion_sfdia.benchmarks.engine_decisions import draw_modules
+from fusion_sfdia.benchmarks.engine.support.campaign import DRIVES
+from fusion_sfdia.benchmarks.engine.support.decisions import draw_modules
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Settings
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import Experiment, Offset

@@ -10,8 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine_campaign import USUAL_NOISE, VALID, check, engine_detector, fork, noise, truth, watch
-from fusion_sfdia.benchmarks.engine_trials import DETECTORS, NAMES, row
+from fusion_sfdia.benchmarks.engine.support.campaign import (
+    USUAL_NOISE,
+    VALID,
+    check,
+    engine_detector,
+    fork,
+    noise,
+    truth,
+    watch,
+)
+from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from fusion_sfdia.benchmarks.engine_decisions import (
+from fusion_sfdia.benchmarks.engine.support.decisions import (
     alarms_table,
     departures,
     figures,
@@ -14,7 +14,16 @@ from fusion_sfdia.benchmarks.engine_decisions import (
     shares,
     value_of,
 )
-from fusion_sfdia.benchmarks.engine_trials import DETECTORS, Results, gather, published_first, row, tasks, timeline, trial
+from fusion_sfdia.benchmarks.engine.support.trials import (
+    DETECTORS,
+    Results,
+    gather,
+    published_first,
+    row,
+    tasks,
+    timeline,
+    trial,
+)
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
 from fusion_sfdia.models.marine_engine.published import (

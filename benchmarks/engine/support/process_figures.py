@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.engine_campaign import DRIVES, Array, logic
-from fusion_sfdia.benchmarks.engine_campaign_figures import share_matrix
-from fusion_sfdia.benchmarks.engine_trials import NAMES
+from fusion_sfdia.benchmarks.engine.support.campaign import DRIVES, Array, logic
+from fusion_sfdia.benchmarks.engine.support.campaign_figures import share_matrix
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES
 from fusion_sfdia.experiments.scenario import Figure
 from fusion_sfdia.models.marine_engine.faults import PROCESS_FAULTS
 from fusion_sfdia.models.marine_engine.plant import SENSORS

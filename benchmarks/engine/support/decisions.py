@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.benchmarks.engine_trials import NAMES, Array, Timeline, engine, row
+from fusion_sfdia.benchmarks.engine.support.trials import NAMES, Array, Timeline, engine, row
 from fusion_sfdia.evaluation.diagnosis_metrics import exoneration_performance, isolation_performance
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.evaluation.results import Row

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.signatures import SignatureMatrix, global_signatures, local_signatures, sensors_read
-from fusion_sfdia.benchmarks.engine_trials import Results, engine, row
+from fusion_sfdia.benchmarks.engine.support.trials import Results, engine, row
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row

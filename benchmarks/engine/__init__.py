@@ -1,0 +1,1 @@
+"""The scenarios on the marine engine, a file each."""

@@ -1,0 +1,1 @@
+"""What the scenarios on the marine engine share, and the figures of some."""
