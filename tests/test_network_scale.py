@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks import network_scale
+from fusion_sfdia.benchmarks.network import scale as network_scale
 from fusion_sfdia.experiments.scenario import Summary
 from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.registry import SCENARIOS, scenario

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks import network_attacks as attacks
-from fusion_sfdia.benchmarks import network_sign_flip as flip
-from fusion_sfdia.benchmarks.network_rows import spread, teller, time_rows
-from fusion_sfdia.benchmarks.network_trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, gather, trial
+from fusion_sfdia.benchmarks.network import attacks
+from fusion_sfdia.benchmarks.network import sign_flip as flip
+from fusion_sfdia.benchmarks.network.support.rows import spread, teller, time_rows
+from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, gather, trial
 from fusion_sfdia.experiments.scenario import Summary
 from fusion_sfdia.models.power_network.accommodation import Compensated
 from fusion_sfdia.models.power_network.control import generation_control

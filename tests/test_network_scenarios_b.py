@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from fusion_sfdia import registry
-from fusion_sfdia.benchmarks.network_claims import ALPHAS, bound, verdict
-from fusion_sfdia.benchmarks.network_consensus import ALONE, alone, consensus_work, copies, network, theory
-from fusion_sfdia.benchmarks.network_detectors import SETTLE, delays
-from fusion_sfdia.benchmarks.network_false_alarms import counts, one_shock
-from fusion_sfdia.benchmarks.network_innovations import chi_square, innovations, standardised
-from fusion_sfdia.benchmarks.network_plug import MANNERS, changes, switched
-from fusion_sfdia.benchmarks.network_plug import watch as watch_switches
-from fusion_sfdia.benchmarks.network_plug_figures import JOINS, LEAVES
-from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, draw_of, groups, owners, watch
+from fusion_sfdia.benchmarks.network.consensus import ALONE, alone, consensus_work, copies, network, theory
+from fusion_sfdia.benchmarks.network.detectors import SETTLE, delays
+from fusion_sfdia.benchmarks.network.false_alarms import counts, one_shock
+from fusion_sfdia.benchmarks.network.plug import MANNERS, changes, switched
+from fusion_sfdia.benchmarks.network.plug import watch as watch_switches
+from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, bound, verdict
+from fusion_sfdia.benchmarks.network.support.innovations import chi_square, innovations, standardised
+from fusion_sfdia.benchmarks.network.support.plug_figures import JOINS, LEAVES
+from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, draw_of, groups, owners, watch
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Summary

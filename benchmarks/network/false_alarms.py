@@ -9,9 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from fusion_sfdia.benchmarks.network_claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, claim
-from fusion_sfdia.benchmarks.network_false_alarm_figures import claims_figure, groups_figure, remarks, row_figure, tables
-from fusion_sfdia.benchmarks.network_residuals import (
+from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, claim
+from fusion_sfdia.benchmarks.network.support.false_alarm_figures import (
+    claims_figure,
+    groups_figure,
+    remarks,
+    row_figure,
+    tables,
+)
+from fusion_sfdia.benchmarks.network.support.residuals import (
     B18,
     CORRECTED,
     PAPER,

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_figures import area_residuals, reconfigured_operation, times_figure
-from fusion_sfdia.benchmarks.network_rows import (
+from fusion_sfdia.benchmarks.network.support.figures import area_residuals, reconfigured_operation, times_figure
+from fusion_sfdia.benchmarks.network.support.rows import (
     share,
     spread,
     teller,
     time_rows,
 )
-from fusion_sfdia.benchmarks.network_trials import (
+from fusion_sfdia.benchmarks.network.support.trials import (
     ALPHA,
     CONFIRMATIONS,
     CONTROLLERS,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_detector_figures import (
+from fusion_sfdia.benchmarks.network.support.detector_figures import (
     CASES,
     LEVEL,
     LEVELS,
@@ -18,8 +18,8 @@ from fusion_sfdia.benchmarks.network_detector_figures import (
     remarks,
     table,
 )
-from fusion_sfdia.benchmarks.network_innovations import chi_square, innovations, standardised
-from fusion_sfdia.benchmarks.network_residuals import CORRECTED, MEMORYLESS, SETTLE, owners, row, streams
+from fusion_sfdia.benchmarks.network.support.innovations import chi_square, innovations, standardised
+from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, SETTLE, owners, row, streams
 from fusion_sfdia.evaluation.metrics import mean_over_runs, proportion, rate_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Row, Scenario, Settings, Summary, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_trials import PATIENCE
+from fusion_sfdia.benchmarks.network.support.trials import PATIENCE
 from fusion_sfdia.experiments.scenario import Figure
 from fusion_sfdia.report.plots import panels
 

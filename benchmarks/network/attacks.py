@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_attack_figures import answers_figure, blamed_figure
-from fusion_sfdia.benchmarks.network_rows import share, spread, teller, time_rows
-from fusion_sfdia.benchmarks.network_trials import LATE, Arrays, Watch, gather, trial
+from fusion_sfdia.benchmarks.network.support.attack_figures import answers_figure, blamed_figure
+from fusion_sfdia.benchmarks.network.support.rows import share, spread, teller, time_rows
+from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, Watch, gather, trial
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.network_claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, bound, claim, verdict
-from fusion_sfdia.benchmarks.network_residuals import VARIANTS
+from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, bound, claim, verdict
+from fusion_sfdia.benchmarks.network.support.residuals import VARIANTS
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE

@@ -7,14 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_figures import both_bounds, times_figure, unplugged_operation
-from fusion_sfdia.benchmarks.network_rows import (
+from fusion_sfdia.benchmarks.network.support.figures import both_bounds, times_figure, unplugged_operation
+from fusion_sfdia.benchmarks.network.support.rows import (
     share,
     spread,
     teller,
     time_rows,
 )
-from fusion_sfdia.benchmarks.network_trials import BOUND, CONFIRMATIONS, CONTROLLERS, SHOWN, Arrays, Watch, gather, trial
+from fusion_sfdia.benchmarks.network.support.trials import (
+    BOUND,
+    CONFIRMATIONS,
+    CONTROLLERS,
+    SHOWN,
+    Arrays,
+    Watch,
+    gather,
+    trial,
+)
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks

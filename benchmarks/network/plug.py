@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_consensus import agreement
-from fusion_sfdia.benchmarks.network_plug_figures import (
+from fusion_sfdia.benchmarks.network.consensus import agreement
+from fusion_sfdia.benchmarks.network.support.plug_figures import (
     JOINS,
     LEAVES,
     MANNERS,
@@ -21,7 +21,7 @@ from fusion_sfdia.benchmarks.network_plug_figures import (
     remarks,
     tables,
 )
-from fusion_sfdia.benchmarks.network_residuals import B18, CORRECTED, SETTLE, normalised, owners, row
+from fusion_sfdia.benchmarks.network.support.residuals import B18, CORRECTED, SETTLE, normalised, owners, row
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import NOTHING, proportion, rate_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.network_consensus_figures import (
+from fusion_sfdia.benchmarks.network.support.consensus_figures import (
     ALONE,
     COPIES,
     READINGS,
@@ -22,7 +22,7 @@ from fusion_sfdia.benchmarks.network_consensus_figures import (
     table,
     unequal_figure,
 )
-from fusion_sfdia.benchmarks.network_residuals import B18, PAPER, SETTLE, Variant, row, watch
+from fusion_sfdia.benchmarks.network.support.residuals import B18, PAPER, SETTLE, Variant, row, watch
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, mean_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks

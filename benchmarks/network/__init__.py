@@ -1,0 +1,1 @@
+"""The scenarios on the power network, a file each."""
