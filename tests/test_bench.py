@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fusion_sfdia.benchmarks import bench, bench_engine, bench_lorenz
-from fusion_sfdia.benchmarks.bench_filterpy import compiled_model, numpy_model, step_call
 from fusion_sfdia.benchmarks.engine.support.campaign import truth
+from fusion_sfdia.benchmarks.speed import bench
+from fusion_sfdia.benchmarks.speed import engine as bench_engine
+from fusion_sfdia.benchmarks.speed import lorenz as bench_lorenz
+from fusion_sfdia.benchmarks.speed.against_filterpy import compiled_model, numpy_model, step_call
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.results import read_rows

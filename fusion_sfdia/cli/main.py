@@ -262,7 +262,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
 
 
 def _bench(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.benchmarks import bench
+    from fusion_sfdia.benchmarks.speed import bench
     from fusion_sfdia.evaluation.results import as_json
 
     rows = bench.run(chosen.part, chosen.out, chosen.seconds, force=chosen.force)

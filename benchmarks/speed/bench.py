@@ -26,7 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.benchmarks import bench_engine, bench_filterpy, bench_lorenz
+from fusion_sfdia.benchmarks.speed import against_filterpy as bench_filterpy
+from fusion_sfdia.benchmarks.speed import engine as bench_engine
+from fusion_sfdia.benchmarks.speed import lorenz as bench_lorenz
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import PAPER_FILTERS
