@@ -38,7 +38,7 @@ test: $(DEV)
 
 # the quick numerical tests with the linear algebra of other processors
 test-kernels: $(DEV)
-	$(BIN)/python tests/kernels.py -n $(WORKERS)
+	$(BIN)/python tests/helpers/kernels.py -n $(WORKERS)
 
 lint: $(DEV)
 	$(BIN)/ruff format --check .

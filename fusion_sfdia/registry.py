@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
-from importlib import import_module
+from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,52 +13,21 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
     from fusion_sfdia.experiments.scenario import Scenario
 
-# name: "module:attribute", the attribute being a Scenario
-SCENARIOS: dict[str, str] = (
-    {
-        f"pipeline/{name}": f"fusion_sfdia.benchmarks.pipeline_{name}:SCENARIO"
-        for name in (
-            "estimation",
-            "roc",
-            "isolation",
-            "accuracy",
-            "accommodation",
-            "units",
-            "weak",
-            "mismatch",
-            "consistency",
-        )
-    }
-    | {
-        f"engine/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.engine_{name}:SCENARIO"
-        for name in (
-            "three_faults",
-            "two_faults",
-            "minimum_fault",
-            "signatures",
-            "noise",
-            "sensitivity",
-            "load",
-            "process",
-            "virtual_sensors",
-        )
-    }
-    | {
-        f"network/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.network_{name}:SCENARIO"
-        for name in ("governor", "sign_flip", "attacks")
-    }
-)
-SCENARIOS |= {
-    f"network/{name.replace('_', '-')}": f"fusion_sfdia.benchmarks.network_{name}:SCENARIO"
-    for name in (
-        "consensus",
-        "detectors",
-        "false_alarms",
-        "plug",
-        "scale",
-    )
-}
-SCENARIOS["comparison"] = "fusion_sfdia.comparison.scenario:SCENARIO"
+GROUPS = ("pipeline", "engine", "network")  # folders of benchmarks/ whose files are scenarios
+
+
+def _scenarios() -> dict[str, str]:
+    """{name: "module:attribute"}: a scenario is a file of its group's folder, and its path is its name."""
+    found = {}
+    for group in GROUPS:
+        for file in sorted(resources.files(f"fusion_sfdia.benchmarks.{group}").iterdir(), key=lambda f: f.name):
+            stem, dot, _ = file.name.rpartition(".py")
+            if dot and stem != "__init__":
+                found[f"{group}/{stem.replace('_', '-')}"] = f"fusion_sfdia.benchmarks.{group}.{stem}:SCENARIO"
+    return found | {"comparison": "fusion_sfdia.comparison.scenario:SCENARIO"}
+
+
+SCENARIOS = _scenarios()
 
 # name: what it is, and "module:function" that returns the Plant with its usual settings
 PLANTS: dict[str, tuple[str, str]] = {

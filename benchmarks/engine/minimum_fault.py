@@ -31,8 +31,9 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import minimum_fault
+from fusion_sfdia.report.content import Figure, Summary, Table
 from fusion_sfdia.report.findings import pick
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 

@@ -28,17 +28,10 @@ from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.experiments.scenario import (
-    Arrays,
-    Row,
-    Scenario,
-    Settings,
-    Summary,
-    Table,
-    Task,
-    seed_blocks,
-)
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.published import DELAYS, Delay, Offset
+from fusion_sfdia.report.content import Summary, Table
 from fusion_sfdia.report.findings import listed, pick, span
 
 Array = NDArray[Any]

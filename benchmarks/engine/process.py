@@ -40,8 +40,10 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import SENSORS
+from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import pick, span
 
 Array = NDArray[Any]

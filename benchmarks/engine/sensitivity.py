@@ -23,9 +23,11 @@ from fusion_sfdia.benchmarks.engine.support.campaign import (
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import GAINS, MODULES
 from fusion_sfdia.models.marine_engine.published import DESIGNS, minimum_fault
+from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import listed, pick, span
 from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, legend_above, panels
 

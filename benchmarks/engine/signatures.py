@@ -17,9 +17,10 @@ from fusion_sfdia.benchmarks.engine.support.trials import Results, engine, row
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
 from fusion_sfdia.models.marine_engine.published import K22, K24, SIGNATURES, signatures
+from fusion_sfdia.report.content import Figure, Summary, Table
 from fusion_sfdia.report.plots import panels
 
 NAME, DETECTOR = "engine/signatures", "adaptive-threshold"

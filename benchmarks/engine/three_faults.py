@@ -25,7 +25,7 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     trial,
 )
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import (
     AT_NOMINAL_SPEED,
     EXONERATION_HALF_WIDTH,
@@ -34,6 +34,7 @@ from fusion_sfdia.models.marine_engine.published import (
     ISOLATION_PERFORMANCE,
     THREE_FAULTS,
 )
+from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.findings import listed, pick
 
 NAME, FAULT = "engine/three-faults", "three-faults"

@@ -13,8 +13,9 @@ from fusion_sfdia.benchmarks.engine.support.decisions import (
 )
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, Results, gather, published_first, tasks, timeline, trial
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import TWO_FAULTS
+from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.findings import listed, pick
 
 NAME, FAULT = "engine/two-faults", "two-faults"

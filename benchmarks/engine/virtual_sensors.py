@@ -31,9 +31,10 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     sensor_work,
 )
 from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Published, Scenario, Settings, Summary, Table
+from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings
 from fusion_sfdia.models.marine_engine.published import K22_GAINS
+from fusion_sfdia.report.content import Summary, Table
 from fusion_sfdia.report.findings import pick, span
 
 NAME, FAULT = "engine/virtual-sensors", "three-faults"

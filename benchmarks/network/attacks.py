@@ -14,7 +14,7 @@ from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, Watch, 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.equations import STATES
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import AreaFault
@@ -22,6 +22,7 @@ from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
 from fusion_sfdia.models.power_network.simulation import Moment
 from fusion_sfdia.registry import detector, require_known
+from fusion_sfdia.report.content import Summary, Table
 from fusion_sfdia.report.findings import span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED

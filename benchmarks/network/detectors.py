@@ -21,11 +21,13 @@ from fusion_sfdia.benchmarks.network.support.detector_figures import (
 from fusion_sfdia.benchmarks.network.support.innovations import chi_square, innovations, standardised
 from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, SETTLE, owners, row, streams
 from fusion_sfdia.evaluation.metrics import mean_over_runs, proportion, rate_over_runs
-from fusion_sfdia.experiments.scenario import Arrays, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import run_network
+from fusion_sfdia.report.content import Summary
 from fusion_sfdia.stochastic_thresholds.confirmation import Consecutive, Cusum, SequentialTest, WindowGlr, run
 from fusion_sfdia.stochastic_thresholds.threshold_rules import conformal_alpha
 

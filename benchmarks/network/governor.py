@@ -26,11 +26,12 @@ from fusion_sfdia.benchmarks.network.support.trials import (
 )
 from fusion_sfdia.evaluation.metrics import mean_over_runs
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Table, Task, seed_blocks
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import Switch
 from fusion_sfdia.models.power_network.published import DETERMINISTIC_MISSES, GOVERNOR, PLUGGED_IN
 from fusion_sfdia.registry import require_known
+from fusion_sfdia.report.content import Summary, Table
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 

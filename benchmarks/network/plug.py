@@ -24,12 +24,14 @@ from fusion_sfdia.benchmarks.network.support.plug_figures import (
 from fusion_sfdia.benchmarks.network.support.residuals import B18, CORRECTED, SETTLE, normalised, owners, row
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import NOTHING, proportion, rate_over_runs
-from fusion_sfdia.experiments.scenario import Arrays, Published, Row, Scenario, Settings, Summary, Task, seed_blocks
+from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, NetworkModel, network_model
 from fusion_sfdia.models.power_network.operation import Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import Moment, run_network
+from fusion_sfdia.report.content import Summary
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.stochastic_thresholds.replug import forgotten, opened_sides

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.experiments.timing import Timing, best_times
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
+from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.plots import panels
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
 from fusion_sfdia.stochastic_thresholds.network_step import network_step

@@ -21,9 +21,11 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
 )
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.trials import READINGS
-from fusion_sfdia.experiments.scenario import Figure, Row, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.published import FAULTS, QUANTITIES
+from fusion_sfdia.report.content import Figure, Summary, Table
 from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

@@ -21,11 +21,13 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
 )
 from fusion_sfdia.detectors import PAPER_FILTERS, build, watching
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
+from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.trials import decide, faulted
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Table, Task
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
+from fusion_sfdia.report.content import Figure, Summary, Table
 from fusion_sfdia.report.findings import listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

@@ -29,8 +29,9 @@ from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )
 from fusion_sfdia.evaluation.metrics import mean_over_runs
-from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
+from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import left_out
 from fusion_sfdia.report.plots import isolation_matrix, panels
 

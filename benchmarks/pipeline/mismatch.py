@@ -25,10 +25,12 @@ from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Row, Scenario, Settings, Summary, Task
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
+from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 

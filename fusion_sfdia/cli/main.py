@@ -135,7 +135,7 @@ def _done(chosen: argparse.Namespace) -> int:
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return 130
     except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:
-        from fusion_sfdia.core.storage import explained
+        from fusion_sfdia.core.files import explained
 
         print(f"fusion-sfdia: {' '.join(explained(error).split())}", file=sys.stderr)
         full = getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT)
@@ -235,7 +235,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.registry import plant
+    from fusion_sfdia.registry import detector, plant
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
@@ -243,8 +243,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         warnings.simplefilter("always", UserWarning)
         found = diagnose_log(
             chosen.data,
-            plant(chosen.plant),
-            chosen.detector,
+            detector(chosen.detector, plant(chosen.plant)),
             out,
             absent_sensors=chosen.absent_sensors,
             other_columns=chosen.other_columns,

@@ -28,8 +28,9 @@ from fusion_sfdia.comparison.tables import (
     ranks_table,
 )
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Chapter, Figure, Settings
+from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.registry import PLANTS
+from fusion_sfdia.report.content import Chapter, Figure
 
 Cells = Mapping[str, Cell]  # of one plant, by detector
 

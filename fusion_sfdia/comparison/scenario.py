@@ -24,7 +24,8 @@ from fusion_sfdia.comparison.tables import EVERY, Standings, choices_table, rank
 from fusion_sfdia.comparison.words import words
 from fusion_sfdia.comparison.work import work
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Scenario, Settings, Summary, Task
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
+from fusion_sfdia.report.content import Figure, Summary
 
 
 def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:

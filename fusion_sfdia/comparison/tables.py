@@ -22,7 +22,8 @@ from fusion_sfdia.comparison.ranking import CRITERIA, Standing
 from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Interval, Settings, Table
+from fusion_sfdia.experiments.scenario import Settings
+from fusion_sfdia.report.content import Interval, Table
 
 Standings = Mapping[str, Mapping[str, Mapping[str, Standing]]]  # plant, criterion, detector
 EVERY = "all plants"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fusion_sfdia.detectors import DETECTORS
-from fusion_sfdia.experiments.scenario import Chapter, Table
+from fusion_sfdia.report.content import Chapter, Table
 
 WORDS = {
     "sigma": "the standard deviation of a sensor's noise",

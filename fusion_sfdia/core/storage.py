@@ -1,114 +1,20 @@
-"""Files that are whole or absent: atomic writes, arrays with a digest of their content, detector states without pickle."""
+"""Arrays on disk with a digest of their content, and detector states without pickle."""
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import io
-import os
-import stat
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Detector, State
+from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.plant import Plant
-
-CURES = {
-    errno.ENOENT: "name one that is there",
-    errno.EISDIR: "name a file, not a folder",
-    errno.ENOTDIR: "name a place below folders, not below a file",
-    errno.ENOSPC: "make room, or name another place",
-    errno.EDQUOT: "make room, or name another place",
-    errno.ENAMETOOLONG: "give a shorter name",
-}
-
-
-def explained(error: BaseException) -> str:
-    """Return an error in words: of a file, what it was about, what went wrong and the cure."""
-    if isinstance(error, MemoryError):
-        return f"the memory is too small ({error}); ask for fewer steps, seeds or workers, or cut the log"
-    if isinstance(error, OverflowError):
-        return f"a number is too large ({error}); give a smaller one"
-    if not isinstance(error, OSError) or not (error.filename and error.strerror):
-        return str(error)
-    return f"{error.filename}: {error.strerror}; {CURES.get(error.errno or 0, 'name another place, or change its permissions')}"
-
-
-@contextmanager
-def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
-    """Open a file that takes its name only when the block ends well; otherwise nothing is left behind, new folders neither.
-
-    A file that is there is replaced, its mode kept, behind a link too. A device, a pipe or a stream of this process
-    (/dev/stdout) is written to as it is. An OSError names the file, also where it is of its folder or of the disk.
-    """
-    try:
-        with _through(path, mode) if _is_stream(path) else _temporary(path, mode) as file:
-            yield file
-    except FileExistsError as error:  # from mkdir: something on the way is a file
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from error
-    except OSError as error:
-        if error.errno is None:
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error
-
-
-@contextmanager
-def made_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and those above it; what is new and still empty when the block ends is taken away again."""
-    new = [p for p in (folder, *folder.parents) if not p.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        yield
-    finally:
-        for made in new:
-            with suppress(OSError):
-                made.rmdir()
-
-
-@contextmanager
-def _temporary(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
-    path = Path(os.path.realpath(path))
-    with made_folder(path.parent):
-        permissions = stat.S_IMODE(path.stat().st_mode) if path.is_file() else 0o666 & ~_umask()
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, mode, **_text(mode)) as file:
-                yield file
-            os.chmod(temporary, permissions)
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-
-
-STREAMS = {Path("/dev/stdout"): 1, Path("/dev/stderr"): 2}  # may stand for a file, in which others write, too
-
-
-def _is_stream(path: Path) -> bool:
-    return path in STREAMS or (path.exists() and not (path.is_file() or path.is_dir()))
-
-
-@contextmanager
-def _through(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
-    with open(os.dup(STREAMS[path]) if path in STREAMS else path, mode, **_text(mode)) as file:
-        yield file
-
-
-def _text(mode: str) -> dict[str, Any]:
-    return {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def fingerprint(detector: Detector) -> str:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, require_unique, shown
+from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.numerals import decimal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.storage import atomic_write
 
 Array = NDArray[Any]
 

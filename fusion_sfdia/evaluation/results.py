@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fusion_sfdia.core.storage import atomic_write
+from fusion_sfdia.core.files import atomic_write
 
 COLUMNS = (
     "scenario", "plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n", "published", "source",

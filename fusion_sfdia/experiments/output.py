@@ -6,16 +6,14 @@ import json
 import os
 import re
 import shlex
-import shutil
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.core.storage import atomic_write, made_folder
+from fusion_sfdia.core.files import atomic_write, made_folder, require_free
 from fusion_sfdia.experiments.parts import PART_NAME
 
 if sys.platform != "win32":
@@ -41,51 +39,6 @@ class Command:
         for key, value in self.changes:
             options += ["--set", f"{key}={value}"]
         return shlex.join(["fusion-sfdia", "run", *self.scenarios, *options])
-
-
-def require_free(out: Path, *, force: bool = False) -> None:
-    """Raise ValueError where the folder is a file, cannot be written to, or holds something and force is not given."""
-    nearest = next((p for p in (out, *out.parents) if p.exists()), Path())
-    if nearest.is_file():
-        raise ValueError(f"cannot write into {out}: {nearest} is a file; name a folder with --out")
-    if not os.access(nearest, os.R_OK | os.W_OK | os.X_OK):
-        raise ValueError(f"cannot write into {out}: no permission in {nearest}; name another folder with --out")
-    if out.exists() and any(out.iterdir()) and not force:
-        raise ValueError(f"{out} is already used; name another folder with --out, or write into it with --force")
-
-
-@contextmanager
-def all_or_none(out: Path) -> Iterator[Path]:
-    """Give a folder whose files move into `out` when the block ends well; otherwise `out` stays as it was, or absent.
-
-    Files of the same names are replaced, one at a time; where one cannot be, those before are put back. Others stay.
-    """
-    near = next(p for p in (out, *out.parents) if p.exists())  # on the same disk
-    with tempfile.TemporaryDirectory(dir=near, prefix=".fusion-sfdia.") as temporary:
-        new, old = Path(temporary, "new"), Path(temporary, "old")
-        new.mkdir()
-        try:
-            yield new
-        except OSError as error:
-            if error.filename and Path(error.filename).is_relative_to(new):  # the reader knows no temporary folder
-                raise OSError(error.errno, error.strerror, str(out / Path(error.filename).relative_to(new))) from error
-            raise
-        names = [p.relative_to(new) for p in sorted(new.rglob("*")) if p.is_file()]
-        present = [name for name in names if (out / name).exists()]
-        for name in present:
-            (old / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(out / name, old / name)
-        with made_folder(out):
-            moved = []
-            try:
-                for name in names:
-                    (out / name).parent.mkdir(parents=True, exist_ok=True)
-                    os.replace(new / name, out / name)
-                    moved.append(name)
-            except BaseException:
-                for name in moved:
-                    os.replace(old / name, out / name) if name in present else (out / name).unlink()
-                raise
 
 
 @contextmanager

@@ -34,12 +34,13 @@ def sources_digest() -> str:
     """A digest of the package's sources and data: parts of an older code are not taken up."""
     digest = hashlib.sha256()
     for package in (fusion_sfdia, models, benchmarks):
-        folder = Path(package.__path__[0])
-        folders = [folder, *(f for f in folder.iterdir() if f.is_dir() and not f.is_symlink())]
-        files = [p for below in folders for p in below.iterdir()]
-        for path in sorted(p for p in files if p.suffix in (".py", ".json", ".toml") and p.is_file()):
-            digest.update(f"{package.__name__}/{path.relative_to(folder)}\0".encode())
-            digest.update(path.read_bytes() + b"\0")
+        for at, below, files in os.walk(package.__path__[0]):
+            folder = Path(at)
+            below[:] = sorted(name for name in below if not (folder / name).is_symlink())  # the links to the other two
+            for path in sorted(folder / name for name in files):
+                if path.suffix in (".py", ".json", ".toml"):
+                    digest.update(f"{package.__name__}/{path.relative_to(package.__path__[0])}\0".encode())
+                    digest.update(path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 

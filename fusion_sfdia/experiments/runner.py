@@ -20,11 +20,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from threadpoolctl import threadpool_limits
 
 import fusion_sfdia
+from fusion_sfdia.core.files import all_or_none
 from fusion_sfdia.evaluation.results import Row, write_rows
 from fusion_sfdia.experiments.cluster import connected
 from fusion_sfdia.experiments.output import (
     Command,
-    all_or_none,
     locked,
     open_output,
     own_files,
@@ -35,8 +35,9 @@ from fusion_sfdia.experiments.output import (
 )
 from fusion_sfdia.experiments.parts import part_name, read_part
 from fusion_sfdia.experiments.provenance import cores, git_commit, sources_digest, versions
-from fusion_sfdia.experiments.scenario import Scenario, Settings, Summary, Task, adjust
+from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, adjust
 from fusion_sfdia.experiments.workers import Done, Piece, work_off
+from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.page import Section, write_report
 from fusion_sfdia.report.plots import write_figure
 
@@ -108,7 +109,7 @@ def run_scenarios(
             files += ["metrics.csv", "report.html"]
             manifest = _manifest(plans, command, begun, scheduler or workers, files)
             write_rows(new / "metrics.csv", rows)
-            write_report(new / "report.html", command, sections, manifest)
+            write_report(new / "report.html", command.text, sections, manifest)
         remove(out, set(earlier) - set(files))
         remove_other_parts(out, {part for plan in plans for part in plan.parts})
         write_manifest(out, manifest)
@@ -225,7 +226,9 @@ def _summarise(plan: _Plan, kept: Path, drawn: Path) -> Section:
     failed = Counter(tuple(str(task.get(k) or usual) for k, usual in _USUAL) for task in map(plan.parts.__getitem__, errors))
     for (plant, detector, fault, quantity), count in failed.items():
         rows.append(Row(name, plant, detector, fault, quantity, "failed_tasks", float(count), n=count))
-    return Section(plan.scenario, plan.settings, plan.seeds, replace(summary, rows=rows), figures, failures)
+    of = plan.scenario
+    whole = replace(summary, rows=rows)
+    return Section(name, of.title, of.about, plan.settings, plan.seeds, of.full_seeds, whole, figures, failures)
 
 
 _USUAL = (("plant", ""), ("detector", ""), ("fault", "none"), ("quantity", "all"))  # columns, where a task does not name them

@@ -3,34 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.numerals import decimal, integer
-from fusion_sfdia.evaluation.results import Published, Row
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
-
-__all__ = [
-    "Arrays",
-    "Chapter",
-    "Figure",
-    "Published",
-    "Row",
-    "Scenario",
-    "Settings",
-    "Summary",
-    "Table",
-    "Task",
-    "adjust",
-    "seed_blocks",
-]
+from fusion_sfdia.report.content import NAME, Summary, require_name
 
 Array = NDArray[Any]
 Arrays = dict[str, Array]
@@ -38,72 +19,9 @@ Setting = bool | int | float | str | tuple[Any, ...]
 Settings = Mapping[str, Any]  # of Setting
 Task = Mapping[str, Any]
 
-NAME = "[a-z0-9]+(-[a-z0-9]+)*"
 USUAL = (1e-6, 1e6)  # from where to where numbers of settings go, unless a scenario says otherwise
 LONGEST = 1000  # characters of a setting that is a text, such as a path
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure of the report: draw() returns it, alt says in words what it shows. name: letters, digits, hyphens."""
-
-    name: str
-    title: str
-    caption: str
-    draw: Callable[[], Drawing]
-    alt: str
-
-    def __post_init__(self) -> None:
-        require_name("figure", self.name, NAME)
-
-
-Interval = tuple[float, float, float, int]  # a value, its 95 % interval, and the n runs or trials behind it
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table laid out as in a paper; cells are text, numbers (shown with 4 digits) or numbers with their interval.
-
-    folded: whether the reader has to open it.
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str | float | Interval, ...], ...]
-    caption: str = ""
-    folded: bool = False
-
-
-@dataclass(frozen=True)
-class Chapter:
-    """A part of a scenario's section in the report, with an entry in its contents. name: letters, digits, hyphens."""
-
-    name: str
-    title: str
-    text: Sequence[str] = ()
-    figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = ()
-
-    def __post_init__(self) -> None:
-        require_name("chapter", self.name, NAME)
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a scenario says: rows of metrics.csv, figures, tables, sentences for the top of the report, remarks, chapters."""
-
-    rows: Sequence[Row]
-    figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = ()
-    highlights: Sequence[str] = ()
-    remarks: Sequence[str] = ()
-    chapters: Sequence[Chapter] = ()
-
-    @property
-    def every_figure(self) -> list[Figure]:
-        """The figures, those of chapters too."""
-        return [*self.figures, *(figure for chapter in self.chapters for figure in chapter.figures)]
 
 
 @dataclass(frozen=True)
@@ -138,12 +56,6 @@ class Scenario:
         require_name("scenario", self.name, f"{NAME}(/{NAME})*")
         if not 1 <= self.seeds <= self.full_seeds:
             raise ValueError(f"scenario {self.name}: {self.seeds} seeds, {self.full_seeds} in full; wanted 1 <= seeds <= full")
-
-
-def require_name(what: str, name: str, pattern: str) -> None:
-    """Raise ValueError for a name that cannot be part of a file name."""
-    if not re.fullmatch(pattern, name):
-        raise ValueError(f"{what} {name!r}: wanted a name of lower-case letters, digits and hyphens")
 
 
 def adjust(scenario: Scenario, changes: Mapping[str, str], *, full: bool = False) -> dict[str, Setting]:

@@ -9,12 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.storage import atomic_write
 from fusion_sfdia.evaluation.diagnose import Diagnosis, Event, diagnose
 from fusion_sfdia.evaluation.logs import read_log, write_log
-from fusion_sfdia.experiments.output import all_or_none, require_free
-from fusion_sfdia.registry import detector
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
 FILES = ("events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
@@ -23,8 +22,7 @@ MOST_PANELS = 6
 
 def diagnose_log(
     data: Path,
-    plant: Plant,
-    named: str,
+    detector: Detector,
     out: Path,
     *,
     absent_sensors: bool = False,
@@ -32,16 +30,16 @@ def diagnose_log(
     nominal_inputs: bool = False,
     force: bool = False,
 ) -> Diagnosis:
-    """Diagnose a log with the detector of a name and write FILES into the folder `out`.
+    """Diagnose a log with a detector and write FILES into the folder `out`.
 
     Raises ValueError naming the file where the log does not fit (see read_log), and where the folder is not free; warns as
     `diagnose` does.
     """
     require_free(out, force=force)
+    plant = detector.plant
     log = read_log(data, plant, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs)
-    with_detector = detector(named, plant)
     try:
-        found = diagnose(with_detector, *log)
+        found = diagnose(detector, *log)
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
     with all_or_none(out) as new:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -14,10 +14,9 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from fusion_sfdia.core.storage import atomic_write
+from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.output import Command
-from fusion_sfdia.experiments.scenario import Figure, Scenario, Settings, Summary
+from fusion_sfdia.report.content import Figure, Summary
 
 OPEN_ROWS = 40  # a longer table is folded
 MOST_ROWS = 5000  # of more the page would be slow: they are in metrics.csv alone
@@ -26,18 +25,23 @@ SORTED_ROWS = 8  # a table of at least so many can be sorted and filtered
 
 @dataclass(frozen=True)
 class Section:
-    """A scenario as it was run: settings, number of seeds, summary, {figure's file name: SVG}, a line for each failure."""
+    """A scenario as it was run: its name and texts, settings, numbers of seeds as run and in full, summary, {figure's file
+    name: SVG}, a line for each failure.
+    """
 
-    scenario: Scenario
-    settings: Settings
+    name: str
+    title: str
+    about: str
+    settings: Mapping[str, Any]
     seeds: int
+    full_seeds: int
     summary: Summary
     figures: dict[str, str]
     failures: list[str]
 
     def drawn(self, figures: Iterable[Figure]) -> list[tuple[Figure, Markup]]:
         """Those of the figures that could be drawn, with their SVG for the page."""
-        names = {f"{self.scenario.name.replace('/', '-')}-{f.name}": f for f in figures}
+        names = {f"{self.name.replace('/', '-')}-{f.name}": f for f in figures}
         drawn = {name: f for name, f in names.items() if name in self.figures}
         return [(f, inline(self.figures[name], f"f{zlib.crc32(name.encode()):x}", f.alt)) for name, f in drawn.items()]
 
@@ -52,16 +56,16 @@ class Section:
         return f"{len(stated)} published values: {inside}."
 
 
-def write_report(path: Path, command: Command, sections: list[Section], manifest: dict[str, Any]) -> None:
+def write_report(path: Path, command: str, sections: list[Section], manifest: dict[str, Any]) -> None:
     """Write report.html, whole or not at all; every name and text is escaped."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters.update(number=number, interval=interval, setting=_setting, sort_key=_sort_key)
     template, script = (
-        resources.files("fusion_sfdia.benchmarks").joinpath(name).read_text(encoding="utf-8")
-        for name in ("report.html.j2", "sortable.min.js")
+        resources.files("fusion_sfdia.report").joinpath(name).read_text(encoding="utf-8")
+        for name in ("page.html.j2", "sortable.min.js")
     )
     page = environment.from_string(template).render(
-        command=command.text,
+        command=command,
         sections=sections,
         manifest=manifest,
         failures=[line for section in sections for line in section.failures],

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.storage import atomic_write
+from fusion_sfdia.core.files import atomic_write
 
 Array = NDArray[Any]
 

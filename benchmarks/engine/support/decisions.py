@@ -13,9 +13,10 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshol
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, Array, Timeline, engine, row
 from fusion_sfdia.evaluation.diagnosis_metrics import exoneration_performance, isolation_performance
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Figure, Published, Table
+from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import Experiment
+from fusion_sfdia.report.content import Figure, Table
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.experiments.scenario import Figure
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import DELAYS, DELAYS_SOURCE, K24
+from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.findings import pick
 from fusion_sfdia.report.plots import COLOURS, legend_above, panels
 

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia.benchmarks.engine.support.campaign import DRIVES, Array, logic
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import share_matrix
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
-from fusion_sfdia.experiments.scenario import Figure
 from fusion_sfdia.models.marine_engine.faults import PROCESS_FAULTS
 from fusion_sfdia.models.marine_engine.plant import SENSORS
+from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.plots import panels
 
 ATTACKS = {  # on a measurement from the onset on: what it reads then; sizes are ours

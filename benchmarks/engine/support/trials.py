@@ -21,9 +21,9 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import build
 from fusion_sfdia.evaluation.faults import Fault, apply
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
 from fusion_sfdia.models.marine_engine.plant import MODULES, marine_engine
 from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, Offset

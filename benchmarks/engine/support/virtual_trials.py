@@ -25,7 +25,8 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.published import Offset
 
 NAME, FAULT, DETECTOR = "engine/virtual-sensors", "three-faults", "virtual-sensors"

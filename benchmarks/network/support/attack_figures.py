@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.trials import PATIENCE
-from fusion_sfdia.experiments.scenario import Figure
+from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.plots import panels
 
 Array = NDArray[Any]

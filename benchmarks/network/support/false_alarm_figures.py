@@ -10,8 +10,8 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, bound, claim, verdict
 from fusion_sfdia.benchmarks.network.support.residuals import VARIANTS
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
+from fusion_sfdia.report.content import Figure, Table
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 

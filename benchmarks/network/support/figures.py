@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, Arrays
-from fusion_sfdia.experiments.scenario import Figure
 from fusion_sfdia.models.power_network.published import GOVERNOR, PLUGGED_IN, SIGN_FLIP
+from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.plots import COLOURS, legend_above, panels
 
 Array = NDArray[Any]

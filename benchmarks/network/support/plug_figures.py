@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Figure, Table
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
+from fusion_sfdia.report.content import Figure, Table
 from fusion_sfdia.report.findings import pick, span
 from fusion_sfdia.report.plots import COLOURS, DASHES, legend_above, panels
 

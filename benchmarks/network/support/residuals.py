@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Published
+from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.simulation import Draw, Moment

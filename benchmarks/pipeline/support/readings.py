@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.experiments.scenario import Interval, Published, Settings, Table
+from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE
+from fusion_sfdia.report.content import Interval, Table
 
 OTHER = "process noise"  # in the names of rows of the reading that is not that of the settings
 Cases = Mapping[tuple[str, ...], Mapping[str, Estimate]]  # (detector, ...): {reading: value}

@@ -15,9 +15,9 @@ from fusion_sfdia.detectors import build, fusing_bank, watching
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.evaluation.trials import faulted, join, outcome, unpack
-from fusion_sfdia.experiments.scenario import Arrays, Published, Settings, Task, seed_blocks
+from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.plots import Bars

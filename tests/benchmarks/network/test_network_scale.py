@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks.network import scale as network_scale
-from fusion_sfdia.experiments.scenario import Summary
 from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.registry import SCENARIOS, scenario
+from fusion_sfdia.report.content import Summary
 
 SCALE = scenario("network/scale")
 

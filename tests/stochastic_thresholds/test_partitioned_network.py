@@ -94,7 +94,12 @@ def test_a_part_is_told_of_no_more_than_its_border() -> None:
 def client() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed", reason="needs the optional package distributed")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[1])]))
+        patch.setenv(
+            "PYTHONPATH",
+            os.pathsep.join(
+                map(str, (Path(__file__).parent, Path(__file__).parents[1] / "helpers", Path(__file__).parents[2]))
+            ),
+        )
         with (
             distributed.LocalCluster(
                 n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"

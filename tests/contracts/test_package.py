@@ -18,7 +18,7 @@ HEAVY = {"scipy", "matplotlib", "sklearn", "numba", "numpy", "joblib", "filterpy
 
 def python(code: str, cwd: Path, *options: str) -> str:
     """Run code in another process and return what it prints; the checkout is on its path."""
-    root = Path(__file__).resolve().parent.parent
+    root = Path(__file__).resolve().parents[2]
     begin = f"import sys; sys.path.insert(0, {str(root)!r}); "
     done = subprocess.run([sys.executable, *options, "-c", begin + code], capture_output=True, text=True, cwd=cwd, check=False)
     assert done.returncode == 0, done.stderr
@@ -72,8 +72,13 @@ def test_every_folder_is_mapped(root: Path) -> None:
         "fusion_sfdia.models": "models",
         "fusion_sfdia.benchmarks": "benchmarks",
     }
-    folders = {p.name for p in (root / "fusion_sfdia").iterdir() if p.is_dir() and any(p.glob("*.py"))}
-    assert set(setup["packages"]) == {"fusion_sfdia"} | {f"fusion_sfdia.{name}" for name in folders | {"models", "benchmarks"}}
+    folders = {
+        p.parent.relative_to(root)
+        for top in ("fusion_sfdia", "models", "benchmarks")
+        for p in (root / top).rglob("__init__.py")
+    }
+    names = {".".join(f.parts) for f in folders}
+    assert set(setup["packages"]) == {n if n.startswith("fusion_sfdia") else f"fusion_sfdia.{n}" for n in names}
 
 
 @pytest.mark.slow
@@ -101,7 +106,7 @@ def test_the_wheel_from_the_sdist_holds_the_package_and_nothing_else(root: Path,
         names = set(archive.namelist())
         archive.extractall(tmp_path / "site")
     assert {name.split("/")[0] for name in names} == {"fusion_sfdia", f"fusion_sfdia-{fusion_sfdia.__version__}.dist-info"}
-    wanted = {"fusion_sfdia/py.typed", *(f"fusion_sfdia/benchmarks/{f}" for f in ("report.html.j2", "sortable.min.js"))}
+    wanted = {"fusion_sfdia/py.typed", *(f"fusion_sfdia/report/{f}" for f in ("page.html.j2", "sortable.min.js"))}
     folders = {"fusion_sfdia": "fusion_sfdia", "models": "fusion_sfdia/models", "benchmarks": "fusion_sfdia/benchmarks"}
     for folder, package in folders.items():
         files = [p for p in (copy / folder).rglob("*") if p.suffix in (".py", ".json", ".toml", ".js")]

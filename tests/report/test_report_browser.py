@@ -11,7 +11,8 @@ import pytest
 from toy_scenario import TOY
 
 from fusion_sfdia.experiments.runner import run_scenarios
-from fusion_sfdia.experiments.scenario import Arrays, Settings, Summary, Task
+from fusion_sfdia.experiments.scenario import Arrays, Settings, Task
+from fusion_sfdia.report.content import Summary
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs the optional package selenium")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")

@@ -11,18 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.experiments.scenario import (
-    Arrays,
-    Chapter,
-    Figure,
-    Row,
-    Scenario,
-    Settings,
-    Summary,
-    Table,
-    Task,
-    seed_blocks,
-)
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
+from fusion_sfdia.report.content import Chapter, Figure, Summary, Table
 from fusion_sfdia.report.plots import panels, time_series
 
 NASTY = '<script>alert(1)</script> & "quotes" -->'

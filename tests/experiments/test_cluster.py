@@ -31,7 +31,12 @@ LOCAL = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": "127.0.0.1
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[1])]))
+        patch.setenv(
+            "PYTHONPATH",
+            os.pathsep.join(
+                map(str, (Path(__file__).parent, Path(__file__).parents[1] / "helpers", Path(__file__).parents[2]))
+            ),
+        )
         with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **LOCAL) as running:
             yield running
 

@@ -19,11 +19,11 @@ from fusion_sfdia.benchmarks.network.support.plug_figures import JOINS, LEAVES
 from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, draw_of, groups, owners, watch
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Summary
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
 from fusion_sfdia.models.power_network.simulation import run_network
+from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.plots import style
 
 TINY: dict[str, dict[str, Any]] = {

@@ -1,4 +1,4 @@
-"""Run the numerical tests with the kernels of other processors: `python tests/kernels.py [arguments of pytest]`.
+"""Run the numerical tests with the kernels of other processors: `python tests/helpers/kernels.py [arguments of pytest]`.
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
 gives a run of the quick tests, all files but those of `NOT_NUMERICAL`: a new file takes part unless it is named there. What
@@ -54,8 +54,8 @@ def settings() -> dict[str, dict[str, str]]:
 
 def main(arguments: Sequence[str]) -> int:
     """Run pytest once for each setting; 1 if one of them failed."""
-    folder = Path(__file__).resolve().parent
-    files = sorted(p for p in folder.glob("test_*.py") if p.name not in NOT_NUMERICAL)
+    folder = Path(__file__).resolve().parent.parent
+    files = sorted(p for p in folder.rglob("test_*.py") if p.name not in NOT_NUMERICAL)
     failed = []
     for name, variables in settings().items():
         print(f"\n-- {name}: {' '.join(f'{k}={v!r}' for k, v in variables.items())}", flush=True)

@@ -11,7 +11,6 @@ from fusion_sfdia.benchmarks.network import attacks
 from fusion_sfdia.benchmarks.network import sign_flip as flip
 from fusion_sfdia.benchmarks.network.support.rows import spread, teller, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, gather, trial
-from fusion_sfdia.experiments.scenario import Summary
 from fusion_sfdia.models.power_network.accommodation import Compensated
 from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
@@ -19,6 +18,7 @@ from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
 from fusion_sfdia.models.power_network.published import ATTACKS, GOVERNOR, SIGN_FLIP
 from fusion_sfdia.registry import scenario
+from fusion_sfdia.report.content import Summary
 
 MINE = {
     "network/governor": {"noises": ("lit",), "duration": 75.0},

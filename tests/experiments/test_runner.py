@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 from toy_scenario import TOY, toy
 
-from fusion_sfdia.evaluation.results import COLUMNS, Row, as_json, read_rows, write_rows
-from fusion_sfdia.experiments.output import Command, all_or_none, locked, open_output
+from fusion_sfdia.core.files import all_or_none
+from fusion_sfdia.evaluation.results import COLUMNS, Published, Row, as_json, read_rows, write_rows
+from fusion_sfdia.experiments.output import Command, locked, open_output
 from fusion_sfdia.experiments.parts import part_name, read_part, write_part
 from fusion_sfdia.experiments.runner import run_scenarios
-from fusion_sfdia.experiments.scenario import Published, adjust, seed_blocks
+from fusion_sfdia.experiments.scenario import adjust, seed_blocks
 
 PLAIN = {"figure": "no"}
 

@@ -37,9 +37,10 @@ from fusion_sfdia.comparison.work import work
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import DETECTORS, NamedDetector
+from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.runner import run_scenarios
-from fusion_sfdia.experiments.scenario import Published, adjust
+from fusion_sfdia.experiments.scenario import adjust
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.registry import PLANTS
 

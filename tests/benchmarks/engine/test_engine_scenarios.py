@@ -24,9 +24,10 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.scenario import Arrays, Summary
+from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
 from fusion_sfdia.registry import SCENARIOS, scenario
+from fusion_sfdia.report.content import Summary
 
 MINE = ("engine/three-faults", "engine/two-faults", "engine/minimum-fault", "engine/signatures")
 SHORT = {"engine/three-faults": 72.0, "engine/two-faults": 22.0, "engine/minimum-fault": 1.5}  # s

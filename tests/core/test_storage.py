@@ -14,7 +14,8 @@ import pytest
 from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.core.detector import Detector, State, run
-from fusion_sfdia.core.storage import atomic_write, explained, fingerprint, load_state, save_state
+from fusion_sfdia.core.files import atomic_write, explained
+from fusion_sfdia.core.storage import fingerprint, load_state, save_state
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
