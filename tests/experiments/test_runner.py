@@ -253,7 +253,7 @@ def test_an_unwritable_folder_is_a_clear_error(tmp_path: Path, monkeypatch: pyte
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("fusion_sfdia.core.storage.tempfile.mkstemp", refuse)
+    monkeypatch.setattr("fusion_sfdia.core.files.tempfile.mkstemp", refuse)
     with pytest.raises(ValueError, match=r"cannot write into .*Permission denied.*--out"):
         run_scenarios([TOY], tmp_path / "out", workers=1)
 
