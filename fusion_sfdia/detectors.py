@@ -66,8 +66,8 @@ def fusing_bank(plant: Plant, kind: str) -> FusingBank:
 
 def calibrated(bank: FusingBank) -> FusingBank:
     """The bank with thresholds from healthy simulated runs of its own plant, more of them for more quantities."""
-    wanted = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
-    steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * wanted)))
+    expected = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
+    steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * expected)))
     healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=bank.plant.disturbed)
     return calibrate(bank, healthy.t, healthy.y, healthy.u_of_runs, FALSE_ALARM, WARM_UP)
 
@@ -78,8 +78,8 @@ def healthy_data(plant: Plant, checks: int = 2) -> Recording:
     Who learns from data records the plant, not its model: so the finer truth where there is one, as for the readings judged,
     of other seeds. Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
     """
-    wanted = 1.5 * 2 * checks * len(plant.quantities) / FALSE_ALARM  # each check of each is set on every other sample
-    runs = max(len(CALIBRATION_SEEDS), int(np.ceil(wanted / CALIBRATION_STEPS)))
+    expected = 1.5 * 2 * checks * len(plant.quantities) / FALSE_ALARM  # each check of each is set on every other sample
+    runs = max(len(CALIBRATION_SEEDS), int(np.ceil(expected / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
     return simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.disturbed)
 

@@ -72,11 +72,11 @@ def load(reference: str) -> Any:
 
 def match_scenarios(patterns: Iterable[str]) -> list[str]:
     """Return the scenarios whose names match names or globs such as pipeline/*, each once, in the order of the registry."""
-    wanted: set[str] = set()
+    expected: set[str] = set()
     for pattern in patterns:
         found = [name for name in SCENARIOS if fnmatchcase(name, pattern)]
-        wanted.update(found or [require_known("scenario", pattern, SCENARIOS)])
-    return [name for name in SCENARIOS if name in wanted]
+        expected.update(found or [require_known("scenario", pattern, SCENARIOS)])
+    return [name for name in SCENARIOS if name in expected]
 
 
 def scenario(name: str) -> Scenario:
@@ -107,7 +107,7 @@ def fault(text: str) -> tuple[str, str | None]:
     if name in FAULT_KINDS:
         raise ValueError(f"fault {text!r} is a kind, to be listed in a file (--faults); to be drawn: {', '.join(PRESETS)}")
     if colon and not quantity:
-        raise ValueError(f"fault {text!r} has no quantity after its colon; wanted NAME or NAME:QUANTITY")
+        raise ValueError(f"fault {text!r} has no quantity after its colon; expected NAME or NAME:QUANTITY")
     return require_known("fault", name, PRESETS), quantity or None
 
 

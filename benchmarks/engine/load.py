@@ -65,7 +65,7 @@ def load_tasks(settings: Settings, seeds: int) -> list[Task]:
             raise ValueError(f"setting {name} has {', '.join(unknown)}; known: {', '.join(known)}")
     if not 0 < settings["change"] <= settings["onset"]:
         raise ValueError(
-            f"the load changes at {settings['change']:g} s, the fault begins at {settings['onset']:g} s; wanted this order"
+            f"the load changes at {settings['change']:g} s, the fault begins at {settings['onset']:g} s; expected this order"
         )
     common = {k: settings[k] for k in ("detector", "noise", "size", "change", "onset", "duration")}
     return [

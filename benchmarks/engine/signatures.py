@@ -82,8 +82,8 @@ def signature_summary(settings: Settings, results: Results) -> Summary:
         same = arrays["ours"] == arrays["printed"]
         at = partial(row, NAME, DETECTOR, "none", name)
         source = f"{K24 if name[:3] == 'K24' else K22}, {name[4:]}"
-        for metric, count, wanted in (("entries_equal", same.sum(), same.size), ("entries_differing", (~same).sum(), 0)):
-            rows.append(at(metric, Estimate(float(count), np.nan, np.nan, same.size), Published(float(wanted), source)))
+        for metric, count, expected in (("entries_equal", same.sum(), same.size), ("entries_differing", (~same).sum(), 0)):
+            rows.append(at(metric, Estimate(float(count), np.nan, np.nan, same.size), Published(float(expected), source)))
         lines = list(signatures(name))
         for i, j in np.argwhere(~same):
             place = lines[i], list(FAULTS)[j]

@@ -47,7 +47,7 @@ def consensus_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Healthy runs by noise of the process; neighbours read an angle as well as its area does, or worse."""
     if settings["worse"] <= 1:
         raise ValueError(
-            f"worse is {settings['worse']:g}; wanted more than 1: the variance of a neighbour's reading over the area's"
+            f"worse is {settings['worse']:g}; expected more than 1: the variance of a neighbour's reading over the area's"
         )
     ratio = {"equal": 1.0, "unequal": settings["worse"]}
     return [

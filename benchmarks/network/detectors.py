@@ -49,7 +49,7 @@ def detector_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Healthy runs of both scenarios, which set the levels, and runs of each fault."""
     weak = settings["weak"]
     if not 0 < weak < 1:
-        raise ValueError(f"weak is {weak:g}; wanted a share of the load in per unit between 0 and 1")
+        raise ValueError(f"weak is {weak:g}; expected a share of the load in per unit between 0 and 1")
     cells: list[tuple[str, str | None]] = [("1", None), ("2", None), *((CASES[name], name) for name in CASES)]
     return [
         {"noise": noise, "scenario": scenario, "fault": fault, "weak": weak, "seeds": block}

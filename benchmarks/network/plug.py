@@ -32,7 +32,7 @@ from fusion_sfdia.models.power_network.operation import Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import Moment, run_network
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.stochastic_thresholds.replug import forgotten, opened_sides
 
@@ -74,7 +74,7 @@ def watch(model: NetworkModel, moments: Iterable[Moment], manner: str) -> Iterat
     areas, state = network_areas(model, named=False), None
     for now in moments:
         if state is None:
-            state = beginners(areas, now.reference.shape[:1])
+            state = initial_state(areas, now.reference.shape[:1])
         load = np.broadcast_to(now.load, now.reference.shape)
         state, _ = network_step(areas, state, now.own, now.shared, now.reference, load, 1.0, CORRECTED.lam)
         yield state

@@ -26,7 +26,7 @@ from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.plots import panels
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork, Readings
 
@@ -67,7 +67,7 @@ def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
     """A call that makes one step after the other in the same memory, and the arrays that such a step reads or writes."""
     count, n, sides = areas.size
     given = Constant(n)(0, (0, count), np.arange(sides))
-    turns: list[Diagnosers] = [beginners(areas, (1,)), beginners(areas, (1,))]
+    turns: list[Diagnosers] = [initial_state(areas, (1,)), initial_state(areas, (1,))]
 
     def step() -> None:
         now, _ = network_step(areas, turns[0], *given, ALPHA, LAM, out=turns[1])
@@ -129,7 +129,7 @@ def in_parts(areas: int, seconds: float) -> Arrays:
         ) as cluster,
         Client(cluster, set_as_default=False, direct_to_workers=True) as client,
     ):
-        parts = PartitionedNetwork(client, whole, beginners(whole, (1,)), Constant(whole.size[1]), ALPHA, LAM)
+        parts = PartitionedNetwork(client, whole, initial_state(whole, (1,)), Constant(whole.size[1]), ALPHA, LAM)
         return _arrays(best_times({"step": step, "parts": parts.step}, seconds))
 
 

@@ -86,7 +86,7 @@ class AdaptiveThreshold(BatchDetector):
         if sorted(measured) != sorted(modules.equations):
             raise NotApplicableError(
                 f"plant {plant.name!r} has sensors of {', '.join(measured)}, equations of {', '.join(modules.equations)}; "
-                "wanted one sensor for each equation"
+                "expected one sensor for each equation"
             )
         if unbounded := [s.name for s in plant.sensors if not np.isfinite(s.noise_bound)]:
             raise NotApplicableError(
@@ -96,9 +96,9 @@ class AdaptiveThreshold(BatchDetector):
             raise ValueError(f"bounds is {shown(self.bounds)}; known: {', '.join(METHODS)}")
         for what, known in (("observer_bounds", modules.states), ("drift", modules.states), ("margins", modules.equations)):
             if unknown := [v for v in getattr(self, what) or () if v not in known]:
-                raise ValueError(f"{what} names {', '.join(unknown)}; wanted some of {', '.join(known)}")
+                raise ValueError(f"{what} names {', '.join(unknown)}; expected some of {', '.join(known)}")
         if isinstance(self.envelope, Mapping) and (unknown := [v for v in self.envelope if v not in modules.equations]):
-            raise ValueError(f"envelope names {', '.join(unknown)}; wanted some of {', '.join(modules.equations)}")
+            raise ValueError(f"envelope names {', '.join(unknown)}; expected some of {', '.join(modules.equations)}")
 
     @property
     def _modules(self) -> Modules:

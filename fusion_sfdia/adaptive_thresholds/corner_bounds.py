@@ -109,7 +109,7 @@ def prove(equations: Equations, variables: Sequence[str], low: Array, high: Arra
     """
     if not np.all((low < high) & np.isfinite(low) & np.isfinite(high)):
         wrong = [v for v, a, b in zip(variables, low, high, strict=True) if not (np.isfinite(a) and np.isfinite(b) and a < b)]
-        raise ValueError(f"the envelope of {', '.join(wrong)} is no finite range; wanted low < high")
+        raise ValueError(f"the envelope of {', '.join(wrong)} is no finite range; expected low < high")
     proved: Callable[..., tuple[Array, Array]] = _proved
     try:
         hash(c)

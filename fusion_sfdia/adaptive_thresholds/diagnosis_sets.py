@@ -140,7 +140,7 @@ class DiagnosisLogic:
         given, modules = np.asarray(decisions), self.local.rows
         if given.dtype != bool or given.shape[-1:] != (len(modules),):
             raise ValueError(
-                f"decisions are {given.dtype} {given.shape}; wanted bool (..., {len(modules)}), modules {', '.join(modules)}"
+                f"decisions are {given.dtype} {given.shape}; expected bool (..., {len(modules)}), modules {', '.join(modules)}"
             )
         return given
 

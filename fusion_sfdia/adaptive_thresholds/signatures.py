@@ -40,13 +40,13 @@ class SignatureMatrix:
     def __post_init__(self) -> None:
         for kind, names in (("rows", self.rows), ("sensors", self.sensors)):
             if not 0 < len(names) <= WIDTH:
-                raise ValueError(f"{len(names)} {kind}; wanted 1 to {WIDTH}: split the system into several matrices")
+                raise ValueError(f"{len(names)} {kind}; expected 1 to {WIDTH}: split the system into several matrices")
             if len(set(names)) < len(names):
                 raise ValueError(f"{kind} {names} repeat a name; give each its own")
         shape = (len(self.rows), len(self.sensors))
         for field, relation in (("possible", self.possible), ("certain", self.certain)):
             if relation.shape != shape or relation.dtype != bool:
-                raise ValueError(f"{field} is {relation.dtype} {relation.shape}; wanted bool {shape}: rows, then sensors")
+                raise ValueError(f"{field} is {relation.dtype} {relation.shape}; expected bool {shape}: rows, then sensors")
         if np.any(self.certain & ~self.possible):
             raise ValueError("an entry is certain but not possible; what must show may show")
         if blind := [self.rows[i] for i in np.flatnonzero(~self.possible.any(axis=1))]:
@@ -114,7 +114,7 @@ def signature_matrix(entries: Mapping[str, Mapping[str, str]], sensors: Sequence
         if unknown := sorted(set(line) - known):
             raise ValueError(f"{row} names {', '.join(unknown)}; the sensors are {', '.join(sensors)}")
         if wrong := sorted(set(line.values()) - {"0", "1", "*"}):
-            raise ValueError(f"{row} has the entries {wrong}; wanted '0', '1' or '*'")
+            raise ValueError(f"{row} has the entries {wrong}; expected '0', '1' or '*'")
     table = np.array([[line.get(s, "0") for s in sensors] for line in entries.values()], str).reshape(-1, len(sensors))
     return SignatureMatrix(tuple(entries), tuple(sensors), table != "0", table == "1")
 
@@ -140,12 +140,12 @@ def global_signatures(local: SignatureMatrix, agents: Mapping[str, Agent]) -> Si
     Kougiatsos 2024, sec. V-B and Table IV. It is bolder than the local matrices: a fault with only * in its own agent's
     modules must nevertheless show in one of them. Raises ValueError where modules or sensors are not dealt out one by one.
     """
-    for kind, wanted, dealt in (
+    for kind, expected, dealt in (
         ("modules", local.rows, [m for agent in agents.values() for m in agent.modules]),
         ("sensors", local.sensors, [s for agent in agents.values() for s in agent.sensors]),
     ):
-        if sorted(dealt) != sorted(wanted):
-            raise ValueError(f"agents have the {kind} {sorted(dealt)}; wanted each of {sorted(wanted)} once")
+        if sorted(dealt) != sorted(expected):
+            raise ValueError(f"agents have the {kind} {sorted(dealt)}; expected each of {sorted(expected)} once")
     symbols = {
         name: {
             s: "1" if s in agent.sensors else "*" for m in agent.modules for s in local.sensors if local.entries[m][s] != "0"

@@ -87,7 +87,7 @@ class VirtualSensors(BatchDetector):
         if unknown := [v for v in self.learning_rates if v not in modules.states]:
             raise ValueError(f"learning_rates names {', '.join(unknown)}; the states are {', '.join(modules.states)}")
         if wrong := [f"{v}={g}" for v, g in self.learning_rates.items() if not (np.isfinite(g) and g > 0)]:
-            raise ValueError(f"learning rates {', '.join(wrong)}; wanted positive numbers in 1/s")
+            raise ValueError(f"learning rates {', '.join(wrong)}; expected positive numbers in 1/s")
 
     def fault_interval(self, state: State) -> Interval:
         """Return the intervals (*batch, N) of the sensors' constant offsets in their units, after the step that gave `state`.

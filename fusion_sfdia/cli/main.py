@@ -198,7 +198,7 @@ def _settings(texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
         key, equals, value = text.partition("=")
         if not (key and equals):
-            raise ValueError(f"--set {text}: wanted KEY=VALUE")
+            raise ValueError(f"--set {text}: expected KEY=VALUE")
         if key in found:
             raise ValueError(f"setting {key} is given twice, as {found[key]!r} and {value!r}; give it once")
         found[key] = value

@@ -148,7 +148,7 @@ class Silent(NamedTuple):
 
 
 def silent_walk(detector: Detector, recording: Recording, found: Branches, kept: Collection[int]) -> Silent:
-    """Walk with a silent detector; kept: the samples before which its states are wanted."""
+    """Walk with a silent detector; kept: the samples before which its states are expected."""
     count = recording.y.shape[1]
     seen = Silent(np.empty((recording.t.size, count)), np.full(len(found.readings.y), np.nan), {})
     for k, state, rows, decision in walk(detector, recording, found):

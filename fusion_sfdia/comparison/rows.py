@@ -74,7 +74,7 @@ def rows_of_cell(cell: Cell) -> list[Row]:
     add(HEALTHY, "all", "nominal_false_alarm_probability", cell.nominal)
     if np.isfinite(cell["claim"]):
         add(HEALTHY, "all", "claimed_false_alarm_probability", exactly(float(cell["claim"])))
-    add(HEALTHY, "all", "wanted_false_alarm_probability", exactly(cell.settings["false_alarm"]))
+    add(HEALTHY, "all", "target_false_alarm_probability", exactly(cell.settings["false_alarm"]))
     add(HEALTHY, "all", "matched_false_alarm_probability", cell.matched)
     add(HEALTHY, "all", "deployed_false_alarm_probability", cell.deployed)
     add(HEALTHY, "all", "state_size", exactly(float(cell["state_bytes"])))

@@ -49,15 +49,15 @@ class Areas:
             "matrices": (count, n, n + 2), "slope": (sides,), "shared_gain": (sides,), "process_variance": (count, n),
             "noise": (count, n), "shared_noise": (sides,),
         }  # fmt: skip
-        for what, wanted in shapes.items():
+        for what, expected in shapes.items():
             value = getattr(self, what)
-            if value.shape != wanted or not np.all(np.isfinite(value)):
-                raise ValueError(f"{what} of {count} areas has shape {value.shape}; wanted {wanted} finite numbers")
+            if value.shape != expected or not np.all(np.isfinite(value)):
+                raise ValueError(f"{what} of {count} areas has shape {value.shape}; expected {expected} finite numbers")
         if np.any(self.process_variance < 0) or np.any(self.noise <= 0) or np.any(self.shared_noise <= 0):
             raise ValueError("variances of the process must be at least 0, of readings positive; give them squared")
         if np.any(odd := (self.slope != 0) & ~self.network.closed):
             i = int(np.flatnonzero(odd)[0])
-            raise ValueError(f"the open tie {at.names[at.node[i]]}-{at.names[at.neighbour[i]]} has a slope; wanted 0")
+            raise ValueError(f"the open tie {at.names[at.node[i]]}-{at.names[at.neighbour[i]]} has a slope; expected 0")
         self._require_agreement(np.flatnonzero(self.network.closed))
 
     def _require_agreement(self, sides: Array) -> None:

@@ -24,7 +24,7 @@ def number(what: str, value: object) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.timedelta64) or not isinstance(value, float | int | np.floating | np.integer):
-        raise ValueError(f"{what} is {shown(value)}; wanted a number")
+        raise ValueError(f"{what} is {shown(value)}; expected a number")
     return float(value)
 
 
@@ -33,14 +33,14 @@ def whole(what: str, value: object, least: int) -> int:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool | np.timedelta64) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{what} is {shown(value)}; wanted a whole number of at least {least}")
+        raise ValueError(f"{what} is {shown(value)}; expected a whole number of at least {least}")
     return int(value)
 
 
 def probability(what: str, value: object) -> float:
     """Return a number strictly between 0 and 1; ValueError for anything else."""
     if not 0 < (p := number(what, value)) < 1:
-        raise ValueError(f"{what} is {value}; a probability strictly between 0 and 1 is wanted")
+        raise ValueError(f"{what} is {value}; a probability strictly between 0 and 1 is expected")
     return p
 
 
@@ -62,7 +62,7 @@ def floats(what: str, value: Any) -> Array:
             return given.astype(float)
     except (TypeError, ValueError):
         pass
-    raise ValueError(f"{what} is {shown(value)}; wanted an array of numbers{cure}")
+    raise ValueError(f"{what} is {shown(value)}; expected an array of numbers{cure}")
 
 
 def _dated(given: Array) -> bool:
@@ -75,7 +75,7 @@ def batch_shape(batch: object) -> tuple[int, ...]:
     """Return the shape of a batch given as such or, where it has one axis, as its length; ValueError for anything else."""
     given = batch if isinstance(batch, tuple | list) else (batch,)
     if any(isinstance(b, bool) or not isinstance(b, int | np.integer) or b < 0 for b in given):
-        raise ValueError(f"batch is {shown(batch)}; wanted a shape: () for a single run, (3,) or 3 for three side by side")
+        raise ValueError(f"batch is {shown(batch)}; expected a shape: () for a single run, (3,) or 3 for three side by side")
     return tuple(int(b) for b in given)
 
 

@@ -46,10 +46,10 @@ class BatchDetector(ABC):
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
-            raise ValueError(f"plant is {shown(self.plant)}; wanted a Plant")
+            raise ValueError(f"plant is {shown(self.plant)}; expected a Plant")
         if not 0 < number("threshold_scale", self.threshold_scale) < np.inf:
             raise ValueError(
-                f"threshold_scale is {self.threshold_scale}; wanted a positive number, 1 for thresholds as they are"
+                f"threshold_scale is {self.threshold_scale}; expected a positive number, 1 for thresholds as they are"
             )
 
     @abstractmethod
@@ -70,7 +70,7 @@ class BatchDetector(ABC):
         """
         shape, t, seed = batch_shape(batch), number("t", t), whole("seed", seed, least=0)
         if not np.isfinite(t) or seed >= 2**64:
-            raise ValueError(f"t is {t}, seed {seed}; wanted a finite time in seconds and a seed below 2^64")
+            raise ValueError(f"t is {t}, seed {seed}; expected a finite time in seconds and a seed below 2^64")
         return np.array(seed, np.uint64), np.array(0), np.array(t), np.zeros(shape, bool), *self._start(shape, seed)
 
     def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:

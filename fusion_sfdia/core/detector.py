@@ -100,22 +100,22 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
     n, m = len(plant.sensors), len(plant.inputs)
     if y.shape != (*batch, n):
         raise ValueError(
-            f"y has shape {y.shape}; wanted {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one"
+            f"y has shape {y.shape}; expected {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one"
         )
-    wanted = (*batch, m)
+    expected = (*batch, m)
     if u.shape[-1:] != (m,):
         raise ValueError(
             f"u has shape {u.shape}; plant {plant.name!r} has {m} inputs ({', '.join(s.name for s in plant.inputs)})"
         )
-    if u.shape != wanted and (
-        len(u.shape) > len(wanted) or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], batch[::-1], strict=False))
+    if u.shape != expected and (
+        len(u.shape) > len(expected) or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], batch[::-1], strict=False))
     ):
-        raise ValueError(f"u has shape {u.shape}; it does not broadcast to {wanted}: give ({m},) or one row for each run")
+        raise ValueError(f"u has shape {u.shape}; it does not broadcast to {expected}: give ({m},) or one row for each run")
     if np.isinf(y).any():
         raise ValueError("y has infinite readings; pass NaN for a missing one")
     if not np.isfinite(u).all():
         raise ValueError("u has values that are not finite; an input must be known")
-    return possible(plant, y), u if u.shape == wanted else np.broadcast_to(u, wanted)
+    return possible(plant, y), u if u.shape == expected else np.broadcast_to(u, expected)
 
 
 def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covariance: bool = False) -> tuple[State, Decision]:
@@ -126,7 +126,9 @@ def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covar
     """
     t, y, u = floats("t", t), floats("y", y), floats("u", u)
     if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape:
-        raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, ..., sensors), (K, ..., inputs)")
+        raise ValueError(
+            f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, ..., sensors), (K, ..., inputs)"
+        )
     if not len(t):
         raise ValueError("there are no readings: t is empty; pass at least one time")
     decisions = []

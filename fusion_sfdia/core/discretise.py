@@ -172,7 +172,7 @@ def discretise(
     picks = np.array([names.index(s.measures) for s in sensors])
     n = len(physics.states)
     if decay is not None and not (np.shape(decay) == (n,) and np.all(np.isfinite(decay)) and np.all(decay > 0)):
-        raise ValueError(f"decay of {physics.name!r} is {decay}; wanted {n} positive rates in 1/s, one a state")
+        raise ValueError(f"decay of {physics.name!r} is {decay}; expected {n} positive rates in 1/s, one a state")
     model = _Integrated(physics, picks, substeps, decay)
     x0 = floats(f"x0 of {physics.name!r}", x0)
     u = np.array([s.nominal for s in physics.inputs]) if operation is None else floats("the input of operation", operation(0.0))

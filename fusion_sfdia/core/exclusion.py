@@ -23,7 +23,7 @@ class Exclusion(NamedTuple):
     quiet: Array
 
 
-def nobody(batch: tuple[int, ...], sensors: int) -> Exclusion:
+def none_excluded(batch: tuple[int, ...], sensors: int) -> Exclusion:
     """Return the state in which every sensor is trusted."""
     shape = (*batch, sensors)
     return Exclusion(np.zeros(shape, bool), *(np.zeros(shape) for _ in range(4)))

@@ -102,7 +102,7 @@ def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
     A (n, n), B (n, m); ValueError for other shapes or a dt that is not positive and finite.
     """
     if np.ndim(a) != 2 or np.ndim(b) != 2 or not a.shape[0] == a.shape[1] == b.shape[0]:
-        raise ValueError(f"A {np.shape(a)} and B {np.shape(b)} do not fit; wanted (n, n) and (n, m)")
+        raise ValueError(f"A {np.shape(a)} and B {np.shape(b)} do not fit; expected (n, n) and (n, m)")
     if not (np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt is {dt} s; it must be positive and finite")
     n, m = b.shape

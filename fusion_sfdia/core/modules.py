@@ -70,7 +70,7 @@ class Modules:
                 raise ValueError(f"the equation of {variable} has the unknown arguments {', '.join(unknown)}")
         for what, named in (("nominal", self.nominal), ("names", self.names)):
             if missing := [v for v in self.equations if v not in named]:
-                raise ValueError(f"{what} lacks {', '.join(missing)}; wanted one for each equation")
+                raise ValueError(f"{what} lacks {', '.join(missing)}; expected one for each equation")
         for variable, rate in zip(self.states, self.rates, strict=True):
             gain = self.gains.get(variable, np.nan)
             if not (np.isfinite(gain) and rate + gain > 0):

@@ -36,12 +36,12 @@ class Topology:
         require_unique("network", self.names)
         n, links = len(self.names), np.asarray(self.links)
         if links.ndim != 2 or links.shape[1:] != (2,) or links.dtype.kind not in "iu":
-            raise ValueError(f"links have shape {links.shape} of {links.dtype}; wanted whole numbers (E, 2), two ends a link")
+            raise ValueError(f"links have shape {links.shape} of {links.dtype}; expected whole numbers (E, 2), two ends a link")
         if links.size and not (0 <= links.min() and links.max() < n):
-            raise ValueError(f"links end at nodes {links.min()} to {links.max()}; wanted 0 to {n - 1}")
+            raise ValueError(f"links end at nodes {links.min()} to {links.max()}; expected 0 to {n - 1}")
         itself = links[links[:, 0] == links[:, 1], 0]
         if itself.size:
-            raise ValueError(f"a link joins {self.shown(itself)} to itself; wanted two different ends")
+            raise ValueError(f"a link joins {self.shown(itself)} to itself; expected two different ends")
         pairs, count = np.unique(np.sort(links, axis=1) @ np.array([n, 1]), return_counts=True)
         if np.any(count > 1):
             a, b = divmod(int(pairs[count > 1][0]), n)
@@ -138,7 +138,7 @@ class Network:
         plugged, n = np.array(self.plugged), len(self.topology.names)
         if plugged.shape != (n,) or plugged.dtype != np.bool_:
             raise ValueError(
-                f"plugged has shape {plugged.shape} of {plugged.dtype}; wanted a truth value for each of {n} nodes"
+                f"plugged has shape {plugged.shape} of {plugged.dtype}; expected a truth value for each of {n} nodes"
             )
         plugged.flags.writeable = False
         object.__setattr__(self, "plugged", plugged)
@@ -176,12 +176,12 @@ class Network:
         if not joins and not leaves:
             raise ValueError("no node to plug in or to unplug; name at least one")
         require_unique("nodes to plug in and to unplug", (*joins, *leaves))
-        wanted = {at.index(name): value for names, value in ((joins, True), (leaves, False)) for name in names}
-        for i, value in wanted.items():
+        expected = {at.index(name): value for names, value in ((joins, True), (leaves, False)) for name in names}
+        for i, value in expected.items():
             if self.plugged[i] == value:
                 raise ValueError(f"node {at.names[i]!r} is {'plugged in' if value else 'unplugged'} already; leave it out")
-        nodes = np.array(sorted(wanted))
-        plugged = np.array([wanted[i] for i in nodes.tolist()])
+        nodes = np.array(sorted(expected))
+        plugged = np.array([expected[i] for i in nodes.tolist()])
         own = at.sides(nodes)[0]
         sides = np.unique(np.concatenate([own, at.opposite[own]]))
         both = np.ones(sides.size, bool)

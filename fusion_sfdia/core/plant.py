@@ -77,7 +77,9 @@ class Plant:
         for what, kind in (("states", Signal), ("inputs", Signal), ("sensors", Sensor)):
             members = getattr(self, what)
             if not isinstance(members, tuple | list) or not all(isinstance(m, kind) for m in members):
-                raise ValueError(f"plant {self.name!r}: {what} is {shown(members)}; wanted a tuple of {kind.__name__} objects")
+                raise ValueError(
+                    f"plant {self.name!r}: {what} is {shown(members)}; expected a tuple of {kind.__name__} objects"
+                )
             object.__setattr__(self, what, tuple(members))
         n = len(self.states)
         if not self.states or not self.sensors:
@@ -86,7 +88,7 @@ class Plant:
         require_unique(f"sensors of plant {self.name!r}", [s.name for s in self.sensors])
         for what in ("step", "output"):
             if not callable(getattr(self, what)):
-                raise ValueError(f"plant {self.name!r}: {what} is {shown(getattr(self, what))}; wanted a function")
+                raise ValueError(f"plant {self.name!r}: {what} is {shown(getattr(self, what))}; expected a function")
         if not 0 < number(f"plant {self.name!r}: dt", self.dt) < np.inf:
             raise ValueError(f"plant {self.name!r}: dt is {self.dt} s; it must be positive and finite")
         if not number(f"plant {self.name!r}: max_dt", self.max_dt) > 0:
@@ -95,13 +97,13 @@ class Plant:
             if what != "process_bound" or self.process_bound is not None:
                 object.__setattr__(self, what, floats(f"plant {self.name!r}: {what}", getattr(self, what)))
         if np.shape(self.x0) != (n,) or not np.all(np.isfinite(self.x0)):
-            raise ValueError(f"plant {self.name!r}: x0 has shape {np.shape(self.x0)}; wanted {n} finite values, one a state")
+            raise ValueError(f"plant {self.name!r}: x0 has shape {np.shape(self.x0)}; expected {n} finite values, one a state")
         for what in ("initial_cov", "process_cov"):
             require_covariance(f"plant {self.name!r}: {what}", getattr(self, what), n)
         bound = self.process_bound
         if bound is not None and (np.shape(bound) not in {(), (n,)} or not np.all(np.asarray(bound) >= 0)):
             raise ValueError(
-                f"plant {self.name!r}: process_bound has shape {np.shape(bound)}; wanted ({n},) numbers of at least 0"
+                f"plant {self.name!r}: process_bound has shape {np.shape(bound)}; expected ({n},) numbers of at least 0"
             )
         self._require_shapes()
 
@@ -109,7 +111,7 @@ class Plant:
         """Raise ValueError unless step and output take a batch of states; where x0 has no step, it is for the runs to say."""
         n, count = len(self.states), len(self.sensors)
         x, u = np.broadcast_to(self.x0, (2, 1, n)).copy(), self.input_at(0.0)[None]
-        for what, wanted, arguments in (("step", (2, 1, n), (x, u, self.dt)), ("output", (2, 1, count), (x, u))):
+        for what, expected, arguments in (("step", (2, 1, n), (x, u, self.dt)), ("output", (2, 1, count), (x, u))):
             try:
                 with np.errstate(all="ignore"):
                     found = np.shape(getattr(self, what)(0.0, *arguments))
@@ -120,9 +122,9 @@ class Plant:
                     f"{what} of plant {self.name!r} fails for states {x.shape} and inputs {u.shape}: {error}; write it for "
                     "batches, which are leading axes: x[..., 0]"
                 ) from error
-            if found != wanted:
+            if found != expected:
                 raise ValueError(
-                    f"{what} of plant {self.name!r} gives shape {found} for states {x.shape}; expected {wanted}: one number "
+                    f"{what} of plant {self.name!r} gives shape {found} for states {x.shape}; expected {expected}: one number "
                     f"for each {'state' if what == 'step' else 'sensor'}, with a batch as leading axes (x[..., 0])"
                 )
 
@@ -166,7 +168,7 @@ class Plant:
             return np.array([s.nominal for s in self.inputs])
         u = floats(f"the input that operation of plant {self.name!r} gives", self.operation(t))
         if u.shape != (len(self.inputs),):
-            raise ValueError(f"operation of plant {self.name!r} gives shape {u.shape}; wanted ({len(self.inputs)},)")
+            raise ValueError(f"operation of plant {self.name!r} gives shape {u.shape}; expected ({len(self.inputs)},)")
         return u
 
     def check_dt(self, dt: float) -> None:
@@ -215,7 +217,7 @@ class Plant:
     def _of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
         if np.shape(jacobian)[-2:] != (rows, len(self.states)):
             raise ValueError(
-                f"{what} of plant {self.name!r} gives shape {np.shape(jacobian)}; wanted (..., {rows}, {len(self.states)})"
+                f"{what} of plant {self.name!r} gives shape {np.shape(jacobian)}; expected (..., {rows}, {len(self.states)})"
             )
         return jacobian
 
@@ -279,9 +281,9 @@ def diagonal(cov: Array) -> Array:
 def require_covariance(what: str, cov: Array, n: int) -> None:
     """Raise ValueError unless cov is (n,) non-negative variances or an (n, n) positive semi-definite matrix."""
     if np.shape(cov) not in {(n,), (n, n)}:
-        raise ValueError(f"{what} has shape {np.shape(cov)}; wanted ({n},) variances or a ({n}, {n}) matrix")
+        raise ValueError(f"{what} has shape {np.shape(cov)}; expected ({n},) variances or a ({n}, {n}) matrix")
     if not np.all(np.isfinite(cov)):
-        raise ValueError(f"{what} has entries that are not finite; wanted variances or a covariance matrix")
+        raise ValueError(f"{what} has entries that are not finite; expected variances or a covariance matrix")
     variances = diagonal(np.asarray(cov))
     if np.any(variances < 0):
         raise ValueError(f"{what} has a negative variance ({variances.min():g}); a variance is at least 0")

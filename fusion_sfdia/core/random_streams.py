@@ -15,7 +15,7 @@ def stream(seed: int, *purpose: str | int) -> np.random.Generator:
     seeds beside it, leaves every other draw as it was (numpy's SeedSequence keeps the streams independent).
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ValueError(f"a seed is {seed!r}; wanted an integer of at least 0")
+        raise ValueError(f"a seed is {seed!r}; expected an integer of at least 0")
     key = tuple(crc32(part.encode()) if isinstance(part, str) else int(part) for part in purpose)
     return np.random.default_rng(np.random.SeedSequence(int(seed), spawn_key=key))
 
@@ -25,9 +25,9 @@ def require_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
     try:
         seeds = tuple(seeds)
     except TypeError as error:
-        raise ValueError(f"seeds are {seeds!r}; wanted several integers of at least 0, such as [0] or range(10)") from error
+        raise ValueError(f"seeds are {seeds!r}; expected several integers of at least 0, such as [0] or range(10)") from error
     for seed in seeds:
         stream(seed)
     if not seeds or len(set(seeds)) < len(seeds):
-        raise ValueError(f"seeds are {seeds}; wanted at least one, each different: the same seed gives the same run twice")
+        raise ValueError(f"seeds are {seeds}; expected at least one, each different: the same seed gives the same run twice")
     return tuple(int(s) for s in seeds)

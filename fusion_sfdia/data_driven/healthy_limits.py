@@ -37,7 +37,7 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
     value = floats(what, value)
     if value.shape != plant.sensor_sigma.shape or not np.all(np.isfinite(value)):
         raise ValueError(
-            f"{what} has shape {value.shape}; wanted {len(plant.sensors)} finite numbers, one a sensor of plant {plant.name!r}"
+            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of {plant.name!r}"
         )
     return value
 
@@ -51,7 +51,7 @@ def healthy_readings(plant: Plant, y: Array) -> Array:
     y = floats("y", y)
     count = len(plant.sensors)
     if y.ndim < 2 or y.shape[-1] != count or y.shape[0] < 4 or not y.size:
-        raise ValueError(f"y has shape {y.shape}; wanted healthy readings (K, ..., {count}) of at least 4 times")
+        raise ValueError(f"y has shape {y.shape}; expected healthy readings (K, ..., {count}) of at least 4 times")
     if np.isinf(y).any():
         raise ValueError("y has infinite readings; pass NaN for a missing one")
     y = possible(plant, y).reshape(len(y), -1, count)

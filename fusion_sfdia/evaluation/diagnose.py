@@ -57,7 +57,7 @@ def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) 
     """
     t, y, u = floats("t", t), floats("y", y), floats("u", u)
     if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2 or u.ndim != 2:
-        raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, sensors), (K, inputs)")
+        raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, sensors), (K, inputs)")
     if not t.size:
         raise ValueError("there are no readings: t is empty; pass at least one time")
     first = float(t[0]) - (

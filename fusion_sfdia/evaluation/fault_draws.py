@@ -41,12 +41,12 @@ class FaultRange:
             raise ValueError(f"range of {self.kind}: unit is {self.unit!r}; known: {', '.join(UNITS)}")
         low, high = self.magnitude
         if self.kind not in WITHOUT_MAGNITUDE and not (0 < low <= high < np.inf):
-            raise ValueError(f"range of {self.kind}: magnitude is {self.magnitude}; wanted 0 < low <= high")
+            raise ValueError(f"range of {self.kind}: magnitude is {self.magnitude}; expected 0 < low <= high")
         if self.hold is not None and self.kind != "drift":
             raise ValueError(f"range of {self.kind}: hold is {self.hold}; only a drift holds")
         for what, samples in (("length", self.length), ("hold", self.hold or (0, 0))):
             if not (what == "hold" or samples[0] >= 1) or not 0 <= samples[0] <= samples[1]:
-                raise ValueError(f"range of {self.kind}: {what} is {samples}; wanted whole samples, low <= high")
+                raise ValueError(f"range of {self.kind}: {what} is {samples}; expected whole samples, low <= high")
 
 
 def _published(strength: str, kind: str, low: float, high: float) -> FaultRange:
@@ -97,7 +97,7 @@ def draw(
         raise ValueError(f"no multiple of dt = {plant.dt:g} s lies within the window {window}; widen it")
     low, high = (count, count) if isinstance(count, int) else count
     if not 1 <= low <= high:
-        raise ValueError(f"count is {count}; wanted at least 1, and low <= high")
+        raise ValueError(f"count is {count}; expected at least 1, and low <= high")
     number = int(rng.integers(low, high, endpoint=True))
     if number > sensors.size and not repeat:
         raise ValueError(f"{number} faults on {sensors.size} sensors; lower count, or allow several on one with repeat=True")

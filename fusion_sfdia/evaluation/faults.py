@@ -73,17 +73,17 @@ class Fault:
             *(w for w in ("rise", "period") if getattr(self, w) is not None),
         ):
             if isinstance(value := getattr(self, what), bool) or not isinstance(value, int | float | np.integer | np.floating):
-                raise ValueError(f"{who}: {what} is {value!r}; wanted a number")
+                raise ValueError(f"{who}: {what} is {value!r}; expected a number")
             try:
                 object.__setattr__(self, what, float(value))
             except OverflowError as error:
-                raise ValueError(f"{who}: {what} is too large; wanted a number below 1e308") from error
+                raise ValueError(f"{who}: {what} is too large; expected a number below 1e308") from error
             if what in ("onset", "magnitude") and not np.isfinite(getattr(self, what)):
-                raise ValueError(f"{who}: {what} is {value}; wanted a finite number")
+                raise ValueError(f"{who}: {what} is {value}; expected a finite number")
         if not isinstance(self.relative, bool):
-            raise ValueError(f"{who}: relative is {self.relative!r}; wanted true or false")
+            raise ValueError(f"{who}: relative is {self.relative!r}; expected true or false")
         if not self.length > 0:
-            raise ValueError(f"{who}: length is {self.length}; wanted a positive number of seconds")
+            raise ValueError(f"{who}: length is {self.length}; expected a positive number of seconds")
         if self.kind in WITHOUT_MAGNITUDE and (self.magnitude != 0 or self.relative):
             raise ValueError(f"{who}: a {self.kind} has no magnitude; leave magnitude and relative out")
         if self.kind not in WITHOUT_MAGNITUDE and self.magnitude == 0 and self.kind != "scale":
@@ -91,17 +91,17 @@ class Fault:
         if self.kind == "scale" and self.relative:
             raise ValueError(f"{who}: a scale is a factor already; leave relative out")
         if self.kind in ("noise", "spikes") and self.magnitude < 0:
-            raise ValueError(f"{who}: magnitude is {self.magnitude}; wanted a positive size")
+            raise ValueError(f"{who}: magnitude is {self.magnitude}; expected a positive size")
         if self.rise is not None and (self.kind != "drift" or not 0 < self.rise < np.inf):
             raise ValueError(f"{who}: rise is {self.rise}; it belongs to a drift and is a positive number of seconds")
         if self.kind == "drift" and self.rise is None and np.isinf(self.length):
-            raise ValueError(f"{who}: neither rise nor length is given; wanted the seconds in which it reaches its magnitude")
+            raise ValueError(f"{who}: neither rise nor length is given; expected the seconds in which it reaches its magnitude")
         if self.period is not None and (self.kind != "replay" or not 0 < self.period < np.inf):
             raise ValueError(f"{who}: period is {self.period}; it belongs to a replay and is a positive number of seconds")
         if self.kind == "replay" and self.period is None and np.isinf(self.length):
-            raise ValueError(f"{who}: neither period nor length is given; wanted the seconds of readings that it repeats")
+            raise ValueError(f"{who}: neither period nor length is given; expected the seconds of readings that it repeats")
         if not 0 < self.probability <= 1 or (self.probability != 1 and self.kind not in ("spikes", "dropout")):
-            raise ValueError(f"{who}: probability is {self.probability}; wanted in (0, 1], and only for spikes and dropouts")
+            raise ValueError(f"{who}: probability is {self.probability}; expected in (0, 1], and only for spikes and dropouts")
 
 
 class FaultedReadings(NamedTuple):
@@ -132,9 +132,9 @@ def apply(
     t, y = floats("t", t), floats("y", y)
     count = len(plant.sensors)
     if t.ndim != 1 or y.shape[:1] != t.shape or y.shape[-1:] != (count,) or y.ndim < 2:
-        raise ValueError(f"t {t.shape} and y {y.shape} do not fit; wanted (K,) and (K, ..., {count}), a column a sensor")
+        raise ValueError(f"t {t.shape} and y {y.shape} do not fit; expected (K,) and (K, ..., {count}), a column a sensor")
     if signal is not None and np.shape(signal) != y.shape:
-        raise ValueError(f"signal has shape {np.shape(signal)}; wanted that of y, {y.shape}")
+        raise ValueError(f"signal has shape {np.shape(signal)}; expected that of y, {y.shape}")
     healthy = y.reshape(t.size, -1, count)
     reference = healthy if signal is None else np.asarray(signal, dtype=float).reshape(healthy.shape)
     runs = healthy.shape[1]
@@ -251,16 +251,16 @@ def load_faults(path: str | Path, plant: Plant) -> list[Fault]:
 
     Raises ValueError naming the file and the entry where it is no TOML, is empty, or has unknown keys, sensors or kinds.
     """
-    wanted = ', e.g. [[fault]] with sensor = "' + plant.sensor_names[0] + '", kind = "bias", onset = 60.0, magnitude = 0.1'
+    expected = ', e.g. [[fault]] with sensor = "' + plant.sensor_names[0] + '", kind = "bias", onset = 60.0, magnitude = 0.1'
     try:
         document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not a TOML file ({error}); write [[fault]] tables{wanted}") from error
+        raise ValueError(f"{path} is not a TOML file ({error}); write [[fault]] tables{expected}") from error
     unknown = sorted(set(document) - {"fault"})
     entries = document.get("fault", [])
     if unknown or not isinstance(entries, list) or not entries or not all(isinstance(e, dict) for e in entries):
         what = f"unknown entries {', '.join(unknown)}" if unknown else "no [[fault]] tables"
-        raise ValueError(f"{path} holds {what}; write [[fault]] tables{wanted}")
+        raise ValueError(f"{path} holds {what}; write [[fault]] tables{expected}")
     return [_entry(f"{path}, fault {number}", entry, plant) for number, entry in enumerate(entries, start=1)]
 
 

@@ -38,7 +38,7 @@ def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | Non
     inputs = plant.inputs if u.size else ()
     if t.ndim != 1 or y.shape != (t.size, len(plant.sensors)) or u.shape != (t.size, len(inputs)):
         raise ValueError(
-            f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; wanted (K,), (K, {len(plant.sensors)}) and "
+            f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, {len(plant.sensors)}) and "
             f"(K, {len(plant.inputs)}) of plant {plant.name!r}: one run, without a batch"
         )
     with atomic_write(Path(path)) as file:
@@ -69,12 +69,12 @@ def read_log(
         try:
             rows = [(n, row) for n, row in enumerate(csv.reader(file, strict=True), start=1) if any(c.strip() for c in row)]
         except (UnicodeDecodeError, csv.Error) as error:
-            raise ValueError(f"{path} is not a CSV text file ({error}); wanted UTF-8 text as `simulate` writes it") from error
+            raise ValueError(f"{path} is not a CSV text file ({error}); expected UTF-8 text as `simulate` writes it") from error
     if not rows:
-        raise ValueError(f"{path} is empty; wanted a header: time and the sensors of plant {plant.name!r}")
+        raise ValueError(f"{path} is empty; expected a header: time and the sensors of plant {plant.name!r}")
     columns = _columns(path, rows[0][1], plant, absent_sensors, other_columns, nominal_inputs)
     if len(rows) == 1:
-        raise ValueError(f"{path} has a header and no rows; wanted at least one reading")
+        raise ValueError(f"{path} has a header and no rows; expected at least one reading")
     width = len(rows[0][1])
     for n, row in rows[1:]:
         if len(row) != width:
@@ -134,7 +134,7 @@ def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, ot
         found[name] = i
     lacking = [n for n in (TIME.name, *plant.sensor_names) if n not in found]
     if TIME.name in lacking and len(header) == 1 and (mark := re.search("[;\t|]", header[0])):
-        raise ValueError(f"{path}: cells are separated by {mark[0]!r}; wanted commas, and points in decimal numbers")
+        raise ValueError(f"{path}: cells are separated by {mark[0]!r}; expected commas, and points in decimal numbers")
     if TIME.name in lacking:
         raise ValueError(f"{path}: no column 'time' among {_some(header)}; name the column of the times (s) so")
     if lacking and not absent:
@@ -188,6 +188,6 @@ def _values(
         except ValueError:
             values[k] = np.inf
         if np.isinf(values[k]) or (required and np.isnan(values[k])):
-            wanted = "a finite number" if required else "a finite number, or nothing where the reading is missing"
-            raise ValueError(f"{path}, row {numbers[k]}, column {what.name}: {shown(text)}; wanted {wanted}")
+            expected = "a finite number" if required else "a finite number, or nothing where the reading is missing"
+            raise ValueError(f"{path}, row {numbers[k]}, column {what.name}: {shown(text)}; expected {expected}")
     return values

@@ -149,9 +149,11 @@ def jackknife_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estim
 
 
 def require_shapes(**arrays: tuple[Array, tuple[int, ...]]) -> None:
-    """Raise ValueError naming every array whose shape is not the wanted one."""
+    """Raise ValueError naming every array whose shape is not the expected one."""
     wrong = [
-        f"{name} has shape {np.shape(a)}, wanted {wanted}" for name, (a, wanted) in arrays.items() if np.shape(a) != wanted
+        f"{name} has shape {np.shape(a)}, expected {expected}"
+        for name, (a, expected) in arrays.items()
+        if np.shape(a) != expected
     ]
     if wrong:
         raise ValueError(f"{'; '.join(wrong)}: time first, then runs, then sensors")

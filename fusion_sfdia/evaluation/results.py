@@ -95,7 +95,7 @@ def read_rows(path: Path) -> list[Row]:
     with path.open(encoding="utf-8", newline="") as file:
         lines = list(csv.reader(file))
     if not lines or tuple(lines[0]) != COLUMNS:
-        raise ValueError(f"{path} is no metrics file; wanted the columns {', '.join(COLUMNS)}")
+        raise ValueError(f"{path} is no metrics file; expected the columns {', '.join(COLUMNS)}")
     rows = []
     for number, line in enumerate(lines[1:], start=2):
         try:

@@ -81,17 +81,17 @@ def simulate(
     """
     if isinstance(truth, str):
         if truth not in ("finer", "model"):
-            raise ValueError(f"truth is {truth!r}; wanted 'finer', 'model' or a plant")
+            raise ValueError(f"truth is {truth!r}; expected 'finer', 'model' or a plant")
         if truth == "finer" and plant.finer is not None:
             truth, to_states = plant.finer()
         else:
             truth = plant
     elif not isinstance(truth, Plant):
-        raise ValueError(f"truth is {truth!r}; wanted 'finer', 'model' or a plant")
+        raise ValueError(f"truth is {truth!r}; expected 'finer', 'model' or a plant")
     _require_fit(plant, truth)
     seeds = require_seeds(seeds)
     if not np.isfinite(t0):
-        raise ValueError(f"t0 is {t0}; wanted a finite time in s")
+        raise ValueError(f"t0 is {t0}; expected a finite time in s")
     t, dt = _times(plant, times, t0)
     u = _inputs(plant, t - dt, truth.input_at if inputs is None else inputs)
     closed = inputs is None and truth.feedback is not None
@@ -123,8 +123,8 @@ def simulate(
     states: Array | None = xs if names == tuple(s.name for s in truth.states) else None
     if to_states is not None:
         states = np.asarray(to_states(xs))
-        if states.shape != (wanted := (steps, len(seeds), len(names))):
-            raise ValueError(f"to_states gives {states.shape}; wanted {wanted}, the states of {plant.name!r}")
+        if states.shape != (expected := (steps, len(seeds), len(names))):
+            raise ValueError(f"to_states gives {states.shape}; expected {expected}, the states of {plant.name!r}")
     return Recording(
         t=t,
         u=u,
@@ -144,21 +144,21 @@ def _require_fit(plant: Plant, truth: Plant) -> None:
         ("inputs", tuple(s.name for s in plant.inputs), tuple(s.name for s in truth.inputs)),
     ):
         if own != other:
-            raise ValueError(f"truth has the {what} {', '.join(other)}; wanted those of the plant, {', '.join(own)}")
+            raise ValueError(f"truth has the {what} {', '.join(other)}; expected those of the plant, {', '.join(own)}")
     ratio = plant.dt / truth.dt
     if not np.isclose(ratio, round(ratio), rtol=1e-9) or round(ratio) < 1:
-        raise ValueError(f"truth steps by {truth.dt:g} s; wanted plant dt = {plant.dt:g} s divided by a whole number")
+        raise ValueError(f"truth steps by {truth.dt:g} s; expected plant dt = {plant.dt:g} s divided by a whole number")
 
 
 def _times(plant: Plant, times: int | Array, t0: float) -> tuple[Array, Array]:
     if isinstance(times, int | np.integer):
         if not 1 <= times <= MOST_STEPS:
-            raise ValueError(f"{times} steps; wanted at least 1 and at most {MOST_STEPS}")
+            raise ValueError(f"{times} steps; expected at least 1 and at most {MOST_STEPS}")
         return t0 + np.arange(1, times + 1) * plant.dt, np.full(int(times), plant.dt)
     t = floats("times", times)
     if t.ndim != 1 or not t.size:
         came = f"has shape {t.shape}" if t.ndim else f"is {times!r}"
-        raise ValueError(f"times {came}; wanted a whole number of steps or at least one time (K,)")
+        raise ValueError(f"times {came}; expected a whole number of steps or at least one time (K,)")
     dt = np.diff(t, prepend=t0)
     for step in dt:
         plant.check_dt(float(step))
@@ -167,9 +167,9 @@ def _times(plant: Plant, times: int | Array, t0: float) -> tuple[Array, Array]:
 
 def _inputs(plant: Plant, before: Array, given: Callable[[float], Array] | Array) -> Array:
     u = np.array([given(float(s)) for s in before], dtype=float) if callable(given) else np.asarray(given, dtype=float)
-    wanted = (before.size, len(plant.inputs))
-    if u.shape != wanted or not np.all(np.isfinite(u)):
-        raise ValueError(f"inputs have shape {u.shape}; wanted finite values {wanted}, a row a reading")
+    expected = (before.size, len(plant.inputs))
+    if u.shape != expected or not np.all(np.isfinite(u)):
+        raise ValueError(f"inputs have shape {u.shape}; expected finite values {expected}, a row a reading")
     return u
 
 
@@ -179,7 +179,7 @@ def _fed_back(truth: Plant, t: float, y: Array, u: Array) -> Array:
     found = np.asarray(truth.feedback(t, y[:, None], u[:, None]), dtype=float)
     if found.shape != (len(y), 1, u.shape[-1]) or not np.all(np.isfinite(found)):
         raise ValueError(
-            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; wanted finite inputs (..., {u.shape[-1]}) "
+            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; expected inputs (..., {u.shape[-1]}) "
             f"for readings {y[:, None].shape}"
         )
     return found[:, 0]
@@ -191,10 +191,10 @@ def _start(truth: Plant, start: str | Array, seeds: tuple[int, ...], t0: float) 
     if not isinstance(start, str):
         given = np.asarray(start, dtype=float)
         if given.shape not in {(n,), (len(seeds), n)} or not np.all(np.isfinite(given)):
-            raise ValueError(f"start has shape {given.shape}; wanted finite states ({n},) or ({len(seeds)}, {n})")
+            raise ValueError(f"start has shape {given.shape}; expected finite states ({n},) or ({len(seeds)}, {n})")
         return np.broadcast_to(given, (len(seeds), n))[:, None, :].copy()
     if start not in ("nominal", "sampled"):
-        raise ValueError(f"start is {start!r}; wanted 'nominal', 'sampled' or states")
+        raise ValueError(f"start is {start!r}; expected 'nominal', 'sampled' or states")
     x = np.broadcast_to(truth.x0, (len(seeds), 1, n))
     if start == "sampled":
         xi = np.stack([stream(s, "initial state").standard_normal((1, n)) for s in seeds])

@@ -42,7 +42,7 @@ def connected(address: str) -> Iterator[Callable[[Sequence[Piece]], Iterator[Don
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (TypeError, ValueError) as error:  # TypeError: tls:// without certificates
         raise ValueError(
-            f"{address!r} is no address of a dask scheduler ({error}); wanted one such as tcp://host:8786"
+            f"{address!r} is no address of a dask scheduler ({error}); expected one such as tcp://host:8786"
         ) from error
     except OSError as error:
         raise OSError(f"no dask scheduler answers at {address}; start it or correct the address") from error
@@ -90,14 +90,14 @@ class OtherCodeError(Exception):
     """A worker's code or libraries are not those of the process that asks."""
 
 
-def _require_same(wanted: Mapping[str, Any]) -> None:
-    """On a worker: raise OtherCodeError where it has other code or libraries than wanted."""
+def _require_same(expected: Mapping[str, Any]) -> None:
+    """On a worker: raise OtherCodeError where it has other code or libraries than expected."""
     there = decisive()
-    if differing := [name for name in wanted if wanted[name] != there.get(name)]:
+    if differing := [name for name in expected if expected[name] != there.get(name)]:
         raise OtherCodeError(f"it has other {', '.join(differing)} than this process")
 
 
-def _done_alike(wanted: Mapping[str, Any], work: Callable[[Task], Arrays], task: Task) -> tuple[Arrays, float, str | None]:
-    """On a worker: a piece of work, with the code and libraries that are wanted or not at all."""
-    _require_same(wanted)
+def _done_alike(expected: Mapping[str, Any], work: Callable[[Task], Arrays], task: Task) -> tuple[Arrays, float, str | None]:
+    """On a worker: a piece of work, with the code and libraries that are expected or not at all."""
+    _require_same(expected)
     return timed(work, task)

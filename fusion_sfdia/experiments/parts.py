@@ -51,7 +51,7 @@ def write_part(path: Path, arrays: Arrays) -> None:
     for name, array in arrays.items():
         plain[name] = np.asarray(array)
         if plain[name].dtype.hasobject:
-            raise TypeError(f"work returned {name!r} of type {type(array).__name__}; wanted arrays of numbers")
+            raise TypeError(f"work returned {name!r} of type {type(array).__name__}; expected arrays of numbers")
     write_arrays(path, plain, compress=True)
 
 

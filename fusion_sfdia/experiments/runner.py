@@ -87,9 +87,9 @@ def run_scenarios(
     arguments that do not fit; a piece of work that fails is told in the outcome and does not stop the others.
     """
     if workers is not None and workers < 1:
-        raise ValueError(f"{workers} workers; wanted at least 1")
+        raise ValueError(f"{workers} workers; expected at least 1")
     if workers is not None and scheduler is not None:
-        raise ValueError("workers and a scheduler's address; wanted one of them: the cluster has workers of its own")
+        raise ValueError("workers and a scheduler's address; expected one of them: the cluster has workers of its own")
     out, changes = Path(out), dict(changes or {})
     plans = _plans(scenarios, seeds, full, changes)
     command = Command(tuple(s.name for s in scenarios), seeds, full, tuple(sorted(changes.items())))
@@ -149,7 +149,7 @@ def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes
     if not scenarios:
         raise ValueError("no scenario to run; name at least one")
     if seeds is not None and (full or seeds < 1):
-        raise ValueError(f"{seeds} seeds{' and full' if full else ''}; wanted at least 1 seed, or the paper's size with full")
+        raise ValueError(f"{seeds} seeds{' and full' if full else ''}; expected at least 1 seed, or the paper's size with full")
     for key in changes:
         if not any(key in s.settings for s in scenarios):
             known = sorted({k for s in scenarios for k in s.settings})

@@ -55,7 +55,9 @@ class Scenario:
     def __post_init__(self) -> None:
         require_name("scenario", self.name, f"{NAME}(/{NAME})*")
         if not 1 <= self.seeds <= self.full_seeds:
-            raise ValueError(f"scenario {self.name}: {self.seeds} seeds, {self.full_seeds} in full; wanted 1 <= seeds <= full")
+            raise ValueError(
+                f"scenario {self.name}: {self.seeds} seeds, {self.full_seeds} in full; expected 1 <= seeds <= full"
+            )
 
 
 def adjust(scenario: Scenario, changes: Mapping[str, str], *, full: bool = False) -> dict[str, Setting]:

@@ -28,7 +28,7 @@ def best_times(
     time.thread_time of the processor, for calls that are too long to be left alone once.
     """
     if not 0 < seconds < math.inf:
-        raise ValueError(f"seconds is {seconds}; a positive time is wanted")
+        raise ValueError(f"seconds is {seconds}; a positive time is expected")
     for call in calls.values():
         call()
     taken: dict[str, list[float]] = {name: [] for name in calls}

@@ -85,7 +85,7 @@ def guarded_step(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepp
     ahead = np.asarray(plant.step(t, start, u, dt))
     if ahead.shape != start.shape:
         raise ValueError(
-            f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; wanted the same: "
+            f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; expected the same: "
             "a batch is leading axes"
         )
     stuck = ~np.all(np.isfinite(ahead), axis=-1)
@@ -118,9 +118,9 @@ def guarded_points(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Ste
 def readings_of(plant: Plant, t: float, x: Array, u: Array) -> Array:
     """Return the readings (..., N) of the plant in states x (..., n); ValueError where its output has another shape."""
     y = np.asarray(plant.output(t, x, u))
-    if y.shape != (wanted := (*x.shape[:-1], len(plant.sensors))):
+    if y.shape != (expected := (*x.shape[:-1], len(plant.sensors))):
         raise ValueError(
-            f"output of plant {plant.name!r} gives shape {y.shape} for states {x.shape}; wanted {wanted}, a column a sensor"
+            f"output of plant {plant.name!r} gives shape {y.shape} for states {x.shape}; expected {expected}, a column a sensor"
         )
     return y
 
@@ -128,7 +128,7 @@ def readings_of(plant: Plant, t: float, x: Array, u: Array) -> Array:
 def require_filter(estimator: object) -> None:
     """Raise ValueError for anything but an estimator, as for its class in place of an instance."""
     if isinstance(estimator, type) or not hasattr(estimator, "assimilate"):
-        raise ValueError(f"estimator is {shown(estimator)}; wanted Extended(), Unscented() or Ensemble()")
+        raise ValueError(f"estimator is {shown(estimator)}; expected Extended(), Unscented() or Ensemble()")
 
 
 def require_consistent(estimator: object) -> None:

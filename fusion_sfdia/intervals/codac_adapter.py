@@ -86,13 +86,13 @@ def codac_sivia(
         if ufunc not in operations:
             raise ValueError(f"codac has no {ufunc.__name__}: use fusion_sfdia.sivia")
         values[i] = operations[ufunc](*(values[k] for k in operands))
-    results, wanted = [values[i] for i in expression.outputs], [interval(t) for t in targets]
+    results, expected = [values[i] for i in expression.outputs], [interval(t) for t in targets]
     start = codac.IntervalVector([[float(lo), float(hi)] for lo, hi in zip(box.lo, box.hi, strict=True)])
     if len(results) == 1:
-        found = codac.sivia(start, codac.AnalyticFunction([x], results[0]), wanted[0], tolerance)
+        found = codac.sivia(start, codac.AnalyticFunction([x], results[0]), expected[0], tolerance)
     else:
         analytic = codac.AnalyticFunction([x], codac.vec(*results))
-        found = codac.sivia(start, analytic, codac.IntervalVector(wanted), tolerance)
+        found = codac.sivia(start, analytic, codac.IntervalVector(expected), tolerance)
 
     def boxes(kind: Any) -> Boxes:
         ends = [[(b[i].lb(), b[i].ub()) for b in found.boxes(kind) if not b.is_empty()] for i in range(n)]

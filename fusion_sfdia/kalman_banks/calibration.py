@@ -34,7 +34,7 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
     whole("warm_up", warm_up, least=0)
     t, y, u = floats("t", t), floats("y", y), floats("u", u)
     if t.ndim != 1 or not t.size or y.ndim < 2:
-        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; wanted at least one time (K,) and readings (K, ..., sensors)")
+        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; expected at least one time (K,) and readings (K, ..., sensors)")
     groups = bank.plant.quantities
     silent = replace(bank, thresholds=(np.inf,) * len(bank.plant.sensors))
     _, decisions = run(silent, silent.init(y.shape[1:-1], float(t[0]) - bank.plant.dt), t, y, u)

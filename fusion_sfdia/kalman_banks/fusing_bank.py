@@ -68,13 +68,13 @@ class FusingBank(BatchDetector):
         n, count = len(self.plant.states), len(self.plant.sensors)
         if count < 2:
             raise NotApplicableError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")
-        for what, wanted in (("beta", count), ("thresholds", count), ("residual_scale", n)):
+        for what, expected in (("beta", count), ("thresholds", count), ("residual_scale", n)):
             if getattr(self, what) is None:
                 continue
             values = floats(what, getattr(self, what))
-            if values.shape != (wanted,) or not np.all(values > 0):
+            if values.shape != (expected,) or not np.all(values > 0):
                 least = f"{values.min():g}" if values.size else "none"
-                raise ValueError(f"{what} must be {wanted} positive numbers; got shape {values.shape}, the least {least}")
+                raise ValueError(f"{what} must be {expected} positive numbers; got shape {values.shape}, the least {least}")
             object.__setattr__(self, what, tuple(values.tolist()))
         if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
             raise ValueError(f"beta sums to {sum(self.beta):.6g}; the information distribution factors must sum to 1")
@@ -88,7 +88,7 @@ class FusingBank(BatchDetector):
         if self.thresholds is None:
             warnings.warn(
                 "FusingBank has no thresholds and will never raise an alarm; set them with calibrate() on healthy readings, "
-                "or thresholds=(inf,) * N where no alarm is wanted",
+                "or thresholds=(inf,) * N where no alarm is expected",
                 stacklevel=2,
             )
         return super().init(batch, t, seed)

@@ -22,7 +22,7 @@ from scipy.special import ndtri
 from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import Decision, State
-from fusion_sfdia.core.exclusion import Exclusion, nobody
+from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, Prior, step_stream
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
@@ -66,7 +66,7 @@ class LeaveOneOutBank(ExcludingBank):
         """x, P, the exclusions, and the window's eta, a, b."""
         n, count = len(self.plant.states), len(self.plant.sensors)
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *nobody(batch, count), *empty(batch, self.window - 1, n, count)
+        return *core, *none_excluded(batch, count), *empty(batch, self.window - 1, n, count)
 
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         exclusion, window = Exclusion(*core[2:7]), Window(*core[7:])

@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import Decision, State
-from fusion_sfdia.core.exclusion import Exclusion, nobody
+from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
 from fusion_sfdia.kalman_banks.excluding_bank import Update, Verdict
@@ -53,7 +53,7 @@ class MovingHorizon(LeaveOneOutBank):
         """x, P, the exclusions, and the horizons' E, g, G."""
         n, count = len(self.plant.states), len(self.plant.sensors)
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *nobody(batch, count), *moving_horizon.empty(batch, HORIZONS, n, count)
+        return *core, *none_excluded(batch, count), *moving_horizon.empty(batch, HORIZONS, n, count)
 
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         exclusion, past = Exclusion(*core[2:7]), Horizons(*core[7:])

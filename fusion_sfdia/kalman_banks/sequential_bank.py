@@ -26,7 +26,7 @@ from scipy.special import ndtri
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import Decision, State
-from fusion_sfdia.core.exclusion import Exclusion, nobody
+from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
@@ -74,7 +74,7 @@ class SequentialBank(ExcludingBank):
         """x, P, the exclusions, and the memory of each rule."""
         count = len(self.plant.sensors)
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *nobody(batch, count), *(rule.start(batch, count) for rule in self.rules)
+        return *core, *none_excluded(batch, count), *(rule.start(batch, count) for rule in self.rules)
 
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         exclusion, memory = Exclusion(*core[2:7]), core[7:]

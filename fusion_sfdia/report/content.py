@@ -80,4 +80,4 @@ class Summary:
 def require_name(what: str, name: str, pattern: str) -> None:
     """Raise ValueError for a name that cannot be part of a file name."""
     if not re.fullmatch(pattern, name):
-        raise ValueError(f"{what} {name!r}: wanted a name of lower-case letters, digits and hyphens")
+        raise ValueError(f"{what} {name!r}: expected a name of lower-case letters, digits and hyphens")

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Sequence
 from fusion_sfdia.evaluation.results import Row
 
 
-def pick(rows: Iterable[Row], **wanted: str | Sequence[str]) -> list[Row]:
-    """Return the rows with a finite value whose columns (detector="...", fault=("...", "...")) are as wanted."""
-    allowed = {column: (value,) if isinstance(value, str) else tuple(value) for column, value in wanted.items()}
+def pick(rows: Iterable[Row], **expected: str | Sequence[str]) -> list[Row]:
+    """Return the rows with a finite value whose columns (detector="...", fault=("...", "...")) are as expected."""
+    allowed = {column: (value,) if isinstance(value, str) else tuple(value) for column, value in expected.items()}
     return [r for r in rows if math.isfinite(r.value) and all(getattr(r, c) in values for c, values in allowed.items())]
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.plant import Plant, diagonal
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Foretold, beginners, foretell, take
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, Taken
 
@@ -61,14 +61,14 @@ class AreaDiagnosers:
         count, n, _ = self.areas.size
         neighbour, closed = self.areas.network.topology.neighbour, self.areas.network.closed
         x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
-        now = beginners(self.areas, batch)
+        now = initial_state(self.areas, batch)
         now.held[...], now.doubt[...] = x0, sigma
         now.held_shared[...], now.doubt_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
         return tuple(now)
 
-    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
+    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
         count = self.areas.size[0]
-        ahead = foretell(self.areas, Diagnosers(*core), u[..., :count], u[..., count:], self.lam, self.mode)
+        ahead = predict(self.areas, Diagnosers(*core), u[..., :count], u[..., count:], self.lam, self.mode)
         deviation = self._of_sensors(ahead.deviation, ahead.deviation_shared)
         deviation = np.where(deviation < UNKNOWN**0.5, np.abs(self._scale) * deviation, np.inf)
         expected = self._scale * self._of_sensors(ahead.estimate, ahead.estimate_shared)
@@ -90,7 +90,7 @@ class AreaDiagnosers:
         found = []
         for held, residual in ((read, (still, none)), ((still, none), units)):
             one = Diagnosers(held[0], held[1], doubt, doubt_shared, residual[0], residual[1], still, none)
-            ahead = foretell(self.areas, one, nothing, nothing, self.lam, self.mode)
+            ahead = predict(self.areas, one, nothing, nothing, self.lam, self.mode)
             change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
             found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
@@ -102,13 +102,13 @@ class AreaDiagnosers:
         absorbed[rows] = self.effects(core, outlook, now, u, rows)[0]
         less = np.sum(absorbed * size[..., None, :], axis=-1)
         more = np.sum(np.abs(absorbed) * doubt[..., None, :], axis=-1)
-        ahead: Foretold = outlook.inner
+        ahead: Prediction = outlook.inner
         shift, shift_shared = self._of_areas(less / self._scale, 0.0)
         wider, wider_shared = self._of_areas(more / np.abs(self._scale), 0.0)
         return outlook._replace(
             expected=outlook.expected - less,
             deviation=outlook.deviation + more,
-            inner=Foretold(
+            inner=Prediction(
                 ahead.estimate - shift,
                 ahead.estimate_shared - shift_shared,
                 ahead.deviation + wider,

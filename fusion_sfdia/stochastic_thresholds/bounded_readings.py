@@ -1,4 +1,4 @@
-"""What errors within bounds can do to the readings foretold from the present ones: the adaptive thresholds of any plant.
+"""What errors within bounds can do to the readings predicted from the present ones: the adaptive thresholds of any plant.
 
 Kougiatsos and Reppa 2024 bound residuals module by module, where a plant says its scalar equations (adaptive_threshold). Here
 the prediction of `present_readings` has a bound e of the error of each state in the place of its variance,
@@ -49,8 +49,8 @@ class BoundedReadings(PresentReadings):
         error = WITHIN * np.sqrt(diagonal(self.plant.initial_cov))
         return *super().start(batch, seed), np.broadcast_to(error, (*batch, len(self.plant.states))).copy()
 
-    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
-        outlook = super().foretell(core[:-1], now, u)
+    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
+        outlook = super().predict(core[:-1], now, u)
         every = np.ones(outlook.lost.shape, bool)
         F = self._tangent(core, outlook, now, u, every)
         error = _bounded(F, core[-1]) + self._disturbance(now.dt)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, probability, shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, Moment
 from fusion_sfdia.core.detector import Decision, State, run
-from fusion_sfdia.core.exclusion import Exclusion, exclude, nobody, watch
+from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, watch
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
@@ -46,10 +46,10 @@ READMISSION = 1e-3  # probability with which a sensor that is still faulty comes
 
 
 class Diagnosis(Protocol):
-    """What foretells readings and takes them: AreaDiagnosers or PresentReadings."""
+    """What predicts readings and takes them: AreaDiagnosers or PresentReadings."""
 
     def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]: ...
-    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook: ...
+    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook: ...
     def take(self, outlook: Outlook, y: Array) -> Taken: ...
     def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook: ...
     def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]: ...
@@ -89,7 +89,7 @@ class Chebyshev(BatchDetector):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 <= number("lam", self.lam) < 1:
-            raise ValueError(f"lam is {self.lam}; wanted at least 0 and less than 1, for the residuals to forget")
+            raise ValueError(f"lam is {self.lam}; expected at least 0 and less than 1, for the residuals to forget")
         if self.mode not in MODES:
             raise ValueError(f"mode is {shown(self.mode)}; known: {', '.join(MODES)}")
         require_rule(self.rule)
@@ -129,7 +129,7 @@ class Chebyshev(BatchDetector):
         usual = 1.0 if self.rule == BOUND else PAPER_ALPHA
         given = np.atleast_1d(floats("alpha", usual if self.alpha is None else self.alpha))
         if given.shape not in {(1,), (count,)}:
-            raise ValueError(f"alpha has shape {given.shape}; wanted one number or one for each of {count} sensors")
+            raise ValueError(f"alpha has shape {given.shape}; expected one number or one for each of {count} sensors")
         return np.broadcast_to([require_alpha(self.rule, a) for a in given], (count,)).astype(float)
 
     @cached_property
@@ -149,12 +149,12 @@ class Chebyshev(BatchDetector):
         count = len(self.plant.sensors)
         shape = (*batch, count)
         memory = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
-        return *memory, *nobody(batch, count), *self.diagnosis.start(batch, seed)
+        return *memory, *none_excluded(batch, count), *self.diagnosis.start(batch, seed)
 
     def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
         exceeded = core[2]
         exclusion, inner = Exclusion(*core[3:8]), core[8:]
-        outlook = self.diagnosis.foretell(inner, now, u)
+        outlook = self.diagnosis.predict(inner, now, u)
         expected, deviation = outlook.expected, outlook.deviation
         residual, threshold = y - expected, self.limits * deviation
         exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
@@ -230,7 +230,7 @@ def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: f
     probability("false_alarm", false_alarm)
     t, y = floats("t", t), floats("y", y)
     if t.ndim != 1 or not t.size or y.ndim < 2:
-        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; wanted at least one time (K,) and readings (K, ..., sensors)")
+        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; expected at least one time (K,) and readings (K, ..., sensors)")
     _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - detector.plant.dt), t, y, u)
     scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
     alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(detector.components)]

@@ -74,7 +74,7 @@ class Cusum:
     def __post_init__(self) -> None:
         _require_level(self.level)
         if not 0 <= number("drift", self.drift) < np.inf:
-            raise ValueError(f"drift is {self.drift}; wanted at least 0, half the shift in standard deviations")
+            raise ValueError(f"drift is {self.drift}; expected at least 0, half the shift in standard deviations")
 
     def start(self, shape: tuple[int, ...]) -> State:
         return np.zeros(shape), np.zeros(shape)
@@ -114,4 +114,4 @@ class WindowGlr:
 
 def _require_level(level: object) -> None:
     if not 0 < number("level", level) < np.inf:
-        raise ValueError(f"level is {level}; wanted a positive number of standard deviations")
+        raise ValueError(f"level is {level}; expected a positive number of standard deviations")

@@ -36,7 +36,7 @@ class Diagnosers(NamedTuple):
     deviation_shared: Array
 
 
-class Foretold(NamedTuple):
+class Prediction(NamedTuple):
     """For the next reading: estimate (6), deviation s of its residual (14, 15), doubt of the estimate itself."""
 
     estimate: Array
@@ -47,7 +47,7 @@ class Foretold(NamedTuple):
     doubt_shared: Array
 
 
-def beginners(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
+def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
     """Diagnosers of a batch of runs that know nothing: each copy starts from its first reading, judged from the second on."""
     count, n, sides = areas.size
     own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
@@ -55,7 +55,7 @@ def beginners(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
     return Diagnosers(own, shared, *unknown, own.copy(), shared.copy(), own.copy(), shared.copy())
 
 
-def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Foretold:
+def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Prediction:
     """Estimates and deviations for the next readings, under reference and load (B, N); batches are broadcast."""
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
@@ -65,19 +65,19 @@ def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: 
     own = [_flat(a, batch, (count, n)) for a in of_areas]
     shared = [_flat(a, batch, (sides,)) for a in of_sides]
     found = [np.empty(a[0].shape) for _ in range(3) for a in (own, shared)]
-    equations.foretell_areas(
+    equations.predict_areas(
         own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3],
         _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", areas.matrices, areas.slope,
         areas.network.closed, areas.process_variance, areas.noise, areas.shared_noise, areas.network.topology.start,
         areas.opposite, *found,
     )  # fmt: skip
-    return Foretold(*(a.reshape(*batch, *a.shape[1:]) for a in found))
+    return Prediction(*(a.reshape(*batch, *a.shape[1:]) for a in found))
 
 
-def take(foretold: Foretold, own: Array, shared: Array) -> Diagnosers:
+def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
     kept = []
-    for y, estimate, deviation, doubt in zip((own, shared), foretold[:2], foretold[2:4], foretold[4:], strict=True):
+    for y, estimate, deviation, doubt in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
         held, unsure, s = (
             np.array(a if a.shape == y.shape else np.broadcast_to(a, y.shape), order="C") for a in (estimate, doubt, deviation)
         )

@@ -99,7 +99,7 @@ def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise:
 
 
 @compiled
-def foretell_areas(
+def predict_areas(
     held: Any, held_shared: Any, doubt: Any, doubt_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
     deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
     process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any,
@@ -214,8 +214,8 @@ def step_areas(
     process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, own: Any, shared: Any,
     h: Any, h_shared: Any, d: Any, d_shared: Any, r: Any, r_shared: Any, s: Any, s_shared: Any,
 ) -> None:  # fmt: skip
-    """`foretell_areas`, then the readings own (B, N, n) and shared (B, 2E); the last eight arrays are the Diagnosers after."""
-    foretell_areas(
+    """`predict_areas`, then the readings own (B, N, n) and shared (B, 2E); the last eight arrays are the Diagnosers after."""
+    predict_areas(
         held, held_shared, doubt, doubt_shared, residual, residual_shared, deviation, deviation_shared, reference, load, lam,
         printed, matrices, slope, closed, process_variance, noise, shared_noise, start, opposite,
         h, h_shared, s, s_shared, d, d_shared,

@@ -79,7 +79,7 @@ class FaultHypotheses:
 
     def __post_init__(self) -> None:
         if not 0 <= number("lam", self.lam) < 1:
-            raise ValueError(f"lam is {self.lam}; wanted at least 0 and less than 1, for the residuals to forget")
+            raise ValueError(f"lam is {self.lam}; expected at least 0 and less than 1, for the residuals to forget")
         if self.mode not in MODES:
             raise ValueError(f"mode is {shown(self.mode)}; known: {', '.join(MODES)}")
         false_alarm_of(self.rule, self.alpha)
@@ -93,8 +93,8 @@ class FaultHypotheses:
             given = np.asarray(phi(np.zeros((3, n)), np.zeros(3), np.zeros(3)))
             if given.shape != (3, n) or given.dtype.kind not in "fi" or not np.all(np.isfinite(given)):
                 raise ValueError(
-                    f"the fault function of {name!r} gives {given.dtype} {given.shape} for states (3, {n}); wanted {n} finite "
-                    f"numbers for each of them, (3, {n})"
+                    f"the fault function of {name!r} gives {given.dtype} {given.shape} for states (3, {n}); expected {n} "
+                    f"finite numbers for each of them, (3, {n})"
                 )
         self._area  # noqa: B018 - refuses an unknown area
 
@@ -147,7 +147,7 @@ class FaultHypotheses:
 
         before: the diagnosers of the detection until then, which hold what the area read of its neighbours.
         """
-        estimate, deviation, doubt = self._foretell(state, before, reference, load)
+        estimate, deviation, doubt = self._predict(state, before, reference, load)
         y, n = self._of_area(own, shared), own.shape[-1]
         known = (read := np.isfinite(y)) & (deviation < ENOUGH)
         residual = np.where(known, y - estimate, 0.0)
@@ -174,7 +174,7 @@ class FaultHypotheses:
     def _of_area(self, own: Array, shared: Array) -> Array:  # (B, 1, m)
         return np.concatenate([own[:, self._area], shared[:, self._there]], axis=-1)[:, None]
 
-    def _foretell(self, state: Isolation, before: Diagnosers, reference: Array, load: Array) -> tuple[Array, Array, Array]:
+    def _predict(self, state: Isolation, before: Diagnosers, reference: Array, load: Array) -> tuple[Array, Array, Array]:
         """Estimates, deviations and doubts (B, L, m) for the next readings: (24) and (25), (26) and (27), weights (28)."""
         i, sides, n, closed = self._area, self._sides, self.areas.size[1], self.areas.network.closed[self._sides]
         slope, noise_there = np.where(closed, self.areas.slope[sides], 0.0), self.areas.shared_noise[sides]

@@ -23,7 +23,7 @@ Array = NDArray[Any]
 class Block(NamedTuple):
     """What a part knows of the network, which it keeps for life; all positions but the last three lines' are its own.
 
-    matrices to opposite: as of consensus_equations.foretell_areas, for M areas and their sides, then the copies read elsewhere.
+    matrices to opposite: as of consensus_equations.predict_areas, for M areas and their sides, then the copies read elsewhere.
     border: its sides at which the neighbour is elsewhere; it is told of these. near: the first of the copies read elsewhere.
     areas: first and past last area of the network. sides: the network's sides, in the order of the part's.
     """
@@ -46,7 +46,7 @@ def blocks(areas: Areas, parts: int) -> list[Block]:
     """The network in so many blocks of equal size; ValueError for less than one part or more parts than areas."""
     count = areas.size[0]
     if not 1 <= parts <= count:
-        raise ValueError(f"{count} areas cannot be shared by {parts} parts; wanted 1 to {count}")
+        raise ValueError(f"{count} areas cannot be shared by {parts} parts; expected 1 to {count}")
     at = areas.network.topology
     bounds = np.linspace(0, count, parts + 1).astype(np.int64)
     found = []

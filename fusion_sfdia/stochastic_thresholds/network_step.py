@@ -1,6 +1,6 @@
 """A whole step of the diagnosers of all areas, compiled: estimates, thresholds, weights, what is kept, and alarms.
 
-The equations are those of consensus.foretell and consensus.take. One core; every area costs the same whatever their number.
+The equations are those of consensus.predict and consensus.take. One core; every area costs the same whatever their number.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ def network_step(
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
     given = state.held.shape, state.held_shared.shape, own.shape, shared.shape, reference.shape, load.shape
-    wanted = (batch, count, n), (batch, sides), (batch, count, n), (batch, sides), (batch, count), (batch, count)
-    if given != wanted:
-        raise ValueError(f"what is held, own, shared, reference, load have the shapes {given}; wanted {wanted}")
+    expected = (batch, count, n), (batch, sides), (batch, count, n), (batch, sides), (batch, count), (batch, count)
+    if given != expected:
+        raise ValueError(f"what is held, own, shared, reference, load have the shapes {given}; expected {expected}")
     if out is None:
         out = Diagnosers(*(np.empty(a.shape) for a in state))
     elif any(new is a or new.shape != a.shape for new, a in zip(out, state, strict=True)):

@@ -1,6 +1,6 @@
-"""One diagnoser of a whole plant: what the readings will be, foretold from the present readings alone.
+"""One diagnoser of a whole plant: what the readings will be, predicted from the present readings alone.
 
-Boem et al. 2018 ("B18") foretell x+ = f(y, u) with y in the place of the state, so an old reading has no part in it. Here so
+Boem et al. 2018 ("B18") predict x+ = f(y, u) with y in the place of the state, so an old reading has no part in it. Here so
 for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). A state that
 is not read now, for its sensor is missing, left out or does not exist, is estimated from its own past by the Kalman gain.
 The moments E and Var of f(x) - f(y) come with the covariance of what stands for the state, which for directly read states is
@@ -30,7 +30,7 @@ Array = NDArray[Any]
 
 
 class Outlook(NamedTuple):
-    """What is foretold of the readings (B, N): expected and the bound `deviation` of the standard deviation of y - expected,
+    """What is predicted of the readings (B, N): expected and the bound `deviation` of the standard deviation of y - expected,
     inf where it is unknown; whether the estimate was moved into the model's limits, and whether there is none (B,).
     """
 
@@ -80,7 +80,7 @@ class PresentReadings:
         P = np.broadcast_to(gaussian.dense(self.plant.initial_cov), (*batch, n, n)).copy()
         return x, P, np.zeros((*batch, n, count)), np.zeros((*batch, count)), np.zeros((*batch, count))
 
-    def foretell(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
+    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
         x, P, _, residual, deviation = core
         prior = self.moments.predict(self.plant, (x, P), now.last, u, now.dt, step_stream(now.seed, 2 * now.k))
         joint = self.moments.joint(self.plant, prior, now.t, u)

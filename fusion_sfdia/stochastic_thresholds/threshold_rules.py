@@ -84,7 +84,7 @@ def alpha_for(rule: str, false_alarm: float, components: int = 1) -> float:
     if rule == BOUND:
         raise ValueError("the rule 'bound' has no false alarms to allow for; leave false_alarm out, or give another rule")
     if components < 1:
-        raise ValueError(f"a diagnoser has {components} components; wanted at least 1")
+        raise ValueError(f"a diagnoser has {components} components; expected at least 1")
     return float(RULES[rule].alpha(probability("false_alarm", false_alarm) / components))
 
 

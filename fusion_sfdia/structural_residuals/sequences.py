@@ -62,8 +62,10 @@ class Sequences:
         variables, taken = tuple(self.modules.equations), arguments(self.modules)
         left, schedule = [set(r.computed) for r in self.residuals], []
         while any(left):
-            ready = {v: [k for k, wanted in enumerate(left) if v in wanted and not wanted & set(taken[v])] for v in variables}
-            waiting = {v: sum(v in wanted for wanted in left) - len(rows) for v, rows in ready.items()}
+            ready = {
+                v: [k for k, expected in enumerate(left) if v in expected and not expected & set(taken[v])] for v in variables
+            }
+            waiting = {v: sum(v in expected for expected in left) - len(rows) for v, rows in ready.items()}
             best = max((v for v in variables if ready[v]), key=lambda v: len(ready[v]) - waiting[v])
             schedule.append((variables.index(best), np.array(ready[best])))
             for k in ready[best]:

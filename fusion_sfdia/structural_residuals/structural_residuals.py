@@ -51,13 +51,13 @@ class StructuralResiduals(BatchDetector):
         super().__post_init__()
         measured = {s.measures for s in self.plant.sensors} & set(modules_of(self.plant).equations)
         if not self.residuals or not all(isinstance(r, Residual) for r in self.residuals):
-            raise ValueError(f"residuals is {shown(self.residuals)}; wanted some, as of selected(plant)")
+            raise ValueError(f"residuals is {shown(self.residuals)}; expected some, as of selected(plant)")
         if unread := sorted({v for r in self.residuals for v in (*r.read, r.target)} - measured):
             raise ValueError(f"residuals read {', '.join(unread)}, which plant {self.plant.name!r} does not measure")
         object.__setattr__(self, "limits", floats("limits", self.limits))
         if self.limits.shape != (len(self.residuals),) or not np.all(self.limits > 0):
             raise ValueError(
-                f"limits has shape {self.limits.shape}; wanted {len(self.residuals)} positive numbers, one a residual, as of "
+                f"limits has shape {self.limits.shape}; expected {len(self.residuals)} positive numbers, one a residual, as of "
                 "StructuralResiduals.fit"
             )
         whole("max_faults", self.max_faults, least=1)
@@ -93,7 +93,7 @@ class StructuralResiduals(BatchDetector):
         """Return the residuals (K, ..., R) of readings y (K, ..., N), plant.dt apart, under inputs u (K, ..., m)."""
         y, u = floats("y", y), floats("u", u)
         if y.ndim < 2 or not y.size or u.shape[:1] != y.shape[:1]:
-            raise ValueError(f"y has shape {y.shape}, u {u.shape}; wanted (K, ..., sensors) and (K, ..., inputs)")
+            raise ValueError(f"y has shape {y.shape}, u {u.shape}; expected (K, ..., sensors) and (K, ..., inputs)")
         batch = y.shape[1:-1]
         core, found = self._start((int(np.prod(batch)),), 0), []
         for reading, applied in zip(y, u, strict=True):

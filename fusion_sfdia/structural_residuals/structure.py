@@ -55,7 +55,7 @@ def modules_of(plant: Plant) -> Modules:
     measured = [s.measures for s in plant.sensors]
     if unknown := [s.name for s in plant.sensors if s.measures not in plant.modules.equations]:
         raise NotApplicableError(
-            f"sensors {', '.join(unknown)} read variables without an equation; wanted one for each in Modules"
+            f"sensors {', '.join(unknown)} read variables without an equation; expected one for each in Modules"
         )
     if several := sorted({v for v in measured if measured.count(v) > 1}):
         raise NotApplicableError(f"several sensors read {', '.join(several)}; build the plant with one of them")
@@ -132,10 +132,10 @@ def residual_of(plant: Plant, mso: Any) -> Residual | None:
     return None
 
 
-def in_order(modules: Modules, wanted: list[str], known: set[str]) -> Iterator[str]:
+def in_order(modules: Modules, expected: list[str], known: set[str]) -> Iterator[str]:
     """Yield the algebraic variables that can be computed one after the other from the known ones."""
     taken, known = arguments(modules), set(known)
-    left = list(wanted)
+    left = list(expected)
     while ready := [v for v in left if known.issuperset(taken[v])]:
         yield from ready
         known.update(ready)

@@ -68,7 +68,7 @@ def box(points: int, chebyshev: bool) -> tuple[Array, Array]:
 def fit() -> tuple[Array, Array, float]:
     """Return the coefficients z (6, 7) and cp0 (3,) of `gas_pipeline_equations.gas`, and the specific gas constant."""
     p, T = box(24, chebyshev=True)
-    wanted, R = gerg_2008(p, T)
+    expected, R = gerg_2008(p, T)
     x, tau = p / PRESSURE_SCALE, TEMPERATURE_SCALE / T
     powers = [np.polynomial.Polynomial.basis(j) for j in range(POWERS_OF_TAU + 1)]
     y = tau - 1
@@ -78,13 +78,13 @@ def fit() -> tuple[Array, Array, float]:
     t_z_t = np.stack([-(x**i) * tau * f1 for i, _, f1, _ in terms], axis=1)
     cp = np.stack([-R * x**i / i * tau**2 * f2 for i, _, _, f2 in terms], axis=1)
     ideal = np.vander(T / TEMPERATURE_SCALE - 1, 3, increasing=True)
-    none, size = np.zeros_like(ideal), np.mean(wanted["cp"])
+    none, size = np.zeros_like(ideal), np.mean(expected["cp"])
     system = [np.hstack([z, none]), np.hstack([p_z_p, none]), np.hstack([t_z_t, none]), np.hstack([cp, ideal]) / size]
     target = [
-        wanted["z"] - 1,
-        wanted["z"] * (1 - wanted["alpha_2"]),
-        wanted["z"] * (wanted["alpha_1"] - 1),
-        wanted["cp"] / size,
+        expected["z"] - 1,
+        expected["z"] * (1 - expected["alpha_2"]),
+        expected["z"] * (expected["alpha_1"] - 1),
+        expected["cp"] / size,
     ]
     matrix = np.vstack([w * s for w, s in zip(WEIGHTS, system, strict=True)])
     right = np.concatenate([w * t for w, t in zip(WEIGHTS, target, strict=True)])
@@ -105,8 +105,8 @@ def properties(p: Array, T: Array) -> dict[str, Array]:
 def largest_errors(points: int = 33) -> dict[str, float]:
     """Largest relative deviation of the gas in natural_gas.py from GERG-2008 over the box, by quantity."""
     p, T = box(points, chebyshev=False)
-    wanted, _ = gerg_2008(p, T)
-    return {name: float(np.max(np.abs(value / wanted[name] - 1))) for name, value in properties(p, T).items()}
+    expected, _ = gerg_2008(p, T)
+    return {name: float(np.max(np.abs(value / expected[name] - 1))) for name, value in properties(p, T).items()}
 
 
 def main() -> None:

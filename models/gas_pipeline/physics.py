@@ -61,7 +61,7 @@ def require_parameters(c: PipelineParameters) -> PipelineParameters:
         raise ValueError(f"pipeline parameter friction is {c.friction}; expected a Darcy factor below 1, such as 0.01, or 0")
     shape = (equations.POWERS_OF_PRESSURE, equations.POWERS_OF_TAU + 1)
     if np.shape(c.z) != shape or np.shape(c.cp0) != (3,):
-        raise ValueError(f"gas coefficients z {np.shape(c.z)}, cp0 {np.shape(c.cp0)}; wanted {shape} and (3,), see `gas`")
+        raise ValueError(f"gas coefficients z {np.shape(c.z)}, cp0 {np.shape(c.cp0)}; expected {shape} and (3,), see `gas`")
     return c
 
 

@@ -101,7 +101,9 @@ def gas_pipeline(
             raise ValueError(f"{what} is {value!r}; known: {', '.join(known)}")
     stations = nodes if stations is None else stations
     if nodes < 7 or stations < 2 or (nodes - 1) % (stations - 1):
-        raise ValueError(f"{nodes} nodes with {stations} stations; wanted at least 7 nodes and stations at every k-th of them")
+        raise ValueError(
+            f"{nodes} nodes with {stations} stations; expected at least 7 nodes and stations at every k-th of them"
+        )
     if not (np.isfinite(dt) and dt > 0):
         raise ValueError(f"dt is {dt} s; it must be positive and finite")
     asked = demand if outlet_flow is None else outlet_flow
@@ -218,6 +220,6 @@ def coarse_state(x: Array, stations: int) -> Array:
     """The state (..., 3 stations) at the stations of a fine state (..., 3 nodes); ValueError where they are not nodes."""
     nodes = x.shape[-1] // 3
     if x.shape[-1] != 3 * nodes or stations < 2 or (nodes - 1) % (stations - 1):
-        raise ValueError(f"a state of {x.shape[-1]} values has no {stations} stations; wanted nodes = 1 + k (stations - 1)")
+        raise ValueError(f"a state of {x.shape[-1]} values has no {stations} stations; expected nodes = 1 + k (stations - 1)")
     fine = x.reshape(*x.shape[:-1], 3, nodes)
     return fine[..., :: (nodes - 1) // (stations - 1)].reshape(*x.shape[:-1], 3 * stations)

@@ -26,7 +26,7 @@ def engine_variables(x: Array, c: EngineParameters, slip: str = "law") -> dict[s
     """
     x = np.asarray(x, dtype=float)
     if x.shape[-1:] != (len(STATES),):
-        raise ValueError(f"states have shape {x.shape}; wanted (..., {len(STATES)}): {', '.join(STATES)}")
+        raise ValueError(f"states have shape {x.shape}; expected (..., {len(STATES)}): {', '.join(STATES)}")
     for i, name in enumerate(STATES):
         if not np.all(np.isfinite(x[..., i]) & (x[..., i] > 0)):
             raise ValueError(f"{name} is {np.min(x[..., i]):g}; fuel and pressures must be positive and finite")
@@ -88,5 +88,5 @@ def _settle(load: float, logs: Array, c: EngineParameters, law: bool) -> Array:
             logs = logs - step * min(1.0, 0.2 / float(np.max(np.abs(step))))
     raise ArithmeticError(
         f"no equilibrium at load {load:g}: residual {np.max(np.abs(r)):.3g} of the pressures "
-        f"{np.exp(logs[0]):.4g} and {np.exp(logs[1]):.4g} Pa, wanted {TOLERANCE:g}; choose another load or other parameters"
+        f"{np.exp(logs[0]):.4g} and {np.exp(logs[1]):.4g} Pa, expected {TOLERANCE:g}; choose another load or other parameters"
     )

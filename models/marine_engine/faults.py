@@ -38,9 +38,9 @@ class ProcessFault:
         if self.kind not in PROCESS_FAULTS:
             raise ValueError(f"unknown process fault {self.kind!r}; known: {', '.join(PROCESS_FAULTS)}")
         if not 0 < self.severity < 1:
-            raise ValueError(f"{self.kind}: severity is {self.severity}; wanted above 0 and below 1")
+            raise ValueError(f"{self.kind}: severity is {self.severity}; expected above 0 and below 1")
         if not np.isfinite(self.onset) or not (self.rise >= 0 and np.isfinite(self.rise)):
-            raise ValueError(f"{self.kind}: onset {self.onset} s and rise {self.rise} s; wanted finite, rise at least 0")
+            raise ValueError(f"{self.kind}: onset {self.onset} s and rise {self.rise} s; expected finite, rise at least 0")
 
     def severity_at(self, t: float) -> float:
         """Severity at t (s)."""

@@ -35,7 +35,7 @@ class Governor:
     def __post_init__(self) -> None:
         for name in ("proportional", "integral"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"the governor's {name} gain is {getattr(self, name)}; wanted a finite number of at least 0")
+                raise ValueError(f"the governor's {name} gain is {getattr(self, name)}; expected a finite number of at least 0")
 
 
 def governed_settings(
@@ -65,10 +65,10 @@ def governed_settings(
     settings = np.empty((steps, 1))
     for k in range(steps):
         t = k * dt
-        wanted = speed(t)
-        if not (np.isfinite(wanted) and wanted > 0):
-            raise ValueError(f"the speed asked for at {t:g} s is {wanted}; wanted a positive number in 1/s")
-        missing = wanted - float(np.sqrt(2 * np.pi / parameters_at(t).load * plant.output(t, x, u)[torque]))
+        expected = speed(t)
+        if not (np.isfinite(expected) and expected > 0):
+            raise ValueError(f"the speed asked for at {t:g} s is {expected}; expected a positive number in 1/s")
+        missing = expected - float(np.sqrt(2 * np.pi / parameters_at(t).load * plant.output(t, x, u)[torque]))
         free = memory + law.integral * missing * dt + law.proportional * missing
         u = np.clip([free], *LOADS)
         if u[0] == free:

@@ -48,7 +48,7 @@ class Value(NamedTuple):
     source: str
 
 
-WANTED = {  # name in the file: SI unit
+EXPECTED = {  # name in the file: SI unit
     "power": "W",
     "speed": "1/s",
     "cylinders": "1",
@@ -104,25 +104,25 @@ def load_engine(path: str | Path = ENGINE_FILE) -> dict[str, Value]:
         raise ValueError(
             f'{path} is not a TOML file ({error}); write lines like power = {{ value = 5.4e6, unit = "W", ... }}'
         ) from error
-    missing, unknown = [n for n in WANTED if n not in document], [n for n in document if n not in WANTED]
+    missing, unknown = [n for n in EXPECTED if n not in document], [n for n in document if n not in EXPECTED]
     if missing or unknown:
         what = f"lacks {', '.join(missing)}" if missing else f"has the unknown parameters {', '.join(unknown)}"
-        raise ValueError(f"{path} {what}; an engine has {', '.join(WANTED)}")
-    return {name: _value(f"{path}: {name}", name, document[name]) for name in WANTED}
+        raise ValueError(f"{path} {what}; an engine has {', '.join(EXPECTED)}")
+    return {name: _value(f"{path}: {name}", name, document[name]) for name in EXPECTED}
 
 
 def _value(where: str, name: str, entry: Any) -> Value:
     if not isinstance(entry, dict) or set(entry) != set(Value._fields):
-        raise ValueError(f"{where} is {entry!r}; wanted a table of value, unit, provenance, source")
+        raise ValueError(f"{where} is {entry!r}; expected a table of value, unit, provenance, source")
     number, unit, provenance, source = (entry[key] for key in Value._fields)
     if isinstance(number, bool) or not isinstance(number, int | float) or not np.isfinite(number):
-        raise ValueError(f"{where} has the value {number!r}; wanted a finite number")
-    si = WANTED[name]
+        raise ValueError(f"{where} has the value {number!r}; expected a finite number")
+    si = EXPECTED[name]
     factors = {si: 1.0} | UNITS[si]
     if unit not in factors:
-        raise ValueError(f"{where} is in {unit!r}; wanted one of {', '.join(factors)}")
+        raise ValueError(f"{where} is in {unit!r}; expected one of {', '.join(factors)}")
     if provenance not in PROVENANCE:
-        raise ValueError(f"{where} has the provenance {provenance!r}; wanted one of {', '.join(PROVENANCE)}")
+        raise ValueError(f"{where} has the provenance {provenance!r}; expected one of {', '.join(PROVENANCE)}")
     if not isinstance(source, str) or not source.strip():
         raise ValueError(f"{where} names no source; say where the number comes from")
     require_range(where, name, number * factors[unit])
@@ -136,8 +136,8 @@ def require_range(where: str, name: str, value: float) -> None:
     least, strict = (1.0, True) if name in ABOVE_ONE else (0.0, name not in NOT_NEGATIVE)
     most = 1.0 if name in AT_MOST_ONE else np.inf
     if not (least < value <= most or (value == least and not strict)):
-        wanted = f"{'above' if strict else 'at least'} {least:g}" + ("" if most == np.inf else f" and at most {most:g}")
-        raise ValueError(f"{where} is {value:g}; wanted {wanted}")
+        expected = f"{'above' if strict else 'at least'} {least:g}" + ("" if most == np.inf else f" and at most {most:g}")
+        raise ValueError(f"{where} is {value:g}; expected {expected}")
 
 
 def engine_parameters(values: Mapping[str, Value] | str | Path = ENGINE_FILE, **changes: float) -> EngineParameters:
@@ -146,14 +146,14 @@ def engine_parameters(values: Mapping[str, Value] | str | Path = ENGINE_FILE, **
     Raises ValueError for an unknown or impossible value, and where full load cannot be in equilibrium.
     """
     loaded = load_engine(values) if isinstance(values, str | Path) else values
-    unknown = [name for name in changes if name not in WANTED]
+    unknown = [name for name in changes if name not in EXPECTED]
     if unknown:
-        raise ValueError(f"unknown engine parameters {', '.join(unknown)}; known: {', '.join(WANTED)}")
+        raise ValueError(f"unknown engine parameters {', '.join(unknown)}; known: {', '.join(EXPECTED)}")
     for name, value in changes.items():
         if not np.isfinite(value):
-            raise ValueError(f"engine parameter {name} is {value}; wanted a finite number")
+            raise ValueError(f"engine parameter {name} is {value}; expected a finite number")
         require_range(f"engine parameter {name}", name, value)
-    v = {name: changes.get(name, loaded[name].value) for name in WANTED}
+    v = {name: changes.get(name, loaded[name].value) for name in EXPECTED}
     if not v["peak_pressure"] > v["p_charge"] > v["p_receiver"] > v["p_exhaust"]:
         raise ValueError(
             f"peak pressure {v['peak_pressure']:g}, charge air {v['p_charge']:g}, receiver {v['p_receiver']:g} and exhaust "
@@ -167,7 +167,7 @@ def engine_parameters(values: Mapping[str, Value] | str | Path = ENGINE_FILE, **
     if not v["rod"] > v["stroke"] / 2:
         raise ValueError(f"the rod of {v['rod']:g} m is shorter than the crank of {crank:g} m; correct rod or stroke")
     travel = crank * (1 - np.cos(v["exhaust_opens"])) + v["rod"] - np.sqrt(v["rod"] ** 2 - swing**2)
-    same = {name: v[name] for name in EngineParameters._fields if name in WANTED}
+    same = {name: v[name] for name in EngineParameters._fields if name in EXPECTED}
     c = EngineParameters(
         **same,
         fuel_delay=1 / (4 * v["speed"]),
@@ -217,6 +217,6 @@ def closed(c: EngineParameters, peak_pressure: float) -> EngineParameters:
     ):
         if not 0 <= value <= most:
             raise ValueError(
-                f"full load does not close: the {name} comes out as {value:g}, wanted 0 to {most:g}; correct {cure}"
+                f"full load does not close: the {name} comes out as {value:g}, expected 0 to {most:g}; correct {cure}"
             )
     return EngineParameters(*(float(x) for x in c))

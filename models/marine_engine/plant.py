@@ -132,9 +132,9 @@ def marine_engine(
     c = engine_parameters() if parameters is None else parameters
     law = follows_law(slip)
     if not (np.isfinite(noise) and noise > 0):
-        raise ValueError(f"noise is {noise}; wanted a positive share of the nominal values, such as 0.05")
+        raise ValueError(f"noise is {noise}; expected a positive share of the nominal values, such as 0.05")
     if not (np.isfinite(dt) and dt > 0) or substeps < 1:
-        raise ValueError(f"dt is {dt} s in {substeps} substeps; wanted a positive finite time and at least one")
+        raise ValueError(f"dt is {dt} s in {substeps} substeps; expected a positive finite time and at least one")
     x0 = equilibrium(load, c, slip)
     nominal = engine_variables(x0, c, slip)
     owner = {variable: block.name for block in BLOCKS for variable in block.variables}

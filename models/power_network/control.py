@@ -59,7 +59,7 @@ class PredictiveControl:
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
-            raise ValueError(f"horizon is {self.horizon} steps; wanted at least 1")
+            raise ValueError(f"horizon is {self.horizon} steps; expected at least 1")
 
     def __call__(self, model: NetworkModel, y: Array, load: Array) -> Array:
         load = np.broadcast_to(load, y.shape[:-1])

@@ -140,7 +140,7 @@ class NetworkModel:
         changed = self.constants.copy()
         for name, value in constants.items():
             if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} of area {area} is {value:g}; wanted a positive finite number")
+                raise ValueError(f"{name} of area {area} is {value:g}; expected a positive finite number")
             changed[i, DYNAMIC.index(name)] = value
         return self._changed(np.array([i]), constants=changed)
 

@@ -41,11 +41,11 @@ class AreaFault:
             raise ValueError(f"unknown fault {self.kind!r} of area {self.area}; known: {', '.join(AREA_FAULTS)}")
         who = f"{self.kind} of area {self.area}"
         if not np.isfinite(self.value) or (self.kind == "governor" and self.value <= 0):
-            raise ValueError(f"{who}: value is {self.value}; wanted a finite number, positive for a time constant")
+            raise ValueError(f"{who}: value is {self.value}; expected a finite number, positive for a time constant")
         if self.value == {"input-gain": 1.0, "load-loss": 0.0}.get(self.kind):
             raise ValueError(f"{who}: a value of {self.value:g} is no fault; give another")
         if not (np.isfinite(self.onset) and self.end > self.onset):
-            raise ValueError(f"{who}: onset {self.onset} s, end {self.end} s; wanted a finite onset before the end")
+            raise ValueError(f"{who}: onset {self.onset} s, end {self.end} s; expected a finite onset before the end")
 
 
 @dataclass(frozen=True)

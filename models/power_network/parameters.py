@@ -62,18 +62,18 @@ class NetworkParameters:
 
     def __post_init__(self) -> None:
         n, e = len(self.topology.names), len(self.topology.links)
-        for what, wanted in (("constants", (n, 5)), ("slope", (e,)), ("angle_limit", (n,)), ("reference_limit", (n,))):
+        for what, expected in (("constants", (n, 5)), ("slope", (e,)), ("angle_limit", (n,)), ("reference_limit", (n,))):
             value = np.ascontiguousarray(getattr(self, what), dtype=float)
             object.__setattr__(self, what, value)
-            if value.shape != wanted:
-                raise ValueError(f"{what} of {n} areas with {e} ties has shape {value.shape}; wanted {wanted}")
+            if value.shape != expected:
+                raise ValueError(f"{what} of {n} areas with {e} ties has shape {value.shape}; expected {expected}")
             wrong = np.argwhere(~((value > 0) & np.isfinite(value)))
             if wrong.size:
                 place = tuple(wrong[0])
                 where = "-".join(self.topology.names[i] for i in self.topology.links[place[0]])
                 who = f"tie {where}" if what == "slope" else f"area {self.topology.names[place[0]]}"
                 kind = DYNAMIC[place[1]] if what == "constants" else what
-                raise ValueError(f"{kind} of {who} is {value[place]:g}; wanted a positive finite number")
+                raise ValueError(f"{kind} of {who} is {value[place]:g}; expected a positive finite number")
 
     @cached_property
     def side_slope(self) -> Array:
@@ -90,21 +90,21 @@ def load_network(path: str | Path = NETWORK_FILE) -> NetworkParameters:
     document = _document(path)
     names = document["names"]
     if not isinstance(names, list) or not all(isinstance(n, str) and n and "-" not in n for n in names):
-        raise ValueError(f"{path}: names is {names!r}; wanted the areas' names as texts without a hyphen")
+        raise ValueError(f"{path}: names is {names!r}; expected the areas' names as texts without a hyphen")
     require_unique(str(path), names)
     table = document["area"]
     if not isinstance(table, Mapping) or set(table) != set(UNITS):
-        raise ValueError(f"{path}: area has {', '.join(table)}; wanted {', '.join(UNITS)}")
+        raise ValueError(f"{path}: area has {', '.join(table)}; expected {', '.join(UNITS)}")
     columns = {}
     for what, unit in UNITS.items():
         given = _entry(f"{path}: area.{what}", table[what], "values", unit)
         if not isinstance(given, list) or len(given) != len(names):
-            raise ValueError(f"{path}: area.{what} has the values {given!r}; wanted one for each of {len(names)} areas")
+            raise ValueError(f"{path}: area.{what} has the values {given!r}; expected one for each of {len(names)} areas")
         columns[what] = np.array([number(f"{path}: area.{what}", v) for v in given])
     ties = document["tie"]
     pairs = [tuple(tie.split("-")) for tie in ties]
     if any(len(pair) != 2 for pair in pairs):
-        raise ValueError(f"{path}: ties are {', '.join(ties)}; wanted two areas each, such as 4-13")
+        raise ValueError(f"{path}: ties are {', '.join(ties)}; expected two areas each, such as 4-13")
     slope = [number(f"{path}: tie {tie}", _entry(f"{path}: tie {tie}", e, "value", SLOPE_UNIT)) for tie, e in ties.items()]
     try:
         return NetworkParameters(
@@ -128,11 +128,11 @@ def load_steps(scenario: str, path: str | Path = NETWORK_FILE) -> tuple[LoadStep
     for provenance, rows in loads[scenario].items():
         if provenance not in PROVENANCE:
             raise ValueError(
-                f"{path}: loads.{scenario} has the provenance {provenance!r}; wanted one of {', '.join(PROVENANCE)}"
+                f"{path}: loads.{scenario} has the provenance {provenance!r}; expected one of {', '.join(PROVENANCE)}"
             )
         for row in rows:
             if not isinstance(row, list) or len(row) != 3 or row[1] not in document["names"]:
-                raise ValueError(f"{path}: loads.{scenario} has {row!r}; wanted [time in s, area, change per unit]")
+                raise ValueError(f"{path}: loads.{scenario} has {row!r}; expected [time in s, area, change per unit]")
             time, change = (number(f"{path}: loads.{scenario}", row[i]) for i in (0, 2))
             steps.append(LoadStep(time, row[1], change))
     return tuple(sorted(steps, key=lambda s: s.time))
@@ -150,11 +150,11 @@ def _document(path: str | Path) -> dict[str, Any]:
 
 def _entry(where: str, entry: Any, key: str, unit: str) -> Any:
     if not isinstance(entry, dict) or set(entry) != {key, "unit", "provenance", "source"}:
-        raise ValueError(f"{where} is {entry!r}; wanted a table of {key}, unit, provenance, source")
+        raise ValueError(f"{where} is {entry!r}; expected a table of {key}, unit, provenance, source")
     if entry["unit"] != unit:
-        raise ValueError(f"{where} is in {entry['unit']!r}; wanted {unit!r}")
+        raise ValueError(f"{where} is in {entry['unit']!r}; expected {unit!r}")
     if entry["provenance"] not in PROVENANCE:
-        raise ValueError(f"{where} has the provenance {entry['provenance']!r}; wanted one of {', '.join(PROVENANCE)}")
+        raise ValueError(f"{where} has the provenance {entry['provenance']!r}; expected one of {', '.join(PROVENANCE)}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
         raise ValueError(f"{where} names no source; say where the number comes from")
     return entry[key]
@@ -169,11 +169,11 @@ def generate_network(areas: int, seed: int, degree: float = 34 / 15) -> NetworkP
     """
     n = whole("areas", areas, 2)
     if not np.isfinite(number("degree", degree)):
-        raise ValueError(f"degree is {degree}; wanted the mean number of ties of an area")
+        raise ValueError(f"degree is {degree}; expected the mean number of ties of an area")
     ties = round(n * degree / 2)
     if not n - 1 <= ties <= n * (n - 1) // 2:
         raise ValueError(
-            f"a mean degree of {degree:g} gives {n} areas {ties} ties; wanted {n - 1} to {n * (n - 1) // 2}, that is a degree "
+            f"a mean degree of {degree:g} gives {n} areas {ties} ties; expected {n - 1} to {n * (n - 1) // 2}: a degree "
             f"from {2 * (n - 1) / n:g} to {n - 1}"
         )
     rng = np.random.default_rng(np.random.SeedSequence(whole("seed", seed, 0)))

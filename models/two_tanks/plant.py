@@ -165,7 +165,7 @@ def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
     which no tank runs dry or over.
     """
     if not 0 <= swing <= 0.5:
-        raise ValueError(f"swing is {swing}; wanted a share of the nominal inflow from 0 to 0.5")
+        raise ValueError(f"swing is {swing}; expected a share of the nominal inflow from 0 to 0.5")
     if not 0.8 <= outlet <= 1.2:
         raise ValueError(f"outlet is {outlet}; expected a factor of the nominal outlets from 0.8 to 1.2")
     c = NOMINAL._replace(outlet=outlet * NOMINAL.outlet)

@@ -288,7 +288,7 @@ def test_latching_keeps_decisions():
 
 
 def test_decisions_of_the_wrong_kind_are_refused():
-    with pytest.raises(ValueError, match=r"decisions are int64 \(10,\); wanted bool \(..., 10\), modules E\(1,1\)"):
+    with pytest.raises(ValueError, match=r"decisions are int64 \(10,\); expected bool \(..., 10\), modules E\(1,1\)"):
         ENGINE.isolated(np.zeros(10, int))
     with pytest.raises(ValueError, match=r"decisions are bool \(3, 9\)"):
         ENGINE.explained(np.zeros((3, 9), bool))

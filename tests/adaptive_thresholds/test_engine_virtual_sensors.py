@@ -29,8 +29,8 @@ from fusion_sfdia.registry import scenario
 NAME = "engine/virtual-sensors"
 
 
-def value(rows: list[Row], **wanted: str) -> float:
-    (found,) = [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
+def value(rows: list[Row], **expected: str) -> float:
+    (found,) = [r for r in rows if all(getattr(r, k) == v for k, v in expected.items())]
     return found.value
 
 
@@ -99,11 +99,11 @@ def test_an_unseen_fault_counts_as_wholly_wrong() -> None:
 
 def test_settings_that_no_run_can_be_made_of_are_refused() -> None:
     one = scenario(NAME)
-    with pytest.raises(ValueError, match=r"duration is 41\.0 s; wanted more than 41"):
+    with pytest.raises(ValueError, match=r"duration is 41\.0 s; expected more than 41"):
         one.tasks({**one.settings, "duration": 41.0}, 1)
-    with pytest.raises(ValueError, match="inversion_seeds is -1; wanted 0 or more"):
+    with pytest.raises(ValueError, match="inversion_seeds is -1; expected 0 or more"):
         one.tasks({**one.settings, "inversion_seeds": -1}, 1)
-    with pytest.raises(ValueError, match="wanted a share of the nominal values"):
+    with pytest.raises(ValueError, match="expected a share of the nominal values"):
         one.tasks({**one.settings, "noise": 0.0}, 1)
     assert len(one.tasks({**one.settings, "inversion_seeds": 0}, 1)) == 1 + len(VARIANTS)
 

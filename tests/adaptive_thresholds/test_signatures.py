@@ -171,11 +171,11 @@ def test_refusals_name_the_cure():
         sensors_read({"m": ("p",)}, {}, {"p": ("q",), "q": ("p",)})
     with pytest.raises(ValueError, match="m names c; the sensors are a, b"):
         signature_matrix({"m": {"c": "*"}}, ("a", "b"))
-    with pytest.raises(ValueError, match=r"entries \['x'\]; wanted '0', '1'"):
+    with pytest.raises(ValueError, match=r"entries \['x'\]; expected '0', '1'"):
         signature_matrix({"m": {"a": "x"}}, ("a",))
     with pytest.raises(ValueError, match="m2: no sensor"):
         signature_matrix({"m1": {"a": "*"}, "m2": {}}, ("a",))
-    with pytest.raises(ValueError, match="0 rows; wanted 1 to 64"):
+    with pytest.raises(ValueError, match="0 rows; expected 1 to 64"):
         signature_matrix({}, ("a",))
     with pytest.raises(ValueError, match="65 sensors"):
         signature_matrix({"m": {"s0": "*"}}, [f"s{i}" for i in range(65)])
@@ -185,10 +185,10 @@ def test_refusals_name_the_cure():
         local_signatures({"m": {"a"}}, {"m": {"b"}}, ("a", "b"))
     with pytest.raises(ValueError, match="certain but not possible"):
         SignatureMatrix(("m",), ("a", "b"), np.array([[True, False]]), np.array([[False, True]]))
-    with pytest.raises(ValueError, match=r"possible is int64 .*wanted bool"):
+    with pytest.raises(ValueError, match=r"possible is int64 .*expected bool"):
         SignatureMatrix(("m",), ("a",), np.ones((1, 1), int), np.ones((1, 1), bool))
     two = signature_matrix({"m": {"a": "*"}, "n": {"b": "*"}}, ("a", "b"))
-    with pytest.raises(ValueError, match=r"agents have the modules \['m'\]; wanted each of \['m', 'n'\] once"):
+    with pytest.raises(ValueError, match=r"agents have the modules \['m'\]; expected each of \['m', 'n'\] once"):
         global_signatures(two, {"1": Agent(("m",), ("a", "b"))})
     with pytest.raises(ValueError, match=r"agents have the sensors \['a'\]"):
         global_signatures(two, {"1": Agent(("m", "n"), ("a",))})

@@ -267,7 +267,7 @@ def test_what_is_refused() -> None:
         replace(DETECTOR, inversion="newton")
     with pytest.raises(ValueError, match="learning_rates names torque; the states are fuel, p_receiver, p_charge"):
         replace(DETECTOR, learning_rates={"torque": 1.0})
-    with pytest.raises(ValueError, match=r"learning rates fuel=-1.0; wanted positive numbers in 1/s"):
+    with pytest.raises(ValueError, match=r"learning rates fuel=-1.0; expected positive numbers in 1/s"):
         replace(DETECTOR, learning_rates={"fuel": -1.0})
     with pytest.raises(ValueError, match="does not say its scalar equations"):
         VirtualSensors(replace(ENGINE, modules=None))

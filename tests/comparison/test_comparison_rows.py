@@ -185,7 +185,7 @@ def test_rows_of_thresholds_by_hand() -> None:
     assert found["nominal_false_alarm_probability"].value == 0.1
     assert found["calibration_error"].value == pytest.approx(1 / np.sqrt(3) / 2)
     assert found["threshold_scale"][:3] == pytest.approx((2.0, 2 - 1.959963985 * 0.5, 2 + 1.959963985 * 0.5))
-    assert found["claimed_false_alarm_probability"].value == 0.01 and found["wanted_false_alarm_probability"].value == 0.1
+    assert found["claimed_false_alarm_probability"].value == 0.01 and found["target_false_alarm_probability"].value == 0.1
     assert found["state_size"].value == 640
     assert cell().chance == 2 / 4  # windows of four samples, two a seed; the ninth sample is left over
     silent = cell(calibration_alarms=np.zeros(3, int), claim=np.array(np.nan))

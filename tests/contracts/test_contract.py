@@ -138,12 +138,12 @@ def test_shapes_and_types(pair: tuple[str, str], batch: tuple[int, ...]) -> None
     assert isinstance(state, tuple) and all(isinstance(a, np.ndarray) and a.dtype != object for a in state)
     for k in range(3):
         state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
-    wanted = {
+    expected = {
         "estimate": (n,), "measured": (count,), "residual": (count,), "threshold": (count,), "isolated": (len(names),),
         "fault_size": (len(names),), "diverged": (), "guarded": (), "nis": (), "capped": (), "absurd": (count,),
         "absurd_input": (len(plant.inputs),),
     }  # fmt: skip
-    for name, shape in wanted.items():
+    for name, shape in expected.items():
         value = np.asarray(getattr(d, name))
         assert value.shape == (*batch, *shape), name
         assert value.dtype == (bool if name in FLAGS else float), name
@@ -405,7 +405,7 @@ def test_wrong_readings_inputs_and_times_are_named(pair: tuple[str, str]) -> Non
     state = detector.init()
     inf = np.where(np.arange(y.size) == 0, np.inf, y)
     for bad_y, message in (
-        (y[:-1], f"wanted .{y.size},."), (np.append(y, 0.0), "y has shape"), (y[None], "y has shape"), (inf, "infinite"),
+        (y[:-1], f"expected .{y.size},."), (np.append(y, 0.0), "y has shape"), (y[None], "y has shape"), (inf, "infinite"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):
             detector.step(state, t, bad_y, u)

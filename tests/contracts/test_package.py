@@ -106,12 +106,12 @@ def test_the_wheel_from_the_sdist_holds_the_package_and_nothing_else(root: Path,
         names = set(archive.namelist())
         archive.extractall(tmp_path / "site")
     assert {name.split("/")[0] for name in names} == {"fusion_sfdia", f"fusion_sfdia-{fusion_sfdia.__version__}.dist-info"}
-    wanted = {"fusion_sfdia/py.typed", *(f"fusion_sfdia/report/{f}" for f in ("page.html.j2", "sortable.min.js"))}
+    expected = {"fusion_sfdia/py.typed", *(f"fusion_sfdia/report/{f}" for f in ("page.html.j2", "sortable.min.js"))}
     folders = {"fusion_sfdia": "fusion_sfdia", "models": "fusion_sfdia/models", "benchmarks": "fusion_sfdia/benchmarks"}
     for folder, package in folders.items():
         files = [p for p in (copy / folder).rglob("*") if p.suffix in (".py", ".json", ".toml", ".js")]
-        wanted |= {f"{package}/{p.relative_to(copy / folder)}" for p in files}
-    assert {n for n in names if ".dist-info/" not in n} == wanted
+        expected |= {f"{package}/{p.relative_to(copy / folder)}" for p in files}
+    assert {n for n in names if ".dist-info/" not in n} == expected
     code = f"sys.path[0] = {str(tmp_path / 'site')!r}; "
     code += "import fusion_sfdia.models.two_tanks.plant as m, fusion_sfdia.benchmarks.pipeline.roc as r; "
     code += "print(m.__file__, r.__file__)"

@@ -51,12 +51,12 @@ def one_line(error: pytest.ExceptionInfo[ValueError]) -> None:
 @pytest.mark.parametrize("value", ["1", None, True, [1.0], np.zeros(2), 1j, Sensor], ids=repr)
 def test_a_number_is_a_number(value: object) -> None:
     for read in (lambda: number("sigma", value), lambda: whole("sigma", value, 0), lambda: probability("sigma", value)):
-        with pytest.raises(ValueError, match=r"sigma is .*; wanted a "):
+        with pytest.raises(ValueError, match=r"sigma is .*; expected a "):
             read()
     assert number("sigma", np.array(2)) == number("sigma", np.float32(2)) == 2.0 and whole("n", np.int8(2), 2) == 2
     assert np.isnan(number("sigma", np.nan))  # whether it may be NaN is not the type's question
     for bad in (2.0, np.nan, 1):
-        with pytest.raises(ValueError, match=r"n is .*; wanted a whole number of at least 2"):
+        with pytest.raises(ValueError, match=r"n is .*; expected a whole number of at least 2"):
             whole("n", bad, 2)
 
 
@@ -68,7 +68,7 @@ def test_numbers_of_any_kind_become_floats_and_what_is_missing_nan() -> None:
         assert floats("y", given).dtype == np.float64
     assert floats("y", np.array([1, 2], np.float32)).dtype == np.float64 and floats("y", []).shape == (0,)
     for bad in ("abc", ["1", "2"], [1, "x"], [[1.0], [1.0, 2.0]], [1j], {"a": 1}, [{}]):
-        with pytest.raises(ValueError, match=r"^y is .*; wanted an array of numbers$") as error:
+        with pytest.raises(ValueError, match=r"^y is .*; expected an array of numbers$") as error:
             floats("y", bad)
         one_line(error)
     assert len(shown(np.zeros((50, 50)))) == 60 and shown("a") == "'a'"
@@ -77,7 +77,7 @@ def test_numbers_of_any_kind_become_floats_and_what_is_missing_nan() -> None:
 def test_a_batch_is_a_shape_or_a_length() -> None:
     assert batch_shape(()) == () and batch_shape(3) == batch_shape([3]) == batch_shape((np.int64(3),)) == (3,)
     for bad in (-1, (2, -1), 2.0, "3", None, (2.0,), True):
-        with pytest.raises(ValueError, match=r"batch is .*; wanted a shape: \(\) for a single run"):
+        with pytest.raises(ValueError, match=r"batch is .*; expected a shape: \(\) for a single run"):
             batch_shape(bad)
 
 
@@ -101,42 +101,42 @@ def test_lists_make_the_same_plant() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Sensor("s", "x", sigma="x"), "sensor 's': sigma is 'x'; wanted a number"),  # type: ignore[arg-type]
-        (lambda: Sensor("s", "x", bound=[1.0]), r"sensor 's': bound is \[1.0\]; wanted a number"),  # type: ignore[arg-type]
-        (lambda: Signal("p", nominal="1"), "signal 'p': nominal is '1'; wanted a number"),  # type: ignore[arg-type]
-        (lambda: Signal("p", low=None), "signal 'p': low is None; wanted a number"),  # type: ignore[arg-type]
-        (lambda: replace(PLANT, dt="1"), "plant 'two-tanks': dt is '1'; wanted a number"),
-        (lambda: replace(PLANT, max_dt=None), "plant 'two-tanks': max_dt is None; wanted a number"),
+        (lambda: Sensor("s", "x", sigma="x"), "sensor 's': sigma is 'x'; expected a number"),  # type: ignore[arg-type]
+        (lambda: Sensor("s", "x", bound=[1.0]), r"sensor 's': bound is \[1.0\]; expected a number"),  # type: ignore[arg-type]
+        (lambda: Signal("p", nominal="1"), "signal 'p': nominal is '1'; expected a number"),  # type: ignore[arg-type]
+        (lambda: Signal("p", low=None), "signal 'p': low is None; expected a number"),  # type: ignore[arg-type]
+        (lambda: replace(PLANT, dt="1"), "plant 'two-tanks': dt is '1'; expected a number"),
+        (lambda: replace(PLANT, max_dt=None), "plant 'two-tanks': max_dt is None; expected a number"),
         (lambda: replace(PLANT, max_dt=np.nan), "max_dt is nan s; it must be positive"),
-        (lambda: replace(PLANT, x0="ab"), "plant 'two-tanks': x0 is 'ab'; wanted an array of numbers"),
-        (lambda: replace(PLANT, x0=[1.0, None]), "wanted 2 finite values"),
-        (lambda: replace(PLANT, initial_cov=[[1.0], [0.0, 1.0]]), "initial_cov is .*; wanted an array of numbers"),
-        (lambda: replace(PLANT, process_cov=None), r"process_cov has shape \(\); wanted \(2,\) variances"),
-        (lambda: replace(PLANT, states=("level_1", "level_2")), "states is .'level_1', 'level_2'.; wanted a tuple of Signal"),
-        (lambda: replace(PLANT, sensors="l1"), "sensors is 'l1'; wanted a tuple of Sensor objects"),
-        (lambda: replace(PLANT, inputs=None), "inputs is None; wanted a tuple of Signal objects"),
-        (lambda: replace(PLANT, step=None), "plant 'two-tanks': step is None; wanted a function"),
-        (lambda: replace(PLANT, output=3), "plant 'two-tanks': output is 3; wanted a function"),
-        (lambda: replace(PLANT, operation=lambda t: [1.0, 2.0]).input_at(0.0), r"operation .* gives shape \(2,\); wanted \(1"),
+        (lambda: replace(PLANT, x0="ab"), "plant 'two-tanks': x0 is 'ab'; expected an array of numbers"),
+        (lambda: replace(PLANT, x0=[1.0, None]), "expected 2 finite values"),
+        (lambda: replace(PLANT, initial_cov=[[1.0], [0.0, 1.0]]), "initial_cov is .*; expected an array of numbers"),
+        (lambda: replace(PLANT, process_cov=None), r"process_cov has shape \(\); expected \(2,\) variances"),
+        (lambda: replace(PLANT, states=("level_1", "level_2")), "states is .'level_1', 'level_2'.; expected a tuple of Signal"),
+        (lambda: replace(PLANT, sensors="l1"), "sensors is 'l1'; expected a tuple of Sensor objects"),
+        (lambda: replace(PLANT, inputs=None), "inputs is None; expected a tuple of Signal objects"),
+        (lambda: replace(PLANT, step=None), "plant 'two-tanks': step is None; expected a function"),
+        (lambda: replace(PLANT, output=3), "plant 'two-tanks': output is 3; expected a function"),
+        (lambda: replace(PLANT, operation=lambda t: [1.0, 2.0]).input_at(0.0), r"operation .* gives shape \(2,\); expected"),
         (lambda: replace(PLANT, operation=lambda t: "x").input_at(0.0), "that operation of plant 'two-tanks' gives is 'x'"),
-        (lambda: PLANT.in_units({"l1": ("mm", "1")}), "scale of sensor 'l1' is '1'; wanted a number"),  # type: ignore[dict-item]
-        (lambda: LeaveOneOutBank(PLANT, window=np.nan), "window, in samples, is nan; wanted a whole number"),  # type: ignore[arg-type]
-        (lambda: LeaveOneOutBank(PLANT, window=2.5), "window, in samples, is 2.5; wanted"),  # type: ignore[arg-type]
-        (lambda: LeaveOneOutBank(PLANT, window="a"), "window, in samples, is 'a'; wanted"),  # type: ignore[arg-type]
-        (lambda: LeaveOneOutBank(PLANT, max_faults=1.5), "max_faults is 1.5; wanted a whole number"),  # type: ignore[arg-type]
+        (lambda: PLANT.in_units({"l1": ("mm", "1")}), "scale of sensor 'l1' is '1'; expected a number"),  # type: ignore[dict-item]
+        (lambda: LeaveOneOutBank(PLANT, window=np.nan), "window, in samples, is nan; expected a whole number"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, window=2.5), "window, in samples, is 2.5; expected"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, window="a"), "window, in samples, is 'a'; expected"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, max_faults=1.5), "max_faults is 1.5; expected a whole number"),  # type: ignore[arg-type]
         (lambda: LeaveOneOutBank(PLANT, max_faults=4), "max_faults is 4; plant 'two-tanks' has 4 sensors"),
-        (lambda: LeaveOneOutBank(PLANT, false_alarm="x"), "false_alarm is 'x'; wanted a number"),  # type: ignore[arg-type]
-        (lambda: LeaveOneOutBank(PLANT, Extended), "estimator is <class .*Extended'>; wanted Extended()"),  # type: ignore[arg-type]
-        (lambda: CentralFilter(PLANT, "ekf"), "estimator is 'ekf'; wanted Extended()"),  # type: ignore[arg-type]
-        (lambda: CentralFilter("tanks"), "plant is 'tanks'; wanted a Plant"),  # type: ignore[arg-type]
-        (lambda: FusingBank(PLANT, thresholds="abcd"), "thresholds is 'abcd'; wanted an array of numbers"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, false_alarm="x"), "false_alarm is 'x'; expected a number"),  # type: ignore[arg-type]
+        (lambda: LeaveOneOutBank(PLANT, Extended), "estimator is <class .*Extended'>; expected Extended()"),  # type: ignore[arg-type]
+        (lambda: CentralFilter(PLANT, "ekf"), "estimator is 'ekf'; expected Extended()"),  # type: ignore[arg-type]
+        (lambda: CentralFilter("tanks"), "plant is 'tanks'; expected a Plant"),  # type: ignore[arg-type]
+        (lambda: FusingBank(PLANT, thresholds="abcd"), "thresholds is 'abcd'; expected an array of numbers"),  # type: ignore[arg-type]
         (lambda: FusingBank(PLANT, thresholds=1.0), r"thresholds must be 4 positive numbers; got shape \(\)"),  # type: ignore[arg-type]
         (lambda: FusingBank(PLANT, residual_scale=(1.0, np.nan)), "residual_scale must be 2 positive numbers; got shape"),
-        (lambda: FusingBank(PLANT, None), "estimator is None; wanted Extended()"),  # type: ignore[arg-type]
-        (lambda: ParticleFilter(PLANT, size=10.0), "size is 10.0; wanted a whole number"),  # type: ignore[arg-type]
-        (lambda: EnKFSettings(size=8.0), "size of the ensemble is 8.0; wanted a whole number"),  # type: ignore[arg-type]
-        (lambda: EnKFSettings(inflation="1"), "inflation is '1'; wanted a number"),  # type: ignore[arg-type]
-        (lambda: SigmaPoints(alpha="1"), "alpha is '1'; wanted a number"),  # type: ignore[arg-type]
+        (lambda: FusingBank(PLANT, None), "estimator is None; expected Extended()"),  # type: ignore[arg-type]
+        (lambda: ParticleFilter(PLANT, size=10.0), "size is 10.0; expected a whole number"),  # type: ignore[arg-type]
+        (lambda: EnKFSettings(size=8.0), "size of the ensemble is 8.0; expected a whole number"),  # type: ignore[arg-type]
+        (lambda: EnKFSettings(inflation="1"), "inflation is '1'; expected a number"),  # type: ignore[arg-type]
+        (lambda: SigmaPoints(alpha="1"), "alpha is '1'; expected a number"),  # type: ignore[arg-type]
     ],
 )  # fmt: skip
 def test_a_wrong_setting_is_named(make: Callable[[], object], message: str) -> None:
@@ -153,9 +153,9 @@ def test_settings_may_be_arrays() -> None:
 @every_detector
 def test_a_start_that_makes_no_sense_is_named(detector: Detector) -> None:
     for arguments, message in (
-        ({"batch": 2.5}, "batch is 2.5; wanted a shape"), ({"batch": -1}, "batch is -1"), ({"seed": -1}, "seed is -1; wanted"),
+        ({"batch": 2.5}, "batch is 2.5; expected"), ({"batch": -1}, "batch is -1"), ({"seed": -1}, "seed is -1; expected"),
         ({"seed": 1.5}, "seed is 1.5"), ({"seed": None}, "seed is None"), ({"seed": 2**64}, "a seed below 2.64"),
-        ({"t": "0"}, "t is '0'; wanted a number"), ({"t": np.nan}, "t is nan.*; wanted a finite time"),
+        ({"t": "0"}, "t is '0'; expected a number"), ({"t": np.nan}, "t is nan.*; expected a finite time"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message) as error:
             detector.init(**arguments)  # type: ignore[arg-type]
@@ -167,19 +167,19 @@ def test_a_start_that_makes_no_sense_is_named(detector: Detector) -> None:
 def test_readings_come_as_lists_and_anything_else_is_named(detector: Detector) -> None:
     y, u = PLANT.output(5.0, PLANT.x0, PLANT.input_at(0.0)), PLANT.input_at(0.0)
     state = detector.init()
-    _, wanted = detector.step(state, 5.0, np.where(np.arange(4) == 2, np.nan, y), u)
+    _, expected = detector.step(state, 5.0, np.where(np.arange(4) == 2, np.nan, y), u)
     for given in ([*y[:2], None, y[3]], np.ma.array(y, mask=[0, 0, 1, 0])):
         _, got = detector.step(state, 5, given, u.tolist())  # type: ignore[arg-type]
-        np.testing.assert_array_equal(got.estimate, wanted.estimate)
-        np.testing.assert_array_equal(got.residual, wanted.residual)
+        np.testing.assert_array_equal(got.estimate, expected.estimate)
+        np.testing.assert_array_equal(got.residual, expected.residual)
     for arguments, message in (
-        ((5.0, None, u), r"y has shape \(\); wanted \(4,\): .* pass NaN for a missing one"),
-        ((5.0, "abcd", u), "y is 'abcd'; wanted an array of numbers"),
-        ((5.0, ["a", 1, 2, 3], u), "y is .*; wanted an array of numbers"),
+        ((5.0, None, u), r"y has shape \(\); expected \(4,\): .* pass NaN for a missing one"),
+        ((5.0, "abcd", u), "y is 'abcd'; expected an array of numbers"),
+        ((5.0, ["a", 1, 2, 3], u), "y is .*; expected an array of numbers"),
         ((5.0, y, None), r"u has shape \(\); plant 'two-tanks' has 1 inputs"),
-        ((5.0, y, ["on"]), "u is .'on'.; wanted an array of numbers"),
-        (("5", y, u), "t is '5'; wanted a number"),
-        ((None, y, u), "t is None; wanted a number"),
+        ((5.0, y, ["on"]), "u is .'on'.; expected an array of numbers"),
+        (("5", y, u), "t is '5'; expected a number"),
+        ((None, y, u), "t is None; expected a number"),
     ):
         with pytest.raises(ValueError, match=message) as error:
             detector.step(state, *arguments)  # type: ignore[arg-type]
@@ -211,8 +211,8 @@ def test_the_state_of_another_detector_is_refused(detector: Detector) -> None:
         ({"step": lambda t, x, u, dt: None}, r"step of plant 'two-tanks' gives shape \(\)"),
         ({"output": lambda t, x, u: x}, r"output of plant 'two-tanks' gives shape .*; expected .*4\): one number for"),
         ({"output": lambda t, x, u: x[..., 0]}, "output of plant 'two-tanks' gives shape"),
-        ({"step_jacobian": lambda t, x, u, dt: np.eye(3)}, r"step_jacobian .* gives shape \(3, 3\); wanted .*2, 2"),
-        ({"output_jacobian": lambda t, x, u: np.eye(2)}, r"output_jacobian .* gives shape \(2, 2\); wanted .*4, 2"),
+        ({"step_jacobian": lambda t, x, u, dt: np.eye(3)}, r"step_jacobian .* gives shape \(3, 3\); expected .*2, 2"),
+        ({"output_jacobian": lambda t, x, u: np.eye(2)}, r"output_jacobian .* gives shape \(2, 2\); expected .*4, 2"),
     ],
 )  # fmt: skip
 def test_a_model_of_another_width_is_named(detector: Detector, change: dict[str, Any], message: str) -> None:
@@ -243,12 +243,12 @@ def test_runs_and_calibrations_take_lists_and_name_what_does_not_fit() -> None:
     assert calibrate(bank, *lists, false_alarm=0.2).thresholds == calibrate(bank, t, y, u, false_alarm=0.2).thresholds
     for read in (lambda *a: run(detector, detector.init(), *a), lambda *a: calibrate(bank, *a, false_alarm=0.2)):
         for arguments in ((t, y[:-1], u), (t[:-1], y, u), (t, y, u[:-1]), (t[0], y, u)):
-            with pytest.raises(ValueError, match="do not fit; wanted") as error:
+            with pytest.raises(ValueError, match="do not fit; expected") as error:
                 read(*arguments)
             one_line(error)
-        with pytest.raises(ValueError, match=r"t is .*; wanted an array of numbers"):
+        with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers"):
             read("noon", y, u)
-    with pytest.raises(ValueError, match="warm_up is -1; wanted a whole number of at least 0"):
+    with pytest.raises(ValueError, match="warm_up is -1; expected a whole number of at least 0"):
         calibrate(bank, t, y, u, false_alarm=0.2, warm_up=-1)
 
 
@@ -287,10 +287,10 @@ def test_dates_are_not_read_as_seconds(dates: Any, tmp_path: Path) -> None:
         lambda: calibrate(bank, dates, y, u),
     ):
         with pytest.raises(
-            ValueError, match=r"wanted an array of numbers: of dates the seconds since the first, .*timedelta64"
+            ValueError, match=r"expected an array of numbers: of dates the seconds since the first, .*timedelta64"
         ):
             read()
     for read in (lambda: detector.step(detector.init(), dates[0], y[0], u[0]), lambda: detector.init(t=dates[0])):
-        with pytest.raises(ValueError, match=r"t is .*; wanted a number"):
+        with pytest.raises(ValueError, match=r"t is .*; expected a number"):
             read()
     assert not list(tmp_path.iterdir())

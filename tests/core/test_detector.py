@@ -89,9 +89,9 @@ def test_irregular_times_are_steps_of_their_own_length() -> None:
 @pytest.mark.parametrize(
     ("y", "u", "batch", "message"),
     [
-        (np.zeros(3), np.zeros(1), (), r"y has shape \(3,\); wanted \(4,\): plant 'two-tanks' has 4 sensors; pass NaN"),
-        (np.zeros((2, 4)), np.zeros(1), (), r"y has shape \(2, 4\); wanted \(4,\)"),
-        (np.zeros(4), np.zeros(1), (2,), r"y has shape \(4,\); wanted \(2, 4\)"),
+        (np.zeros(3), np.zeros(1), (), r"y has shape \(3,\); expected \(4,\): plant 'two-tanks' has 4 sensors; pass NaN"),
+        (np.zeros((2, 4)), np.zeros(1), (), r"y has shape \(2, 4\); expected \(4,\)"),
+        (np.zeros(4), np.zeros(1), (2,), r"y has shape \(4,\); expected \(2, 4\)"),
         (np.zeros(4), np.zeros(2), (), r"u has shape \(2,\); plant 'two-tanks' has 1 inputs \(inflow\)"),
         (np.zeros(4), np.zeros(()), (), r"u has shape \(\); plant 'two-tanks' has 1 inputs"),
         (np.zeros((2, 4)), np.zeros((3, 1)), (2,), r"u has shape \(3, 1\); it does not broadcast to \(2, 1\)"),

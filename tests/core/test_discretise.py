@@ -80,7 +80,7 @@ def test_the_exponential_midpoint_rule_is_of_order_2() -> None:
 
 @pytest.mark.parametrize("decay", [np.ones(1), np.array([1.0, 0.0]), np.array([1.0, np.nan])])
 def test_rates_of_decay_that_do_not_fit_are_named(decay: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"decay of 'two-tanks' is .*; wanted 2 positive rates in 1/s, one a state"):
+    with pytest.raises(ValueError, match=r"decay of 'two-tanks' is .*; expected 2 positive rates in 1/s, one a state"):
         discretise(
             tank_physics(),
             tanks().sensors,
@@ -263,8 +263,8 @@ def test_the_largest_step_keeps_a_tenth_of_its_noise() -> None:
         plant = leak(rate)
         step = plant.max_dt
         assert step == pytest.approx(0.1 / rate, rel=1e-7)
-        wanted = 0.01 * (1 - np.exp(-2 * rate * step)) / (2 * rate)
-        assert 0.05 < plant.process_cov_over(step)[0] / wanted - 1 < 0.11
+        expected = 0.01 * (1 - np.exp(-2 * rate * step)) / (2 * rate)
+        assert 0.05 < plant.process_cov_over(step)[0] / expected - 1 < 0.11
     assert leak(0.0).max_dt == np.inf  # a pure integrator: exact for any step
     assert leak(5.0).max_dt == 1.0  # dt is the user's own choice
     assert leak(0.02, max_dt=7.0).max_dt == 7.0

@@ -9,7 +9,7 @@ import pytest
 from rounding import rounding
 from scipy.stats import norm
 
-from fusion_sfdia.core.exclusion import MEMORY, QUIET, Exclusion, exclude, nobody, watch
+from fusion_sfdia.core.exclusion import MEMORY, QUIET, Exclusion, exclude, none_excluded, watch
 
 LIMIT, LEVEL = 9.0, 4.0  # three standard deviations; a likelihood ratio of e^4
 
@@ -61,7 +61,7 @@ def test_readmission_is_the_literal_one() -> None:
     e, variance = errors(steps, *batch), rng.uniform(0.25, 4.0, (steps, *batch))
     e = e * np.sqrt(variance)
     faulty = (rng.random(e.shape) < 0.05) & np.isfinite(e)
-    now, literal = nobody((3,), 5), {i: Sensor() for i in np.ndindex(batch)}
+    now, literal = none_excluded((3,), 5), {i: Sensor() for i in np.ndindex(batch)}
     readmitted = voided = 0
     # a sum of up to `steps` ratios (e - a)^2 - e^2 of e, a up to 30 standard deviations
     near = rounding(30**2, steps)
@@ -86,7 +86,7 @@ def test_readmission_is_the_literal_one() -> None:
 
 def test_an_implausible_reading_voids_what_spoke_for_the_sensor() -> None:
     """Fault of 10: a healthy reading weighs (10^2 - 0) / 2 = 50; one at -4 is nearer to healthy, too, but no healthy one."""
-    now = exclude(nobody((), 1), np.array([True]), np.array([10.0]))
+    now = exclude(none_excluded((), 1), np.array([True]), np.array([10.0]))
     one = np.ones(1)
     doubted = watch(now, 0 * one, one, LIMIT, 60.0)
     assert doubted.out[0] and doubted.evidence[0] == 50.0
@@ -98,13 +98,13 @@ def test_an_implausible_reading_voids_what_spoke_for_the_sensor() -> None:
 
 
 def test_a_missing_reading_teaches_nothing() -> None:
-    now = watch(exclude(nobody((), 1), np.array([True]), np.array([10.0])), np.zeros(1), np.ones(1), LIMIT, 60.0)
+    now = watch(exclude(none_excluded((), 1), np.array([True]), np.array([10.0])), np.zeros(1), np.ones(1), LIMIT, 60.0)
     for a, b in zip(watch(now, np.array([np.nan]), np.ones(1), LIMIT, 60.0), now, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 def test_the_size_follows_the_fault_over_the_last_samples_and_rests_while_evidence_gathers() -> None:
-    now = exclude(nobody((), 1), np.array([True]), np.array([20.0]))
+    now = exclude(none_excluded((), 1), np.array([True]), np.array([20.0]))
     size, one = 20.0, np.ones(1)
     for k, error in enumerate([20.0, 22.0, 24.0, 26.0, 28.0, 30.0, 32.0], start=2):
         now = watch(now, error * one, one, LIMIT, 1e9)
@@ -116,7 +116,7 @@ def test_the_size_follows_the_fault_over_the_last_samples_and_rests_while_eviden
 
 def test_a_sensor_left_out_for_nothing_comes_back() -> None:
     """A size estimated as 0 is taken as one standard deviation: readings of 0 then weigh 1/2 each."""
-    now, one = exclude(nobody((), 1), np.array([True]), np.array([0.0])), np.ones(1)
+    now, one = exclude(none_excluded((), 1), np.array([True]), np.array([0.0])), np.ones(1)
     for k in range(1, 9):
         now = watch(now, 0 * one, one, LIMIT, LEVEL)
         assert now.out[0] and now.evidence[0] == k / 2

@@ -28,9 +28,9 @@ def test_zero_order_hold_is_exact(dt: float) -> None:
     np.testing.assert_allclose(f, expm(a * dt), **near)
     solved = {"rtol": 0.0, "atol": near["atol"] * np.linalg.cond(a)}
     np.testing.assert_allclose(g, np.linalg.solve(a, (expm(a * dt) - np.eye(4)) @ b), **solved)
-    wanted_f, wanted_g, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 2))), dt)
-    np.testing.assert_allclose(f, wanted_f, **near)
-    np.testing.assert_allclose(g, wanted_g, **near)
+    expected_f, expected_g, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 2))), dt)
+    np.testing.assert_allclose(f, expected_f, **near)
+    np.testing.assert_allclose(g, expected_g, **near)
 
 
 def test_zero_order_hold_of_an_integrator_and_without_inputs() -> None:
@@ -40,7 +40,7 @@ def test_zero_order_hold_of_an_integrator_and_without_inputs() -> None:
     f, g = zero_order_hold(-np.eye(2), np.zeros((2, 0)), 1.0)
     assert g.shape == (2, 0) and f[0, 0] == pytest.approx(np.exp(-1.0), rel=1e-14)
     for a, b in ((np.eye(3), np.ones((2, 1))), (np.ones((2, 3)), np.ones((2, 1))), (np.eye(2), np.ones(2))):
-        with pytest.raises(ValueError, match=r"do not fit; wanted \(n, n\) and \(n, m\)"):
+        with pytest.raises(ValueError, match=r"do not fit; expected \(n, n\) and \(n, m\)"):
             zero_order_hold(a, b, 1.0)
     with pytest.raises(ValueError, match="dt is nan s"):
         zero_order_hold(np.eye(2), np.ones((2, 1)), np.nan)
@@ -134,7 +134,7 @@ def test_the_extended_filter_of_an_affine_plant_is_the_kalman_filter() -> None:
 
 
 def test_text_and_rows_of_unlike_length_are_refused_by_name() -> None:
-    with pytest.raises(ValueError, match=r"offset is \['a', 'b'\]; wanted an array of numbers"):
+    with pytest.raises(ValueError, match=r"offset is \['a', 'b'\]; expected an array of numbers"):
         build_linear(np.eye(2), np.eye(2), offset=["a", "b"])
-    with pytest.raises(ValueError, match=r"transition is .*; wanted an array of numbers"):
+    with pytest.raises(ValueError, match=r"transition is .*; expected an array of numbers"):
         build_linear([[1.0, 0.0], [1.0]], np.eye(2))

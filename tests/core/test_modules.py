@@ -26,8 +26,8 @@ def test_the_published_threshold_is_its_integral(c: ObserverBound, t: float) -> 
         return float(first + noise + c.rho * lipschitz * bound / c.xi * (1 - np.exp(-c.xi * s)))
 
     memory, _ = quad(lambda s: effect(s) * np.exp(-c.xi * (t - s)), 0.0, t, epsabs=0, epsrel=1e-11, limit=200)
-    wanted = effect(t) + c.rho * lipschitz * memory
-    assert c.threshold(np.array(t), start, bound, lipschitz) == pytest.approx(wanted, rel=1e-9)
+    expected = effect(t) + c.rho * lipschitz * memory
+    assert c.threshold(np.array(t), start, bound, lipschitz) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_states_come_first_and_the_inputs_last() -> None:

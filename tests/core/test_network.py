@@ -87,7 +87,7 @@ def test_a_topology_that_is_none(names: tuple[str, ...], links: list[tuple[str, 
 
 @pytest.mark.parametrize("links", [np.zeros((2, 3), int), np.array([[0.0, 1.0]]), np.array([[0, 2]]), np.array([[-1, 0]])])
 def test_links_that_are_no_positions(links: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="wanted"):
+    with pytest.raises(ValueError, match="expected"):
         Topology(("a", "b"), links)
 
 

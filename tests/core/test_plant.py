@@ -76,15 +76,15 @@ def test_physics_that_does_not_fit_together_is_refused(change: dict[str, Any], m
         ({"dt": 0.0}, "dt is 0.0 s; it must be positive and finite"),
         ({"dt": NAN}, "dt is nan s; it must be positive and finite"),
         ({"dt": INF}, "dt is inf s; it must be positive and finite"),
-        ({"x0": np.zeros(2)}, r"x0 has shape \(2,\); wanted 3 finite values"),
-        ({"x0": np.array([0.0, NAN, 0.0])}, "wanted 3 finite values"),
+        ({"x0": np.zeros(2)}, r"x0 has shape \(2,\); expected 3 finite values"),
+        ({"x0": np.array([0.0, NAN, 0.0])}, "expected 3 finite values"),
         ({"initial_cov": np.array([1.0, -2.0, 1.0])}, r"initial_cov has a negative variance \(-2\)"),
-        ({"process_cov": np.ones(4)}, r"process_cov has shape \(4,\); wanted \(3,\) variances or a \(3, 3\) matrix"),
+        ({"process_cov": np.ones(4)}, r"process_cov has shape \(4,\); expected \(3,\) variances or a \(3, 3\) matrix"),
         ({"process_cov": np.array([1.0, INF, 1.0])}, "process_cov has entries that are not finite"),
         ({"initial_cov": np.eye(3) + np.diag([0.5, 0.0], 1)}, "initial_cov is not symmetric positive semi-definite"),
         ({"initial_cov": np.eye(3) + 2 * np.eye(3)[::-1]}, "initial_cov is not symmetric positive semi-definite"),
-        ({"process_bound": np.ones(2)}, r"process_bound has shape \(2,\); wanted \(3,\)"),
-        ({"process_bound": np.array([1.0, -1.0, 1.0])}, "wanted .* numbers of at least 0"),
+        ({"process_bound": np.ones(2)}, r"process_bound has shape \(2,\); expected \(3,\)"),
+        ({"process_bound": np.array([1.0, -1.0, 1.0])}, "expected .* numbers of at least 0"),
     ],
 )
 def test_a_plant_that_does_not_fit_together_is_refused(change: dict[str, Any], message: str) -> None:
@@ -250,8 +250,8 @@ def test_where_the_complex_step_is_wrong_differences_stand_for_it(output: Any, s
     # central differences of width eps^(1/3) sigma: of second order, exact for a quadratic but for rounding, 4 eps^(2/3)
     np.testing.assert_allclose(plant.output_jacobian_at(0.0, x, u), analytic.output_jacobian_at(0.0, x, u), rtol=1e-8)
     t, y = np.arange(1.0, 31.0), analytic.output(0.0, np.full((30, 1), 1.5), u) + 0.0
-    found, wanted = (run(CentralFilter(p), CentralFilter(p).init(), t, y, np.zeros((30, 0)))[1] for p in (plant, analytic))
-    np.testing.assert_allclose(found.estimate, wanted.estimate, rtol=1e-6)
+    found, expected = (run(CentralFilter(p), CentralFilter(p).init(), t, y, np.zeros((30, 0)))[1] for p in (plant, analytic))
+    np.testing.assert_allclose(found.estimate, expected.estimate, rtol=1e-6)
     assert abs(found.estimate[-1, 0] - 1.5) < 0.1  # it moves: 2 would be no filter at all
 
 

@@ -108,7 +108,7 @@ def test_what_is_refused() -> None:
         ((y, 1e-3), "100 healthy samples cannot set a limit that one in 1500 exceeds"),
         ((y, 0), "false_alarm is 0; a probability"),
         ((y, 0.1, 1.0), "weight is 1.0; expected the share of the present reading, above 0 and below 1"),
-        ((y, 0.1, "0.2"), "weight is '0.2'; wanted a number"),
+        ((y, 0.1, "0.2"), "weight is '0.2'; expected a number"),
     ):
         with pytest.raises(ValueError, match=message):
             EwmaLimits.fit(PLANT, *arguments)  # type: ignore[arg-type]

@@ -39,8 +39,8 @@ def test_by_hand() -> None:
     y[:, 0] += PLANT.sensor_sigma[0] * steps
     d = judged(DETECTOR, y)
     # changes: none, 1.5, -2.5, 3, 1.5, -1, -1.5; the larger ratio counts
-    wanted = np.array([0.0, 1.5 / 2, -2.5 / 2, 3.0 / 2, 3.5 / 3, 2.5 / 3, -1.5 / 2])
-    np.testing.assert_allclose(d.residual[:, 0] / d.threshold[:, 0], wanted, atol=1e-12)
+    expected = np.array([0.0, 1.5 / 2, -2.5 / 2, 3.0 / 2, 3.5 / 3, 2.5 / 3, -1.5 / 2])
+    np.testing.assert_allclose(d.residual[:, 0] / d.threshold[:, 0], expected, atol=1e-12)
     np.testing.assert_array_equal(d.isolated[:, 0], [False, False, True, True, True, False, False])
     # in place of the three the last good reading, 1.5 sigma; sizes are less that
     np.testing.assert_allclose(d.measured[2:5, 0], 1.0 + 1.5 * PLANT.sensor_sigma[0], rtol=1e-12)
@@ -159,12 +159,12 @@ def test_what_is_refused() -> None:
     silent[..., 2] = np.nan
     infinite[3, 0, 0] = np.inf
     for bad, message in (
-        (y[0, 0], r"y has shape \(4,\); wanted healthy readings \(K, ..., 4\)"),
+        (y[0, 0], r"y has shape \(4,\); expected healthy readings \(K, ..., 4\)"),
         (y[..., :3], r"y has shape \(100, 2, 3\)"),
         (y[:3], "of at least 4 times"),
         (silent, "healthy readings of q12 are missing; leave"),
         (infinite, "infinite readings"),
-        ("healthy", "y is 'healthy'; wanted an array of numbers"),
+        ("healthy", "y is 'healthy'; expected an array of numbers"),
     ):
         with pytest.raises(ValueError, match=message):
             FixedLimits.fit(PLANT, bad, 0.1)
@@ -173,9 +173,9 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="false_alarm is 0; a probability"):
         FixedLimits.fit(PLANT, y, 0)
     for change, message in (
-        ({"centre": np.ones(3)}, r"centre has shape \(3,\); wanted 4 finite numbers, one a sensor of plant 'two-tanks'"),
-        ({"level": np.full(4, np.nan)}, "wanted 4 finite numbers"),
-        ({"change": np.array([1.0, 0.0, 1.0, 1.0])}, "change has limits of 0 and more; wanted positive ones"),
+        ({"centre": np.ones(3)}, r"centre has shape \(3,\); expected 4 finite numbers, one a sensor of plant 'two-tanks'"),
+        ({"level": np.full(4, np.nan)}, "expected 4 finite numbers"),
+        ({"change": np.array([1.0, 0.0, 1.0, 1.0])}, "change has limits of 0 and more; expected positive ones"),
     ):
         with pytest.raises(ValueError, match=message):
             replace(DETECTOR, **change)

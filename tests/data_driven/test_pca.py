@@ -300,12 +300,12 @@ def test_what_is_refused() -> None:
         ((y, 1e-3), "100 healthy samples cannot set a limit that one in 3000 exceeds"),
         ((y, 1.5), "false_alarm is 1.5; a probability"),
         ((y, 0.1, 6), "components is 6; expected fewer than the 6 readings of a window"),
-        ((y, 0.1, -1), "components is -1; wanted a whole number of at least 0"),
-        ((y, 0.1, None, 0), "max_faults is 0; wanted a whole number"),
-        ((y, 0.1, None, 3, -1), "lags is -1; wanted a whole number"),
+        ((y, 0.1, -1), "components is -1; expected a whole number of at least 0"),
+        ((y, 0.1, None, 0), "max_faults is 0; expected a whole number"),
+        ((y, 0.1, None, 3, -1), "lags is -1; expected a whole number"),
         ((y[:6, 0], 0.5), "3 complete samples of 6 readings to train on"),
         ((y[:40, 0], 0.5, None, 3, 2), "complete samples of 18 readings to train on"),
-        ((y[..., :5], 0.1), "wanted healthy readings"),
+        ((y[..., :5], 0.1), "expected healthy readings"),
     ):
         with pytest.raises(ValueError, match=message):
             PrincipalComponents.fit(PLANT, *arguments)  # type: ignore[arg-type]
@@ -323,7 +323,7 @@ def test_what_is_refused() -> None:
             replace(MODEL, **change)
     for change, message in (
         ({"limit_spe": float("nan")}, "limit_spe is nan; expected a positive"),
-        ({"limit_t2": "1"}, "limit_t2 is '1'; wanted a number"),
+        ({"limit_t2": "1"}, "limit_t2 is '1'; expected a number"),
         ({"max_faults": 7}, "max_faults is 7; plant 'chain' has 6 sensors"),
         ({"model": None}, "model is None; expected a ComponentModel of plant 'chain'"),
         ({"plant": chain(6)}, "expected a ComponentModel of plant 'chain'"),

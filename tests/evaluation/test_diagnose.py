@@ -64,8 +64,8 @@ def test_the_decisions_are_those_of_a_run() -> None:
     t, _, y, u = readings(plant, 20, 1, seed=0)
     detector = CentralFilter(plant)
     found = diagnose(detector, t, y[:, 0], u[:, 0])
-    _, wanted = run(detector, detector.init(), t, y[:, 0], u[:, 0])
-    np.testing.assert_array_equal(found.decisions.estimate, wanted.estimate)
+    _, expected = run(detector, detector.init(), t, y[:, 0], u[:, 0])
+    np.testing.assert_array_equal(found.decisions.estimate, expected.estimate)
 
 
 def test_a_log_may_start_at_any_time_and_step_unevenly_or_be_one_sample() -> None:
@@ -106,7 +106,7 @@ def test_shapes_and_times_that_do_not_fit_are_named() -> None:
         (t, y[:, 0], u),
         (t, y, u[:, 0]),
     ):
-        with pytest.raises(ValueError, match=r"do not fit; wanted \(K,\), \(K, sensors\), \(K, inputs\)"):
+        with pytest.raises(ValueError, match=r"do not fit; expected \(K,\), \(K, sensors\), \(K, inputs\)"):
             diagnose(detector, *args)
     with pytest.raises(ValueError, match="t is empty"):
         diagnose(detector, t[:0], y[:0], u[:0])
@@ -122,7 +122,7 @@ def test_shapes_and_times_that_do_not_fit_are_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("held", "gap", "wanted"),
+    ("held", "gap", "expected"),
     [
         ("", 1, []),
         ("....", 3, []),
@@ -134,8 +134,8 @@ def test_shapes_and_times_that_do_not_fit_are_named() -> None:
         ("#.#.#", 2, [(0, 4)]),
     ],
 )
-def test_spans(held: str, gap: int, wanted: list[tuple[int, int]]) -> None:
-    assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == wanted
+def test_spans(held: str, gap: int, expected: list[tuple[int, int]]) -> None:
+    assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == expected
 
 
 @pytest.mark.parametrize("limits", [{"max_dt": 6.0}, {"fixed_dt": True}], ids=str)
@@ -240,6 +240,6 @@ def test_the_tanks_step_through_a_gap_of_minutes() -> None:
     variance = np.diagonal(known.covariance, axis1=-2, axis2=-1)
     # of level 1, x' = -r x + w: Q (1 - exp(-2 r t)) / (1 - exp(-2 r dt)) + P0 exp(-2 r t)
     r, q, p = 6e-4 / 0.1, float(plant.process_cov[0]), float(plant.initial_cov[0])
-    wanted = q * (1 - np.exp(-2 * r * steps)) / (1 - np.exp(-2 * r * plant.dt)) + p * np.exp(-2 * r * steps)
-    np.testing.assert_allclose(variance[:, 0], wanted, rtol=1e-4)  # nonlinear by what the level moves
+    expected = q * (1 - np.exp(-2 * r * steps)) / (1 - np.exp(-2 * r * plant.dt)) + p * np.exp(-2 * r * steps)
+    np.testing.assert_allclose(variance[:, 0], expected, rtol=1e-4)  # nonlinear by what the level moves
     assert leap.covariance[-1, 0, 0] > 2 * variance[-1, 0]

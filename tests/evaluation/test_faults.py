@@ -188,13 +188,13 @@ def test_samples_on_an_edge_are_on_it_in_spite_of_rounding():
         ({"kind": "wobble"}, "unknown fault kind 'wobble'; known: bias"),
         ({"kind": ["bias"]}, "unknown fault kind"),
         ({"onset": np.inf}, "onset is inf"),
-        ({"onset": "soon"}, "onset is 'soon'; wanted a number"),
+        ({"onset": "soon"}, "onset is 'soon'; expected a number"),
         ({"length": -1.0}, "length is -1.0"),
         ({"length": np.nan}, "length is nan"),
         ({"magnitude": np.nan}, "magnitude is nan"),
         ({"magnitude": 0.0}, "no fault"),
-        ({"magnitude": True}, "wanted a number"),
-        ({"relative": 1}, "wanted true or false"),
+        ({"magnitude": True}, "expected a number"),
+        ({"relative": 1}, "expected true or false"),
         ({"rise": 3.0}, "belongs to a drift"),
         ({"kind": "drift", "rise": -3.0}, "positive number of seconds"),
         ({"kind": "drift", "length": np.inf}, "neither rise nor length"),
@@ -203,7 +203,7 @@ def test_samples_on_an_edge_are_on_it_in_spite_of_rounding():
         ({"kind": "replay", "magnitude": 0.0, "period": 0.0}, "positive number of seconds"),
         ({"kind": "replay", "magnitude": 0.0, "length": np.inf}, "neither period nor length"),
         ({"kind": "scale", "relative": True}, "a factor already"),
-        ({"kind": "noise", "magnitude": -1.0}, "wanted a positive size"),
+        ({"kind": "noise", "magnitude": -1.0}, "expected a positive size"),
         ({"probability": 0.5}, "only for spikes and dropouts"),
         ({"kind": "spikes", "probability": 0.0}, "probability is 0.0"),
     ],
@@ -291,10 +291,10 @@ def table(**entries):
         (table(), "fault 1: no onset"),
         (table(onset=1, magnitude=1) + table(onset=1, sensor='"l9"'), "fault 2: unknown sensor 'l9'"),
         (table(onset=1, sensor='["l1"]'), "fault 1: unknown sensor"),
-        (table(onset=1, magnitude='"big"'), r"fault 1: .* magnitude is 'big'; wanted a number"),
+        (table(onset=1, magnitude='"big"'), r"fault 1: .* magnitude is 'big'; expected a number"),
         (table(onset="2020-01-01", magnitude=1), r"fault 1: .* onset is"),
         (table(onset=1, magnitude="nan"), r"fault 1: .* magnitude is nan"),
-        (table(onset=1, magnitude="9" * 400), r"fault 1: .* magnitude is too large; wanted a number below 1e308"),
+        (table(onset=1, magnitude="9" * 400), r"fault 1: .* magnitude is too large; expected a number below 1e308"),
         (table(onset="0x" + "f" * 5000, magnitude=1), r"fault 1: .* onset is too large"),
         (table(onset=1, magnitude="9" * 5000), "not a TOML file"),
         ("a = " + "[" * 10_000, "not a TOML file"),
@@ -330,11 +330,11 @@ def test_faults_drawn_for_a_log_are_apart_and_within_it():
 
 
 @pytest.mark.parametrize(
-    ("missing", "wanted"),
+    ("missing", "expected"),
     [([], 4.0), ([3], 3.0), ([2, 3, 4], 2.0), ([0, 1, 2, 3], 5.0), ([0, 1, 2, 3, 4, 5, 6], 8.0)],
 )
 def test_a_relative_fault_without_a_reading_at_its_onset_refers_to_the_last_known_one(
-    missing: list[int], wanted: float
+    missing: list[int], expected: float
 ) -> None:
     """Readings 1, 2, .. 9, the onset at the fourth, and of those known the last until it, or the first after it."""
     plant = chain(1)
@@ -343,7 +343,7 @@ def test_a_relative_fault_without_a_reading_at_its_onset_refers_to_the_last_know
     y[missing] = np.nan
     found = apply(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)])
     known = np.isfinite(y[3:, 0])
-    np.testing.assert_allclose(found.size[3:, 0][known], -0.5 * wanted, rtol=1e-12)
+    np.testing.assert_allclose(found.size[3:, 0][known], -0.5 * expected, rtol=1e-12)
     assert np.isnan(found.y[missing]).all()
     true = apply(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)], signal=t[:, None])
     np.testing.assert_allclose(true.size[3:, 0][known], -2.0, rtol=1e-12)  # the signal, where it is given

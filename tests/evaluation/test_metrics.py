@@ -256,7 +256,7 @@ def test_one_run_has_a_value_without_an_interval():
 
 def test_shapes_that_do_not_fit_are_named():
     alarm, isolated, active = case()
-    with pytest.raises(ValueError, match=r"alarm has shape \(3, 6\), wanted \(6, 3\)"):
+    with pytest.raises(ValueError, match=r"alarm has shape \(3, 6\), expected \(6, 3\)"):
         detection.detection_probability(alarm.T, active)
     with pytest.raises(ValueError, match="isolated"):
         isolation.isolation_recall(isolated[..., :1], active)

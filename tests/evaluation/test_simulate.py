@@ -94,7 +94,7 @@ def test_inputs_as_function_and_array():
     doubled = simulate(plant, 5, [0], inputs=lambda t: np.array([1.2e-3]))
     np.testing.assert_array_equal(doubled.y, simulate(plant, 5, [0], inputs=np.full((5, 1), 1.2e-3)).y)
     assert np.all(doubled.x[..., 0] > simulate(plant, 5, [0]).x[..., 0])
-    with pytest.raises(ValueError, match=r"inputs have shape \(4, 1\); wanted finite values \(5, 1\)"):
+    with pytest.raises(ValueError, match=r"inputs have shape \(4, 1\); expected finite values \(5, 1\)"):
         simulate(plant, 5, [0], inputs=np.zeros((4, 1)))
 
 
@@ -133,7 +133,7 @@ def test_feedback_by_a_matrix_has_the_same_bits_alone_and_in_any_batch():
 @pytest.mark.parametrize("bad", [lambda t, y, u: u[0], lambda t, y, u: u * np.nan], ids=["shape", "nan"])
 def test_feedback_that_does_not_fit_is_refused(bad):
     plant = walk(step=lambda t, x, u, dt: x + u, inputs=(Signal("rate"),), feedback=bad)
-    with pytest.raises(ValueError, match=r"feedback of plant 'walk' gives shape .* at 1 s; wanted finite inputs \(..., 1\)"):
+    with pytest.raises(ValueError, match=r"feedback of plant 'walk' gives shape .* at 1 s; expected finite inputs \(..., 1\)"):
         simulate(plant, 4, [0, 1])
 
 
@@ -187,8 +187,8 @@ def test_full_covariances_are_those_of_the_draws():
     scale = np.sqrt(np.diagonal(plant.process_cov))
     for options in ({"process_noise": True}, {"start": "sampled"}):
         found = simulate(plant, 1, range(n), **options).x[0] - plant.x0
-        wanted = plant.process_cov / np.outer(scale, scale)
-        assert np.abs(np.cov((found / scale).T) - wanted).max() < 4.5 * np.sqrt(2 / n)  # the largest of 153
+        expected = plant.process_cov / np.outer(scale, scale)
+        assert np.abs(np.cov((found / scale).T) - expected).max() < 4.5 * np.sqrt(2 / n)  # the largest of 153
 
 
 def test_bounded_process_noise():
@@ -214,7 +214,7 @@ def test_truth_with_smaller_steps_and_other_states():
     assert simulate(plant, 3, [0], truth=other).x is None
     mapped = simulate(plant, 3, [0], truth=other, to_states=lambda x: x[..., ::-1])
     np.testing.assert_array_equal(mapped.x[..., ::-1], simulate(plant, 3, [0], truth="model").x)
-    with pytest.raises(ValueError, match=r"to_states gives \(3, 1, 1\); wanted \(3, 1, 2\)"):
+    with pytest.raises(ValueError, match=r"to_states gives \(3, 1, 1\); expected \(3, 1, 2\)"):
         simulate(plant, 3, [0], truth=other, to_states=lambda x: x[..., :1])
 
 
@@ -257,16 +257,16 @@ def test_leaving_the_limits_names_seed_time_state_and_cure():
         ({"seeds": [1, 1]}, "each different"),
         ({"seeds": [-1]}, "integer of at least 0"),
         ({"seeds": [1.5]}, "integer of at least 0"),
-        ({"seeds": 0}, r"seeds are 0; wanted several integers .* such as \[0\]"),
-        ({"seeds": "12"}, "a seed is '1'; wanted an integer"),
-        ({"seeds": None}, "seeds are None; wanted"),
-        ({"seeds": np.array(3)}, "wanted several integers"),
-        ({"times": 2.5}, "times is 2.5; wanted a whole number"),
-        ({"times": "ten"}, "times is 'ten'; wanted an array of numbers"),
+        ({"seeds": 0}, r"seeds are 0; expected several integers .* such as \[0\]"),
+        ({"seeds": "12"}, "a seed is '1'; expected an integer"),
+        ({"seeds": None}, "seeds are None; expected"),
+        ({"seeds": np.array(3)}, "expected several integers"),
+        ({"times": 2.5}, "times is 2.5; expected a whole number"),
+        ({"times": "ten"}, "times is 'ten'; expected an array of numbers"),
         ({"times": 10**30}, "at most 1000000000"),
-        ({"truth": "fine"}, "wanted 'finer', 'model' or a plant"),
-        ({"truth": 3}, "truth is 3; wanted 'finer', 'model' or a plant"),
-        ({"t0": np.nan}, "t0 is nan; wanted a finite time"),
+        ({"truth": "fine"}, "expected 'finer', 'model' or a plant"),
+        ({"truth": 3}, "truth is 3; expected 'finer', 'model' or a plant"),
+        ({"t0": np.nan}, "t0 is nan; expected a finite time"),
         ({"start": "anywhere"}, "'nominal', 'sampled'"),
         ({"start": np.zeros(5)}, "start has shape"),
         ({"truth": chain()}, "truth has the sensors"),

@@ -159,7 +159,7 @@ def test_a_worker_with_other_code_that_joins_later_is_refused(tmp_path: Path, cl
 
 def test_what_is_no_cluster_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(on_cluster, "PATIENCE", 0.2)
-    with pytest.raises(ValueError, match="workers and a scheduler's address; wanted one of them"):
+    with pytest.raises(ValueError, match="workers and a scheduler's address; expected one of them"):
         run_scenarios([TOY], tmp_path, workers=2, scheduler="tcp://127.0.0.1:1")
     with distributed.LocalCluster(n_workers=0, processes=False, **LOCAL) as empty:
         for address, message in (

@@ -106,7 +106,7 @@ def test_results_that_are_no_arrays_are_a_failure(tmp_path: Path) -> None:
         return {"mean": object()}
 
     outcome = run_scenarios([toy(work=work)], tmp_path, workers=1, seeds=1)
-    assert "wanted arrays of numbers" in outcome.failures[0]
+    assert "expected arrays of numbers" in outcome.failures[0]
     assert not list((tmp_path / "parts").glob("*"))
 
 
@@ -290,8 +290,8 @@ def test_parts(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"workers": 0}, "0 workers; wanted at least 1"),
-        ({"seeds": 0}, "0 seeds; wanted at least 1"),
+        ({"workers": 0}, "0 workers; expected at least 1"),
+        ({"seeds": 0}, "0 seeds; expected at least 1"),
         ({"seeds": 3, "full": True}, "3 seeds and full"),
         ({"changes": {"sise": "3"}}, r"no setting 'sise' in toy/mean; known: figure, levels, rate, size, trap"),
         ({"changes": {"size": "many"}}, "setting size is 'many'; expected a whole number from 1 to 1000000, such as 40"),

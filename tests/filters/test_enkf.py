@@ -58,10 +58,10 @@ def test_square_root_has_exactly_the_moments_of_the_kalman_update(size: int, ful
     noise = np.diag(R) + 0.05 if full else R
     E, y = ensemble(size, 4), readings(4)
     joint = enkf.joint(E, h, noise)
-    wanted = condition(joint, y)
+    expected = condition(joint, y)
     got = moments(enkf.update(EnKFSettings(size, "square-root"), E, h, y, noise, np.random.default_rng(0)))
-    np.testing.assert_allclose(got[0], wanted.x, **near(E, noise))
-    np.testing.assert_allclose(got[1], wanted.P, **near(E, noise))
+    np.testing.assert_allclose(got[0], expected.x, **near(E, noise))
+    np.testing.assert_allclose(got[1], expected.P, **near(E, noise))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -89,11 +89,11 @@ def test_the_stochastic_covariance_approaches_the_kalman_filters() -> None:
     size, repeats = 200, 400
     E = ensemble(size)
     y = np.array([0.5, NAN, 1.0, -1.0])
-    wanted = condition(enkf.joint(E, h, R), y).P
+    expected = condition(enkf.joint(E, h, R), y).P
     batch = np.broadcast_to(E, (repeats, size, n))
     got = moments(enkf.update(EnKFSettings(size), batch, h, y, R, np.random.default_rng(0)))[1]
-    error = got.mean(0) - wanted
-    allowed = 5 * got.std(0) / np.sqrt(repeats) + 2 * np.sqrt(np.outer(np.diagonal(wanted), np.diagonal(wanted))) / size
+    error = got.mean(0) - expected
+    allowed = 5 * got.std(0) / np.sqrt(repeats) + 2 * np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected))) / size
     assert np.all(np.abs(error) < allowed)
 
 

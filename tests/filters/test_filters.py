@@ -79,9 +79,9 @@ def test_every_filter_is_the_kalman_filter_on_a_linear_model(filter_name: str) -
     magnified = 1.0 if points is None else 1 / points.alpha**2
     tolerance = rounding(magnified * 10, 40 * 10)
     for b in range(4):
-        wanted_x, wanted_P = kalman(np.ones(3), np.eye(3), y[:, b])
-        np.testing.assert_allclose(x[b], wanted_x, rtol=0, atol=tolerance)
-        np.testing.assert_allclose(P[b], wanted_P, rtol=0, atol=tolerance)
+        expected_x, expected_P = kalman(np.ones(3), np.eye(3), y[:, b])
+        np.testing.assert_allclose(x[b], expected_x, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(P[b], expected_P, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("redraw", [True, False, None])

@@ -62,10 +62,10 @@ def test_approaches_the_kalman_filter(method: Any) -> None:
     """The mean of 200 runs lies within 4.5 standard errors and a bias of some 5 / size of the posterior's own spread."""
     size, runs = 1000, 200
     x, P = method(size, runs, np.random.default_rng(2))
-    wanted_x, wanted_P = kalman()
-    sigma = np.sqrt(np.diagonal(wanted_P))
-    assert np.all(np.abs(x.mean(0) - wanted_x) < 4.5 * x.std(0) / np.sqrt(runs) + 5 / size * sigma)
-    assert np.all(np.abs(P.mean(0) - wanted_P) < 4.5 * P.std(0) / np.sqrt(runs) + 5 / size * np.outer(sigma, sigma))
+    expected_x, expected_P = kalman()
+    sigma = np.sqrt(np.diagonal(expected_P))
+    assert np.all(np.abs(x.mean(0) - expected_x) < 4.5 * x.std(0) / np.sqrt(runs) + 5 / size * sigma)
+    assert np.all(np.abs(P.mean(0) - expected_P) < 4.5 * P.std(0) / np.sqrt(runs) + 5 / size * np.outer(sigma, sigma))
 
 
 def test_log_likelihoods_far_below_the_smallest_number_still_weigh() -> None:
@@ -84,9 +84,9 @@ def test_full_noise_matrix_and_diagonal_agree() -> None:
         )
     correlated = np.array([[0.2, 0.1], [0.1, 0.5]])
     d = Y[0] - predicted
-    wanted = -0.5 * np.einsum("...i,ij,...j->...", d, np.linalg.inv(correlated), d)
+    expected = -0.5 * np.einsum("...i,ij,...j->...", d, np.linalg.inv(correlated), d)
     cond = float(np.linalg.cond(correlated))
-    np.testing.assert_allclose(particle.log_likelihood(predicted, Y[0], correlated), wanted, rtol=rounding(cond, 10))
+    np.testing.assert_allclose(particle.log_likelihood(predicted, Y[0], correlated), expected, rtol=rounding(cond, 10))
 
 
 @given(

@@ -9,11 +9,11 @@ import numpy as np
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.plant import Array
 from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Foretold
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 
 
-def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Foretold:
+def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Prediction:
     """Estimates and deviations for the next readings, under reference and load (B, N)."""
     at, F, closed = areas.network.topology, areas.matrices, areas.network.closed
     n, a = F.shape[1], F[:, 0, 0]
@@ -94,7 +94,7 @@ def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: 
     def at_sides(of_area: Array, where_open: Array | float) -> Array:
         return np.where(closed, of_area, where_open)
 
-    return Foretold(
+    return Prediction(
         estimate,
         at_sides(np.take(agreed, at.neighbour, axis=-1), now.held_shared),
         deviation,
@@ -104,10 +104,10 @@ def foretell(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: 
     )
 
 
-def take(foretold: Foretold, own: Array, shared: Array) -> Diagnosers:
+def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
     kept = []
-    for y, estimate, deviation, doubt in zip((own, shared), foretold[:2], foretold[2:4], foretold[4:], strict=True):
+    for y, estimate, deviation, doubt in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
         read = np.isfinite(y)
         known = read & (deviation < UNKNOWN**0.5)  # a copy that knew nothing starts here, its residual 0
         kept.append(

@@ -21,7 +21,7 @@ NASTY = '<script>alert(1)</script> & "quotes" -->'
 
 def tasks(settings: Settings, seeds: int) -> list[Task]:
     if settings["size"] < 1:
-        raise ValueError(f"size is {settings['size']}; wanted at least 1")
+        raise ValueError(f"size is {settings['size']}; expected at least 1")
     return [
         {"size": settings["size"], "trap": settings["trap"], "detector": detector, "quantity": "pressure", "seeds": block}
         for detector in ("a", "b")

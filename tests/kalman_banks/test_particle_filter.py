@@ -42,10 +42,10 @@ def clouds() -> Decision:
     return run(detector, detector.init((RUNS,), seed=3), t, same, u, covariance=True)[1]
 
 
-def assert_near(found: Array, wanted: Array, unit: Array) -> None:
+def assert_near(found: Array, expected: Array, unit: Array) -> None:
     """The mean of the runs within 4.5 standard errors, and a bias of 5 / SIZE of the unit: weights are ratios of means."""
     allowed = 4.5 * found.std(axis=0, ddof=1) / np.sqrt(RUNS) + 5 / SIZE * unit
-    assert np.all(np.abs(found.mean(axis=0) - wanted) <= allowed), (found.mean(axis=0) - wanted) / allowed
+    assert np.all(np.abs(found.mean(axis=0) - expected) <= allowed), (found.mean(axis=0) - expected) / allowed
 
 
 @pytest.mark.parametrize("k", range(6))
@@ -139,17 +139,17 @@ def test_jumps_are_named_with_their_size_and_replaced() -> None:
     faulty[20:, :, 5] -= 25.0
     detector = ParticleFilter(plant, size=3000)
     _, d = run(detector, detector.init((10,)), t, faulty, u)
-    wanted = np.zeros(8, bool)
-    wanted[[2, 5]] = True
+    expected = np.zeros(8, bool)
+    expected[[2, 5]] = True
     during = d.isolated[20:]
     # 1e-3 of 100 steps: two false names are the 99.98 % point of a Poisson law of mean .1
-    assert np.sum(np.any(during != wanted, axis=-1)) <= 2
+    assert np.sum(np.any(during != expected, axis=-1)) <= 2
     # a size errs by the noise (1) and by the doubt of the others; the accommodated reading by the latter alone
     sizes = d.fault_size[20:][..., [2, 5]]
     np.testing.assert_allclose(np.nanmean(sizes, axis=(0, 1)), [15.0, -25.0], atol=1.0)
     error = (d.measured - y)[20:][..., [2, 5]]
     assert np.sqrt(np.mean(error**2)) < 2.0
-    healthy = np.flatnonzero(~wanted)
+    healthy = np.flatnonzero(~expected)
     np.testing.assert_array_equal(
         d.measured[20:][..., healthy][~during[..., healthy]], faulty[20:][..., healthy][~during[..., healthy]]
     )

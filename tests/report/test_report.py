@@ -84,8 +84,8 @@ def test_what_a_reader_looks_for(page: str) -> None:
     assert "(within)" in read.text
     assert "undefined" in read.text
     assert "fusion-sfdia run toy/mean" in read.text
-    for wanted in ('name="viewport"', "prefers-color-scheme: dark", "<svg", 'role="img"', 'lang="en"', "overflow-x: auto"):
-        assert wanted in page
+    for expected in ('name="viewport"', "prefers-color-scheme: dark", "<svg", 'role="img"', 'lang="en"', "overflow-x: auto"):
+        assert expected in page
 
 
 def test_a_chapter_has_its_place_and_an_entry_in_the_contents(page: str) -> None:
@@ -97,7 +97,7 @@ def test_a_chapter_has_its_place_and_an_entry_in_the_contents(page: str) -> None
 
 
 def test_estimates_show_what_their_interval_can_tell() -> None:
-    wanted = {
+    expected = {
         (0.93123, 0.8812, 0.9634, 60): "0.931 [0.881, 0.963]",
         (0.5, 0.1, 0.9, 3): "0.50 [0.10, 0.90]",
         (123.4, 100.0, 150.0, 3): "123 [100, 150]",
@@ -106,12 +106,12 @@ def test_estimates_show_what_their_interval_can_tell() -> None:
         (math.nan, math.nan, math.nan, 0): "none",
         (2.5, math.nan, math.nan, 1): "2.5",
     }
-    assert [number(e) for e in wanted] == list(wanted.values())
+    assert [number(e) for e in expected] == list(expected.values())
 
 
 def test_numbers() -> None:
-    wanted = {0.123456: "0.1235", 1e-7: "1e-7", 123456.0: "1.235e5", 2.0: "2", math.nan: "undefined", math.inf: "inf"}
-    assert [number(v) for v in wanted] == list(wanted.values())
+    expected = {0.123456: "0.1235", 1e-7: "1e-7", 123456.0: "1.235e5", 2.0: "2", math.nan: "undefined", math.inf: "inf"}
+    assert [number(v) for v in expected] == list(expected.values())
     assert number(12345) == "12345"
     assert number("text") == "text"
 

@@ -38,8 +38,8 @@ def test_the_threshold_is_what_the_worst_noise_does() -> None:
     F = plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), plant.dt)
     y = np.zeros((3, 6))
     _, d = run(detector(plant), detector(plant).init(), plant.dt * np.arange(1, 4), y, np.zeros((3, len(plant.inputs))))
-    wanted = np.abs(F) @ np.full(6, BOUND) + 0.05 + BOUND  # of readings that are each a state: |F| d + w + d
-    np.testing.assert_allclose(d.threshold[1:], np.broadcast_to(wanted, (2, 6)), rtol=1e-11)  # widened by 1e-12 for rounding
+    expected = np.abs(F) @ np.full(6, BOUND) + 0.05 + BOUND  # of readings that are each a state: |F| d + w + d
+    np.testing.assert_allclose(d.threshold[1:], np.broadcast_to(expected, (2, 6)), rtol=1e-11)  # widened by 1e-12 for rounding
 
 
 def test_noise_within_its_bounds_never_alarms() -> None:
@@ -66,10 +66,10 @@ def test_a_fault_taken_out_leaves_its_doubt_and_runs_without_one_as_they_were(ki
     F = plant.step_jacobian_at(0.0, plant.x0, u[0], plant.dt)
     core = one.start((3,), 0)
     for k in (0, 1):
-        outlook = one.foretell(core, Moment(k * plant.dt, (k + 1) * plant.dt, plant.dt, 0, k), u)
+        outlook = one.predict(core, Moment(k * plant.dt, (k + 1) * plant.dt, plant.dt, 0, k), u)
         core = one.take(outlook, np.random.default_rng(k).normal(size=(3, 6))).core
     now = Moment(2 * plant.dt, 3 * plant.dt, plant.dt, 0, 2)
-    before, outlook = one.foretell(core, now, u), one.foretell(core, now, u)
+    before, outlook = one.predict(core, now, u), one.predict(core, now, u)
     size[2, 1], doubt[2, 1] = 2.0, 0.25
     freed = one.freed(core, outlook, now, u, size, doubt)
     np.testing.assert_allclose(freed.expected[:2], before.expected[:2], rtol=0, atol=1e-12)  # of numbers of some units
@@ -89,7 +89,7 @@ def test_a_state_that_is_read_as_a_multiple_is_its_reading_over_it() -> None:
         dt=1.0, x0=np.zeros(2), initial_cov=np.ones(2), process_cov=np.ones(2),
     )  # fmt: skip
     one, u = PresentReadings(plant, 0.0, Extended()), np.zeros((1, 0))
-    taken = one.take(one.foretell(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), np.array([[3.0, 3.0]]))
+    taken = one.take(one.predict(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), np.array([[3.0, 3.0]]))
     np.testing.assert_allclose(taken.estimate, [[1.5, -0.75]], rtol=1e-15)
     assert taken.covariance is not None
     np.testing.assert_allclose(taken.covariance[0], np.diag([0.1 / 2, 0.1 / 4]) ** 2, rtol=1e-14)
@@ -100,7 +100,7 @@ def test_states_that_nobody_reads_have_the_gain_of_kalman() -> None:
     one, u, y = PresentReadings(plant, 0.0, Extended()), np.zeros((1, 0)), np.array([[1.0, -2.0, 3.0, 0.5]])
     F, H = plant.step_jacobian_at(0.0, plant.x0, u[0], 1.0), plant.output_jacobian_at(0.0, plant.x0, u[0])
     P = F @ np.diag(plant.initial_cov) @ F.T + np.diag(plant.process_cov)
-    taken = one.take(one.foretell(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), y)
+    taken = one.take(one.predict(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), y)
     expected = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(plant.sensor_cov), y[0])
     np.testing.assert_allclose(taken.estimate[0], expected, rtol=0, atol=1e-12)  # of numbers of some units
 

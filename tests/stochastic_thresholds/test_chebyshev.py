@@ -18,7 +18,7 @@ from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev, calibrated
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, foretell, take
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, predict, take
 from fusion_sfdia.stochastic_thresholds.monte_carlo import MonteCarlo
 from fusion_sfdia.stochastic_thresholds.threshold_rules import false_alarm_of
 
@@ -121,8 +121,8 @@ def test_each_diagnoser_keeps_its_budget_of_false_alarms(rule: str, budget: floa
 
 def test_a_gaussian_quantile_without_memory_is_exact() -> None:
     d = decisions(Chebyshev(network(), lam=0.0, rule="gaussian", alpha=2.0, **WATCHING), healthy("network"))
-    rate, wanted = np.mean(d.scores[SETTLED:] > 1), false_alarm_of("gaussian", 2.0)
-    assert rate == pytest.approx(wanted, abs=5 * np.sqrt(wanted / RUNS / 15))  # areas err nearly independently
+    rate, expected = np.mean(d.scores[SETTLED:] > 1), false_alarm_of("gaussian", 2.0)
+    assert rate == pytest.approx(expected, abs=5 * np.sqrt(expected / RUNS / 15))  # areas err nearly independently
 
 
 def test_as_printed_shared_states_alarm_too_often() -> None:
@@ -159,7 +159,7 @@ def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
     areas = network_areas_of(network())
     now = Diagnosers(*Chebyshev(network()).init((2,))[-8:])
     for k in range(STEPS):
-        ahead = foretell(areas, now, u[k, :, :15], u[k, :, 15:], 0.3, "corrected")
+        ahead = predict(areas, now, u[k, :, :15], u[k, :, 15:], 0.3, "corrected")
         now = take(ahead, y[k, :, :60].reshape(2, 15, 4), y[k, :, 60:])
         both = np.concatenate([ahead.estimate.reshape(2, 60), ahead.estimate_shared], axis=-1)
         np.testing.assert_allclose(d.residual[k], y[k] - both, atol=100 * np.finfo(float).eps)  # a compiled sum of 20 terms
@@ -388,11 +388,11 @@ def test_confirmations_wait() -> None:
     [
         ({"alpha": 1.0}, "must exceed 1"),
         ({"alpha": np.nan}, "must exceed 1"),
-        ({"alpha": (2.0, 3.0)}, "wanted one number or one for each of 4 sensors"),
+        ({"alpha": (2.0, 3.0)}, "expected one number or one for each of 4 sensors"),
         ({"false_alarm": 0.0}, "strictly between 0 and 1"),
         ({"false_alarm": 1.5}, "strictly between 0 and 1"),
         ({"alpha": 2.0, "false_alarm": 0.1}, "each follows from the other: give one"),
-        ({"lam": 1.0}, "lam is 1.0; wanted at least 0 and less than 1"),
+        ({"lam": 1.0}, "lam is 1.0; expected at least 0 and less than 1"),
         ({"lam": -0.1}, "lam is -0.1"),
         ({"mode": "printed"}, "mode is 'printed'; known: corrected, paper"),
         ({"rule": "markov"}, "rule is 'markov'; known: chebyshev"),
@@ -401,7 +401,7 @@ def test_confirmations_wait() -> None:
         ({"moments": None}, "estimator is None"),
         ({"confirmations": 0}, "confirmations is 0"),
         ({"max_faults": 4}, "max_faults is 4; plant 'two-tanks' has 4 sensors"),
-        ({"plant": None}, "wanted a Plant"),
+        ({"plant": None}, "expected a Plant"),
     ],
 )
 def test_settings_that_do_not_fit(settings: dict[str, object], message: str) -> None:

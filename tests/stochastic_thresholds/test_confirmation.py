@@ -86,7 +86,7 @@ def test_three_alarms_in_a_row_may_be_likelier_than_their_bound_at_alpha_10() ->
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Consecutive(2.0, q=0), "q is 0; wanted a whole number of at least 1"),
+        (lambda: Consecutive(2.0, q=0), "q is 0; expected a whole number of at least 1"),
         (lambda: Consecutive(0.0), "level is 0"),
         (lambda: Cusum(1.0, drift=-0.1), "drift is -0.1"),
         (lambda: Cusum(np.inf), "level is inf"),

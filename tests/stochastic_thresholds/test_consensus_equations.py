@@ -14,7 +14,7 @@ from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
-from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners, foretell, take
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state, predict, take
 
 LAM, SEEDS, STEPS, SETTLED = 0.3, 400, 24, 12
 MODEL = network_model()
@@ -25,10 +25,10 @@ AT = AREAS.network.topology
 def healthy_run(mode: str, missing: float = 0.0, lam: float = LAM, model: object = MODEL) -> tuple[Array, Array, Array, Array]:
     """Residuals and deviations of a settled closed loop: own (K, B, N, 4), (K, B, N, 4), shared (K, B, 2E), (K, B, 2E)."""
     areas, rng = network_areas(model), np.random.default_rng(3)
-    now, found = beginners(areas, (SEEDS,)), []
+    now, found = initial_state(areas, (SEEDS,)), []
     for moment in run_network(model, STEPS, range(SEEDS), loads=lambda t: np.zeros(15)):
         load = np.broadcast_to(moment.load, moment.reference.shape)
-        ahead = foretell(areas, now, moment.reference, load, lam, mode)
+        ahead = predict(areas, now, moment.reference, load, lam, mode)
         own = np.where(rng.random(moment.own.shape) < missing, np.nan, moment.own)
         shared = np.where(rng.random(moment.shared.shape) < missing, np.nan, moment.shared)
         now = take(ahead, own, shared)
@@ -100,7 +100,7 @@ def test_each_deviation_is_that_of_its_own_receivers_noise(missing: bool) -> Non
         """Estimates and deviations (94,) of own readings, then of copies, after these readings."""
         given = (a.reshape(1, 15, 4) if k == 0 else a[None] for v in (held, doubt) for k, a in enumerate(np.split(v, [60])))
         rest = (np.zeros(s) for s in ((1, 15, 4), (1, 34)) * 2)
-        found = foretell(unlike, Diagnosers(*given, *rest), zero, zero, 0.0, "corrected")
+        found = predict(unlike, Diagnosers(*given, *rest), zero, zero, 0.0, "corrected")
         return tuple(np.concatenate([a.ravel(), b.ravel()]) for a, b in (found[:2], found[2:4]))  # type: ignore[return-value]
 
     start = rng.standard_normal(count)
@@ -120,12 +120,12 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
     unlike = replace(
         AREAS, noise=AREAS.noise * rng.uniform(0.2, 5, AREAS.noise.shape), shared_noise=rng.uniform(1e-6, 1e-4, 34)
     )
-    now = beginners(unlike, (1,))
+    now = initial_state(unlike, (1,))
     zero = np.zeros((1, 15))
     now = take(
-        foretell(unlike, now, zero, zero, 0.0, "corrected"), rng.standard_normal((1, 15, 4)), rng.standard_normal((1, 34))
+        predict(unlike, now, zero, zero, 0.0, "corrected"), rng.standard_normal((1, 15, 4)), rng.standard_normal((1, 34))
     )
-    ahead = foretell(unlike, now, zero, zero, 0.0, "corrected")
+    ahead = predict(unlike, now, zero, zero, 0.0, "corrected")
     np.testing.assert_array_equal(ahead.estimate_shared, ahead.estimate[:, AT.neighbour, 0])
     i = AT.index("5")
     copies = AREAS.opposite[AREAS.network.sides(i)]
@@ -134,7 +134,7 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
     a, drive = unlike.matrices[i, 0, 0], ahead.estimate[0, i, 0] - unlike.matrices[i, 0, 0] * np.sum(y / v) / np.sum(1 / v)
     only = Diagnosers(*(x.copy() for x in now))
     only.held[0, i, 0], only.held_shared[0, copies] = 0.0, 0.0
-    np.testing.assert_allclose(foretell(unlike, only, zero, zero, 0.0, "corrected").estimate[0, i, 0], drive, atol=1e-12)
+    np.testing.assert_allclose(predict(unlike, only, zero, zero, 0.0, "corrected").estimate[0, i, 0], drive, atol=1e-12)
     floor = ahead.deviation[0, i, 0] ** 2
     for _ in range(20):  # any other weights give a larger variance
         W = rng.dirichlet(np.ones(v.size))
@@ -144,7 +144,7 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
 def test_an_area_reads_nothing_but_its_own_and_what_neighbours_tell() -> None:
     rng, i = np.random.default_rng(1), AT.index("5")
     count = AREAS.size[0]
-    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in beginners(AREAS, (2,))))
+    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in initial_state(AREAS, (2,))))
     reference, load = rng.standard_normal((2, 2, count))
     near = AT.neighbour[AREAS.network.sides(i)]
     about = np.isin(AT.neighbour, [i, *near])  # copies of the states that area 5 shares
@@ -164,8 +164,8 @@ def test_an_area_reads_nothing_but_its_own_and_what_neighbours_tell() -> None:
         poisoned.append(np.where(keep, a, np.nan))
     known = np.isin(np.arange(count), [i, *near])
     for mode in MODES:
-        clean = foretell(AREAS, whole, reference, load, LAM, mode)
-        dirty = foretell(
+        clean = predict(AREAS, whole, reference, load, LAM, mode)
+        dirty = predict(
             AREAS, Diagnosers(*poisoned), np.where(known, reference, np.nan), np.where(known, load, np.nan), LAM, mode
         )
         for name in ("estimate", "deviation", "doubt"):
@@ -177,12 +177,12 @@ def test_an_area_reads_nothing_but_its_own_and_what_neighbours_tell() -> None:
 def test_of_a_drive_one_number_crosses_the_border() -> None:
     rng, i = np.random.default_rng(2), AT.index("5")
     j = int(AT.neighbour[AREAS.network.sides(i)][0])
-    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in beginners(AREAS, (1,))))
+    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in initial_state(AREAS, (1,))))
     reference, load = rng.standard_normal((2, 1, 15))
     other, given = Diagnosers(*(a.copy() for a in whole)), reference.copy()
     other.held[0, j, 1:] += [1.0, -2.0, 3.0]
     given[0, j] -= AREAS.matrices[j, 0, 1:4] @ [1.0, -2.0, 3.0] / AREAS.matrices[j, 0, 4]  # the drive is the same
-    a, b = (foretell(AREAS, w, r, load, LAM, "corrected") for w, r in ((whole, reference), (other, given)))
+    a, b = (predict(AREAS, w, r, load, LAM, "corrected") for w, r in ((whole, reference), (other, given)))
     mine = AT.node == i
     tolerance = 100 * np.finfo(float).eps * np.abs(given).max()
     np.testing.assert_allclose(b.estimate[0, i], a.estimate[0, i], rtol=0, atol=tolerance)
@@ -192,15 +192,15 @@ def test_of_a_drive_one_number_crosses_the_border() -> None:
 
 def test_a_copy_starts_from_its_first_reading_and_an_open_tie_has_none() -> None:
     away = network_areas(network_model(unplugged=["4"]))
-    now = beginners(away, (1,))
+    now = initial_state(away, (1,))
     zero, y = np.zeros((1, 15)), np.random.default_rng(4).standard_normal((1, 15, 4))
     shared = np.where(away.network.closed, 0.5, np.nan)[None]
-    first = foretell(away, now, zero, zero, LAM, "corrected")
+    first = predict(away, now, zero, zero, LAM, "corrected")
     assert np.all(first.deviation > 1e50) and np.all(first.deviation_shared > 1e50)
     now = take(first, y, shared)
     np.testing.assert_array_equal(now.held, y)
     assert not now.residual.any() and not now.doubt.any()
-    second = foretell(away, now, zero, zero, LAM, "corrected")
+    second = predict(away, now, zero, zero, LAM, "corrected")
     assert np.all(second.deviation < 1.0)
     np.testing.assert_array_equal(second.deviation_shared[0] < 1.0, away.network.closed)
 
@@ -223,7 +223,7 @@ def test_equations_take_scalars_and_arrays() -> None:
     [
         ({"shared_gain": AREAS.shared_gain + np.eye(34)[3]}, "areas 5 and 2 share theta_5 and model it differently"),
         ({"noise": AREAS.noise * 0}, "of readings positive"),
-        ({"slope": AREAS.slope[:-1]}, r"slope of 15 areas has shape .33,.; wanted .34,."),
+        ({"slope": AREAS.slope[:-1]}, r"slope of 15 areas has shape .33,.; expected .34,."),
         ({"network": AREAS.network.switched(unplug=["4"])}, "the open tie 3-4 has a slope"),
         ({"matrices": np.full_like(AREAS.matrices, np.nan)}, "finite numbers"),
     ],

@@ -18,7 +18,7 @@ from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, conditions, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import run_network
-from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners, foretell, take
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import NONE, NOT_ISOLATED, UNDECIDED, FaultHypotheses, exclusion_alpha
 
 MODEL = network_model(unplugged=["3"])  # area 4 has an open tie
@@ -41,9 +41,9 @@ def nothing(x: Array, u: Array, e: Array) -> Array:
 def anything(runs: int, seed: int = 0) -> tuple[Diagnosers, Array, Array]:
     """Diagnosers that have read everything once, and reference and load."""
     rng = np.random.default_rng(seed)
-    empty = beginners(AREAS, (runs,))
+    empty = initial_state(AREAS, (runs,))
     own, shared = (rng.standard_normal(a.shape) for a in empty[:2])
-    start = take(foretell(AREAS, empty, np.zeros((runs, 15)), np.zeros((runs, 15)), LAM, "corrected"), own, shared)
+    start = take(predict(AREAS, empty, np.zeros((runs, 15)), np.zeros((runs, 15)), LAM, "corrected"), own, shared)
     reference, load = rng.standard_normal((2, runs, 15))
     return start, reference, load
 
@@ -96,15 +96,15 @@ def test_each_hypothesis_is_the_diagnoser_that_knows_its_fault(mode: str, missin
             mixed = {k: np.array(getattr(knows, k)) for k in ("held_shared", "doubt_shared")}
             for k, a in mixed.items():
                 a[:, sides] = getattr(detection, k)[:, sides]
-            ahead = foretell(areas, knows._replace(**mixed), *as_known(fault, reference, load), LAM, mode)
+            ahead = predict(areas, knows._replace(**mixed), *as_known(fault, reference, load), LAM, mode)
             knowing[name] = knows = take(ahead, own, shared)
             open_there = ~AREAS.network.closed[there]
             for k in ("held", "doubt", "residual", "deviation"):
-                wanted = np.concatenate([getattr(knows, k)[:, AREA], getattr(knows, f"{k}_shared")[:, there]], axis=-1)
-                wanted[:, 4:][:, open_there] = found_open = getattr(state, k)[:, place, 4:][:, open_there]
+                expected = np.concatenate([getattr(knows, k)[:, AREA], getattr(knows, f"{k}_shared")[:, there]], axis=-1)
+                expected[:, 4:][:, open_there] = found_open = getattr(state, k)[:, place, 4:][:, open_there]
                 assert np.all(np.isfinite(found_open))
                 # the derivatives are differences over 3e-3, so of the sums of some 10 terms up to 10 each they keep 1e-11
-                np.testing.assert_allclose(getattr(state, k)[:, place], wanted, rtol=1e-9, atol=1e-9, err_msg=f"{name}, {k}")
+                np.testing.assert_allclose(getattr(state, k)[:, place], expected, rtol=1e-9, atol=1e-9, err_msg=f"{name}, {k}")
         detection = knowing["none"]
 
 
@@ -118,7 +118,7 @@ def test_a_curved_fault_function_counts_by_its_slope() -> None:
     observer = FaultHypotheses(AREAS, "4", {"none": nothing, "curved": curved}, lam=LAM)
     start, reference, load = anything(5)
     begun = observer.begin(observer.idle(5), np.ones(5, bool), start)
-    estimate, deviation, _ = observer._foretell(begun, start, reference, load)
+    estimate, deviation, _ = observer._predict(begun, start, reference, load)
     y, row = start.held[:, AREA, 2], AREAS.matrices[AREA, 2]
     np.testing.assert_allclose(estimate[:, 1, 2] - estimate[:, 0, 2], c * y**2, rtol=1e-12, atol=1e-14)  # of estimates up to 10
     more = ((row[2] + 2 * c * y) ** 2 - row[2] ** 2) * AREAS.noise[AREA, 2]
@@ -142,8 +142,8 @@ def observed(outcomes: Sequence[Sequence[bool]], **settings: Any) -> list[str]:
     state = observer.begin(observer.idle(1), np.ones(1, bool), start)
     said = []
     for step in outcomes:
-        # each hypothesis gets a last residual of its own by what it held, so that one reading does what is wanted
-        estimate, deviation, _ = observer._foretell(state, start, 0 * reference, 0 * load)
+        # each hypothesis gets a last residual of its own by what it held, so that one reading does what is expected
+        estimate, deviation, _ = observer._predict(state, start, 0 * reference, 0 * load)
         own, shared = np.zeros((1, 15, 4)), np.where(AREAS.network.closed, 0.0, np.nan)[None]
         own[0, AREA] = estimate[0, 0, :4]
         shift = np.array([1.5 if beyond else 0.0 for beyond in step]) * observer.alpha * deviation[0, :, 1] / LAM
@@ -151,7 +151,7 @@ def observed(outcomes: Sequence[Sequence[bool]], **settings: Any) -> list[str]:
         residual = np.zeros_like(state.residual)
         residual[0, :, 1] = shift
         state = state._replace(residual=residual)
-        expected, _, _ = observer._foretell(state, start, 0 * reference, 0 * load)
+        expected, _, _ = observer._predict(state, start, 0 * reference, 0 * load)
         own[0, AREA] = expected[0, 0, :4]
         own[0, AREA, 1] = expected[0, 0, 1] + LAM * shift[0]
         state = observer.step(state, start, 0 * reference, 0 * load, own, shared)
@@ -193,10 +193,10 @@ def test_nothing_happens_before_the_start_or_without_a_reading() -> None:
     ("change", "message"),
     [
         ({"faults": {}}, "no fault function"),
-        ({"faults": {"x": lambda x, u, e: x[..., :3]}}, r"'x' gives float64 \(3, 3\).*wanted 4 finite numbers"),
+        ({"faults": {"x": lambda x, u, e: x[..., :3]}}, r"'x' gives float64 \(3, 3\).*expected 4 finite numbers"),
         ({"faults": {"x": lambda x, u, e: np.zeros(4)}}, r"gives float64 \(4,\) for states \(3, 4\)"),
         ({"faults": {"x": lambda x, u, e: x + np.nan}}, "finite"),
-        ({"faults": {"x": lambda x, u, e: x.astype(str)}}, "wanted 4 finite numbers"),
+        ({"faults": {"x": lambda x, u, e: x.astype(str)}}, "expected 4 finite numbers"),
         ({"faults": {NONE: nothing}}, "more than once"),
         ({"area": "16"}, "unknown node '16'"),
         ({"alpha": 0.9}, "must exceed 1"),
@@ -204,7 +204,7 @@ def test_nothing_happens_before_the_start_or_without_a_reading() -> None:
         ({"lam": 1.0}, "lam is 1.0"),
         ({"mode": "printed"}, "known: corrected, paper"),
         ({"confirmations": 0}, "confirmations"),
-        ({"patience": 2}, "patience is 2; wanted a whole number of at least 3"),
+        ({"patience": 2}, "patience is 2; expected a whole number of at least 3"),
     ],
 )
 def test_settings_that_are_refused(change: dict[str, Any], message: str) -> None:
@@ -236,12 +236,12 @@ def shares_excluded(noise: str, alpha: float, rule: str, confirmations: int, run
     observer = FaultHypotheses(
         areas, "5", {"flip": fault_function(model, flip)}, alpha=alpha, rule=rule, confirmations=confirmations
     )
-    now, state = beginners(areas, (runs,)), observer.idle(runs)
+    now, state = initial_state(areas, (runs,)), observer.idle(runs)
     loads = load_profile(model, load_steps("2"))
     for moment in run_network(model, 35, range(runs), loads=loads, faults=[flip]):
         load = np.broadcast_to(moment.load, moment.reference.shape)
         state = observer.step(state, now, moment.reference, load, moment.own, moment.shared)
-        now = take(foretell(areas, now, moment.reference, load, LAM, "corrected"), moment.own, moment.shared)
+        now = take(predict(areas, now, moment.reference, load, LAM, "corrected"), moment.own, moment.shared)
         if moment.t == 5.0:
             state = observer.begin(state, np.ones(runs, bool), now)
     assert state.age.tolist() == [30] * runs

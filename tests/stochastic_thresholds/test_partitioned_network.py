@@ -15,7 +15,7 @@ from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
-from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, beginners
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state
 from fusion_sfdia.stochastic_thresholds.network_part import Part, at_borders, blocks, routes, share
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork, Readings
@@ -46,7 +46,7 @@ SOURCE = Drawn(*AREAS.size)
 
 def in_one_process(areas: Areas, mode: str, source: Drawn = SOURCE) -> tuple[Diagnosers, list[Array]]:
     count, _, total = areas.size
-    state, alarms = beginners(areas, (BATCH,)), []
+    state, alarms = initial_state(areas, (BATCH,)), []
     for k in range(STEPS):
         state, alarm = network_step(areas, state, *source(k, (0, count), np.arange(total)), ALPHA, LAM, mode)
         alarms.append(alarm)
@@ -57,8 +57,8 @@ def in_one_process(areas: Areas, mode: str, source: Drawn = SOURCE) -> tuple[Dia
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("size", [1, 2, 5, 23])
 def test_parts_give_the_bits_of_the_whole(size: int, mode: str) -> None:
-    wanted, alarms = in_one_process(AREAS, mode)
-    found, start = blocks(AREAS, size), beginners(AREAS, (BATCH,))
+    expected, alarms = in_one_process(AREAS, mode)
+    found, start = blocks(AREAS, size), initial_state(AREAS, (BATCH,))
     parts = [Part(b, share(b, start), ALPHA, LAM, mode == "paper") for b in found]
     told, reader = at_borders(found, start), AREAS.network.topology.node
     for k in range(STEPS):
@@ -73,7 +73,7 @@ def test_parts_give_the_bits_of_the_whole(size: int, mode: str) -> None:
         np.testing.assert_array_equal(alarm, alarms[k])
     for b, p in zip(found, parts, strict=True):
         mine = np.setdiff1d(np.arange(b.sides.size), b.border)
-        for a, whole in zip(p.kept(), share(b, wanted), strict=True):
+        for a, whole in zip(p.kept(), share(b, expected), strict=True):
             assert (a if a.ndim == 3 else a[:, mine]).tobytes() == (whole if a.ndim == 3 else whole[:, mine]).tobytes()
     assert sum(b.border.size for b in found) == told.shape[-1]
 
@@ -86,7 +86,7 @@ def test_a_part_is_told_of_no_more_than_its_border() -> None:
         inside = (at.node >= lo) & (at.node < hi)
         crossing = inside & ~((at.neighbour >= lo) & (at.neighbour < hi))
         assert block.border.size == block.sides.size - block.near == crossing.sum()
-    with pytest.raises(ValueError, match="23 areas cannot be shared by 24 parts; wanted 1 to 23"):
+    with pytest.raises(ValueError, match="23 areas cannot be shared by 24 parts; expected 1 to 23"):
         blocks(AREAS, 24)
 
 
@@ -111,17 +111,17 @@ def client() -> Iterator[Any]:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_two_processes_give_the_bits_of_one(client: Any, mode: str) -> None:
-    wanted, alarms = in_one_process(AREAS, mode)
-    network = PartitionedNetwork(client, AREAS, beginners(AREAS, (BATCH,)), SOURCE, ALPHA, LAM, mode)
+    expected, alarms = in_one_process(AREAS, mode)
+    network = PartitionedNetwork(client, AREAS, initial_state(AREAS, (BATCH,)), SOURCE, ALPHA, LAM, mode)
     for alarm in alarms:
         np.testing.assert_array_equal(network.step(), alarm)
-    for a, b in zip(network.state(), wanted, strict=True):
+    for a, b in zip(network.state(), expected, strict=True):
         assert a.tobytes() == b.tobytes()
 
 
 def test_it_goes_on_from_what_it_kept_with_other_parts(client: Any) -> None:
     _, alarms = in_one_process(AREAS, "corrected")
-    network = PartitionedNetwork(client, AREAS, beginners(AREAS, (BATCH,)), SOURCE, ALPHA, LAM)
+    network = PartitionedNetwork(client, AREAS, initial_state(AREAS, (BATCH,)), SOURCE, ALPHA, LAM)
     for _ in range(3):
         network.step()
     state, one = network.state(), list(client.scheduler_info(n_workers=-1)["workers"])[:1]
@@ -129,12 +129,12 @@ def test_it_goes_on_from_what_it_kept_with_other_parts(client: Any) -> None:
     for k in range(3, STEPS):
         state, alarm = network_step(AREAS, state, *SOURCE(k, (0, count), np.arange(total)), ALPHA, LAM)
         np.testing.assert_array_equal(alarm, alarms[k])
-    alone = PartitionedNetwork(client, AREAS, beginners(AREAS, (BATCH,)), SOURCE, ALPHA, LAM, workers=one)
+    alone = PartitionedNetwork(client, AREAS, initial_state(AREAS, (BATCH,)), SOURCE, ALPHA, LAM, workers=one)
     np.testing.assert_array_equal(alone.step(), alarms[0])
 
 
 def test_what_cannot_be_shared_out(client: Any) -> None:
-    start = beginners(AREAS, (BATCH,))
+    start = initial_state(AREAS, (BATCH,))
     with pytest.raises(ValueError, match="mode is 'papr'"):
         PartitionedNetwork(client, AREAS, start, SOURCE, ALPHA, LAM, "papr")
     with pytest.raises(ValueError, match="no worker to put a part on"):

@@ -288,8 +288,8 @@ def test_bad_settings_and_data_are_named() -> None:
     plant, detector = plant_of("two-tanks"), detector_of("two-tanks")
     y, u = np.ones((10, 3, 4)), np.full((10, 3, 1), INFLOW)
     for residuals, limits, message in (
-        ((), np.ones(0), "wanted some"),
-        (detector.residuals, np.ones(3), "wanted 4 positive numbers"),
+        ((), np.ones(0), "expected some"),
+        (detector.residuals, np.ones(3), "expected 4 positive numbers"),
         (detector.residuals, np.zeros(4), "positive"),
         ((Residual("torque", (), (), ("torque",)),), np.ones(1), "does not measure"),
     ):  # fmt: skip
@@ -298,7 +298,7 @@ def test_bad_settings_and_data_are_named() -> None:
     with pytest.raises(ValueError, match="max_faults"):
         replace(detector, max_faults=0)
     for bad_y, bad_u, rate, message in (
-        (y, u, 0.0, "false_alarm"), (y[..., :3], u, 0.1, "y has shape"), (y, u[:5], 0.1, "wanted .K,"),
+        (y, u, 0.0, "false_alarm"), (y[..., :3], u, 0.1, "y has shape"), (y, u[:5], 0.1, "expected .K,"),
         (y, u, 1e-3, "15 complete healthy samples"), (np.full_like(y, np.nan), u, 0.5, "0 complete"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):

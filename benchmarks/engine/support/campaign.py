@@ -220,9 +220,9 @@ def check(settings: Settings) -> None:
         for value in np.atleast_1d(np.asarray(settings.get(name, USUAL_NOISE))):
             if not 0 < value <= MOST_NOISE:
                 raise ValueError(
-                    f"setting {name} has {value:g}; wanted a share of the nominal values, above 0, at most {MOST_NOISE}"
+                    f"setting {name} has {value:g}; expected a share of the nominal values, above 0, at most {MOST_NOISE}"
                 )
     if not 0.02 <= settings["onset"] < settings["duration"] - 0.02:
         raise ValueError(
-            f"the onset is {settings['onset']:g} s of {settings['duration']:g} s; wanted one within the run, from 0.02 s on"
+            f"the onset is {settings['onset']:g} s of {settings['duration']:g} s; expected one within the run, from 0.02 s on"
         )

@@ -79,8 +79,8 @@ def _percent(e: Estimate) -> Estimate:
 def pattern_share(first: Array, told: Experiment, without: tuple[str, ...] = ()) -> Estimate:
     """Share of runs in which those modules fire that fire in the paper's, but for some that are not looked at."""
     judged = [j for j, name in enumerate(NAMES) if name not in without]
-    wanted = np.array([name in told.fired for name in NAMES])
-    same = (np.isfinite(first) == wanted)[:, judged].all(axis=-1)
+    expected = np.array([name in told.fired for name in NAMES])
+    same = (np.isfinite(first) == expected)[:, judged].all(axis=-1)
     return proportion(int(same.sum()), same.size)
 
 
@@ -183,14 +183,14 @@ def figures(found: Mapping[str, Arrays], told: Experiment, what: str) -> list[Fi
     return [shares, *runs]
 
 
-def value_of(rows: list[Row], **wanted: str) -> str:
+def value_of(rows: list[Row], **expected: str) -> str:
     """The value of the rows with such columns, as text."""
-    return span(r.value for r in pick(rows, **wanted))
+    return span(r.value for r in pick(rows, **expected))
 
 
-def shares(rows: list[Row], **wanted: str) -> str:
+def shares(rows: list[Row], **expected: str) -> str:
     """The shares of runs of each detector, as text."""
-    return "; ".join(f"{r.detector} {r.value:.0%}" for r in pick(rows, **wanted)) or "unknown"
+    return "; ".join(f"{r.detector} {r.value:.0%}" for r in pick(rows, **expected)) or "unknown"
 
 
 def departures(rows: list[Row], detector: str, told: Experiment, figure: str) -> str:

@@ -84,12 +84,12 @@ def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str 
     """CHUNK runs and one detector a task; ValueError for settings that no run can be made of."""
     if not 0 < settings["noise"] <= MOST_NOISE:
         raise ValueError(
-            f"setting noise is {settings['noise']}; wanted a share of the nominal values, above 0, at most {MOST_NOISE}"
+            f"setting noise is {settings['noise']}; expected a share of the nominal values, above 0, at most {MOST_NOISE}"
         )
     last = max((f.onset for f in faults), default=0.0)
     if not settings["duration"] > last + 1:
         raise ValueError(
-            f"setting duration is {settings['duration']} s; wanted more than {last + 1:g}, a second after the last fault"
+            f"setting duration is {settings['duration']} s; expected more than {last + 1:g}, a second after the last fault"
         )
     if unknown := [d for d in settings["detectors"] if d not in DETECTORS]:
         raise ValueError(f"setting detectors has {', '.join(unknown)}; known: {', '.join(DETECTORS)}")

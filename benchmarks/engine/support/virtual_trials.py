@@ -63,11 +63,11 @@ def sensor_tasks(settings: Settings, seeds: int) -> list[Task]:
     """The modules without reconstructed readings, each variant with them, and both inversions on few short runs."""
     if not settings["duration"] > (least := max(SINCE) + 1):
         raise ValueError(
-            f"setting duration is {settings['duration']} s; wanted more than {least:g}: errors are averaged from "
+            f"setting duration is {settings['duration']} s; expected more than {least:g}: errors are averaged from "
             f"{max(SINCE):g} s on"
         )
     if settings["inversion_seeds"] < 0:
-        raise ValueError(f"setting inversion_seeds is {settings['inversion_seeds']}; wanted 0 or more")
+        raise ValueError(f"setting inversion_seeds is {settings['inversion_seeds']}; expected 0 or more")
     alone = tasks({**settings, "detectors": DETECTORS[:1]}, FAULTS, seeds, design="K22")
     whole = {"noise": settings["noise"], "duration": settings["duration"], "faults": [list(f) for f in FAULTS]}
     short = {"noise": settings["noise"], "duration": SHORT, "faults": [list(f) for f in SHORT_FAULTS]}

@@ -207,8 +207,8 @@ def _limits(found: Sequence[Row | None]) -> tuple[list[float], list[float], list
 
 def _angles(rows: Sequence[Row], detector: str) -> str:
     of = pick(rows, detector=detector, metric="false_alarm_probability")
-    wanted = f"alpha {B18_ALPHA:g}"
-    return span(r.value for r in of if r.quantity.startswith("theta") and wanted in r.quantity and "gaussian" in r.quantity)
+    expected = f"alpha {B18_ALPHA:g}"
+    return span(r.value for r in of if r.quantity.startswith("theta") and expected in r.quantity and "gaussian" in r.quantity)
 
 
 def _after(rows: Sequence[Row], detector: str) -> str:

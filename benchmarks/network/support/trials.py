@@ -18,7 +18,7 @@ from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import Moment, run_network
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, beginners, foretell, take
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses
 
 Array = NDArray[Any]
@@ -72,7 +72,7 @@ def trial(
     area = model.network.topology.index(watch.area)
     control = Compensated(CONTROLLERS[controller](), np.ones((runs, len(model.names))))
     alarms, answers = Alarms(areas, area, watch.onset, runs), Answers(areas, model, watch, runs)
-    now, condition = beginners(areas, (runs,)), None
+    now, condition = initial_state(areas, (runs,)), None
     acted, true_gain = control.gain.copy(), np.ones(len(model.names))
     late: list[Array] = []
     shown: dict[str, list[Any]] = {name: [] for name in SHOWN}
@@ -80,7 +80,7 @@ def trial(
     for moment in run_network(model, steps, seeds, loads=profile, control=control, faults=faults, switches=switches):
         load = np.broadcast_to(moment.load, moment.reference.shape)
         answers.step(now, moment, load)
-        ahead = foretell(areas, now, acted * moment.reference, load, LAM, watch.mode)
+        ahead = predict(areas, now, acted * moment.reference, load, LAM, watch.mode)
         now = take(ahead, moment.own, moment.shared)
         if moment.condition is not condition:  # of the steps from here on
             condition, areas = moment.condition, network_areas(moment.condition.known)

@@ -157,9 +157,9 @@ def test_more_noise_hides_more() -> None:
     assert {r.value for r in rows if r.metric == "false_alarms"} == {0.0}
     for sensor, size in FAULTS.items():
         for group in (NAMES[modules_of(sensor, OWN)[0]], AGENTS, OTHERS):
-            wanted = [f"{group}, noise {level:.0%}" for level in settings["levels"]]
+            expected = [f"{group}, noise {level:.0%}" for level in settings["levels"]]
             missed = [r for r in rows if r.fault == f"{sensor} +{size:.0%}" and r.metric == "missed_detection_rate"]
-            rates = [next(r for r in missed if r.quantity == q) for q in wanted]
+            rates = [next(r for r in missed if r.quantity == q) for q in expected]
             assert all(r.n == 20 for r in rates)
             assert all(after.high >= before.low for before, after in pairwise(rates))  # Wilson's 95 % intervals
             if group == AGENTS:
@@ -228,7 +228,7 @@ def test_gains_are_those_of_the_designs() -> None:
         ("engine/noise", {"detector": "loo-glr"}, "detector is 'loo-glr'; known: adaptive-threshold"),
         ("engine/sensitivity", {"gains": ("K25",)}, "gains has K25; known: K24"),
         ("engine/load", {"drives": ("jump",)}, "drives has jump; known: constant"),
-        ("engine/load", {"change": 9.0}, "wanted this order"),
+        ("engine/load", {"change": 9.0}, "expected this order"),
         ("engine/process", {"drives": ("jump",)}, "drives has jump"),
     ],
 )

@@ -39,8 +39,8 @@ def summary(name: str, seeds: int, **changes: object) -> Summary:
     return one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, seeds)])
 
 
-def value(rows: list[Row], **wanted: str) -> float:
-    (found,) = [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
+def value(rows: list[Row], **expected: str) -> float:
+    (found,) = [r for r in rows if all(getattr(r, k) == v for k, v in expected.items())]
     return found.value
 
 
@@ -166,16 +166,16 @@ def test_matrices_differ_from_the_printed_in_three_entries() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "wanted"),
+    ("changes", "expected"),
     [
-        ({"noise": 0.0}, "wanted a share of the nominal values"),
+        ({"noise": 0.0}, "expected a share of the nominal values"),
         ({"duration": 71.0}, "a second after the last fault"),
         ({"detectors": ("limits",)}, "setting detectors has limits; known"),
     ],
 )
-def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], wanted: str) -> None:
+def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], expected: str) -> None:
     one = scenario("engine/three-faults")
-    with pytest.raises(ValueError, match=wanted):
+    with pytest.raises(ValueError, match=expected):
         one.tasks({**one.settings, **changes}, 1)
 
 

@@ -33,8 +33,8 @@ def test_each_size_has_its_times_and_its_memory() -> None:
         # an area: model 4 x 6 + 4 + 4 numbers, readings and inputs 6, two states of 4 x 4, its start and alarm; a side: 2 of
         # the model, reading, two states of 4, its opposite, whether it is closed; one start more
         sides = network_scale.network_of(areas).network.topology.node.size
-        wanted = 8 * (areas * (32 + 6 + 32 + 1) + sides * (3 + 8 + 1) + 1) + areas + sides
-        assert found[f"one of {areas} areas", "peak_memory"].value == wanted / areas
+        expected = 8 * (areas * (32 + 6 + 32 + 1) + sides * (3 + 8 + 1) + 1) + areas + sides
+        assert found[f"one of {areas} areas", "peak_memory"].value == expected / areas
         assert (f"{areas} areas, in place", "replug_time") in found
     assert found["one of 15 areas", "step_time"].published == 4.1e-3
     assert len(summary.figures) == 1 and summary.figures[0].draw().axes

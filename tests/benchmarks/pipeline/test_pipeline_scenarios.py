@@ -20,13 +20,13 @@ SETTINGS = {"steps": 150, "snr": "moderate", "process_noise": "tenth", "truth": 
 
 
 def cells(detectors: tuple[str, ...], faults: tuple[str, ...], seeds: int, accommodate: bool) -> dict[tuple[str, ...], Cell]:
-    wanted = (
+    expected = (
         {"detector": d, "fault": f, "quantity": q, "accommodate": accommodate}
         for d in detectors
         for f in faults
         for q in QUANTITIES
     )
-    return gather([(t, trial(t)) for t in tasks(SETTINGS, wanted, seeds)], "detector", "fault", "quantity")
+    return gather([(t, trial(t)) for t in tasks(SETTINGS, expected, seeds)], "detector", "fault", "quantity")
 
 
 @pytest.mark.slow
@@ -206,7 +206,7 @@ def test_decisions_on_the_pipeline_do_not_change_from_pascal_to_bar(name: str) -
 
 
 @pytest.mark.parametrize(
-    ("changes", "wanted"),
+    ("changes", "expected"),
     [
         ({"steps": 20}, "from 75 samples on"),
         ({"snr": "loud"}, "known: high, moderate, low"),
@@ -214,7 +214,7 @@ def test_decisions_on_the_pipeline_do_not_change_from_pascal_to_bar(name: str) -
         ({"truth": "bogus"}, "known: model, finer"),
     ],
 )
-def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], wanted: str) -> None:
+def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], expected: str) -> None:
     one = scenario("pipeline/units")
-    with pytest.raises(ValueError, match=wanted):
+    with pytest.raises(ValueError, match=expected):
         one.tasks({**one.settings, **changes}, 1)

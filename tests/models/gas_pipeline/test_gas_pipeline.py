@@ -327,8 +327,8 @@ def test_large_grids(nodes: int) -> None:
     plant = gas_pipeline(nodes=nodes, stations=21)
     assert plant.initial_cov.shape == plant.process_cov.shape == (3 * nodes,)
     x = plant.step(0.0, plant.x0, plant.input_at(0.0), 10.0)
-    wanted = gas_pipeline().step(0.0, gas_pipeline().x0, plant.input_at(0.0), 10.0)
-    np.testing.assert_allclose(coarse_state(x, 21) / SCALE, wanted / SCALE, atol=0.02)
+    expected = gas_pipeline().step(0.0, gas_pipeline().x0, plant.input_at(0.0), 10.0)
+    np.testing.assert_allclose(coarse_state(x, 21) / SCALE, expected / SCALE, atol=0.02)
     if nodes > 600:
         with pytest.raises(ValueError, match="use the ensemble filter"):
             plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), 10.0)
@@ -383,7 +383,7 @@ def test_cfl_condition_names_the_cure() -> None:
         ({"process_noise": "10 %"}, "known: tenth, nine-tenths"),
         ({"initial": "zero"}, "known: noise, identity"),
         ({"parameters": C._replace(length=-1.0)}, "length is -1.0"),
-        ({"parameters": C._replace(z=np.zeros((4, 5)))}, r"wanted \(6, 7\)"),
+        ({"parameters": C._replace(z=np.zeros((4, 5)))}, r"expected \(6, 7\)"),
     ],
 )
 def test_bad_settings(settings: dict[str, Any], message: str) -> None:
@@ -426,9 +426,9 @@ def test_a_friction_factor_stands_for_the_roughness() -> None:
     ahead = plant.step(0.0, plant.x0, np.array([8.4e6, 303.15, 300.0]), plant.dt)
     # at rest but for the error of the grid of 21 nodes, of fourth order: less than a sensor's sigma
     assert np.all(np.abs(ahead - plant.x0) < np.sqrt(plant.initial_cov))
-    for m, wanted in ((300.0, 0.02), (-1.0, np.nan)):
+    for m, expected in ((300.0, 0.02), (-1.0, np.nan)):
         with np.errstate(invalid="ignore"):
-            np.testing.assert_equal(equations.friction_factor(np.float64(m), C._replace(friction=0.02)), wanted)
+            np.testing.assert_equal(equations.friction_factor(np.float64(m), C._replace(friction=0.02)), expected)
     with pytest.raises(ValueError, match=r"friction is 1.5; expected a Darcy factor below 1"):
         pipeline_parameters(friction=1.5)
 

@@ -109,8 +109,8 @@ def test_matrix_of_the_paper_but_for_one_entry(p: float, m: float, T: float) -> 
     printed, v, a = printed_matrix(p, m, T)
     ours = gradient_matrix(p, m, T)
     z, _, alpha_2, _ = equations.gas(p, T, C)
-    wanted = printed.copy()
-    wanted[1, 0] = AREA - m**2 * alpha_2 * C.gas_constant * T * z / (AREA * p**2)
+    expected = printed.copy()
+    expected[1, 0] = AREA - m**2 * alpha_2 * C.gas_constant * T * z / (AREA * p**2)
     # products of some twenty factors; three entries are differences, of terms that much larger than they are
     _, a1, _, cp = equations.gas(p, T, C)
     R = C.gas_constant
@@ -119,7 +119,7 @@ def test_matrix_of_the_paper_but_for_one_entry(p: float, m: float, T: float) -> 
     heat, wave, gas = alpha_2 * cp * a**2, R * z * a**2 * a1**2, R * T * cp * z
     cancel[1, 1] = (heat + wave + gas) / abs(heat - wave + gas)
     cancel[1, 2] = (alpha_2 * cp + R * a1**2 * z) / abs(alpha_2 * cp - R * a1**2 * z)
-    assert np.all(np.abs(ours - wanted) <= rounding(1, 20) * cancel * np.abs(wanted))
+    assert np.all(np.abs(ours - expected) <= rounding(1, 20) * cancel * np.abs(expected))
     scale = np.array([1e6, 1e3, 1e2])
     np.testing.assert_allclose(
         np.sort(np.linalg.eigvals(ours * scale / scale[:, None]).real), [v - a, v, v + a], rtol=1e-9, atol=1e-9 * a

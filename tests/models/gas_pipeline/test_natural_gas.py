@@ -42,11 +42,11 @@ def test_composition_is_whole() -> None:
 
 def test_nist_mixture() -> None:
     pytest.importorskip("pyaga8")
-    wanted, gas_constant = fit_natural_gas.gerg_2008(np.array([50e6]), np.array([400.0]), NIST)
-    assert wanted["z"][0] == pytest.approx(1.174690666, rel=1e-8)
-    assert wanted["wave_speed"][0] == pytest.approx(714.42488, rel=1e-8)
+    expected, gas_constant = fit_natural_gas.gerg_2008(np.array([50e6]), np.array([400.0]), NIST)
+    assert expected["z"][0] == pytest.approx(1.174690666, rel=1e-8)
+    assert expected["wave_speed"][0] == pytest.approx(714.42488, rel=1e-8)
     molar_mass = 8.314472 / gas_constant
-    density = 50e6 / (wanted["z"][0] * gas_constant * 400.0) / molar_mass  # mol/m3
+    density = 50e6 / (expected["z"][0] * gas_constant * 400.0) / molar_mass  # mol/m3
     assert density == pytest.approx(12798.286, rel=3e-8)  # as many digits as are given
 
 
@@ -55,9 +55,9 @@ def test_errors_are_as_stated() -> None:
     for name, error in fit_natural_gas.largest_errors().items():
         assert error < BOX[name], name
     p, T = (a.ravel() for a in np.meshgrid(np.linspace(7.5e6, 8.5e6, 11), np.linspace(275.0, 305.0, 13)))
-    wanted, _ = fit_natural_gas.gerg_2008(p, T)
+    expected, _ = fit_natural_gas.gerg_2008(p, T)
     for name, value in fit_natural_gas.properties(p, T).items():
-        assert np.max(np.abs(value / wanted[name] - 1)) < OPERATION[name], name
+        assert np.max(np.abs(value / expected[name] - 1)) < OPERATION[name], name
 
 
 def test_fit_regenerates_the_stored_gas(random_states: tuple[Array, Array]) -> None:

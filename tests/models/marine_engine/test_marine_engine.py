@@ -119,8 +119,8 @@ def test_a_load_step_agrees_with_an_implicit_integrator(method: str) -> None:
     error = np.abs(states / oracle - 1).max(axis=0)
     assert np.all(error < 1e-3)
     assert error[0] < 1e-7  # linear with a constant input: exact but for the oracle's own error
-    readings, wanted = PLANT.output(0.0, states, low), PLANT.output(0.0, oracle, low)
-    assert np.abs(readings / wanted - 1).max() < 1e-3
+    readings, expected = PLANT.output(0.0, states, low), PLANT.output(0.0, oracle, low)
+    assert np.abs(readings / expected - 1).max() < 1e-3
 
 
 def test_the_method_is_of_second_order() -> None:
@@ -230,7 +230,7 @@ def test_bad_settings_name_the_cure() -> None:
             marine_engine(load=load)
     with pytest.raises(ValueError, match="slip is 'none'; known: law, constant"):
         marine_engine(slip="none")
-    with pytest.raises(ValueError, match=r"noise is 0\.0; wanted a positive share"):
+    with pytest.raises(ValueError, match=r"noise is 0\.0; expected a positive share"):
         marine_engine(noise=0.0)
     with pytest.raises(ValueError, match=r"dt is -1\.0 s"):
         marine_engine(dt=-1.0)

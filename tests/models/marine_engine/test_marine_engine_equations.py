@@ -177,10 +177,10 @@ def test_the_structure_is_that_of_tables_1_to_3() -> None:
     }
     ours = rows(EQUATIONS | NOMINAL_SPEED)
     for module, row in published.items():
-        wanted = {f[name] for name in row.split()}
+        expected = {f[name] for name in row.split()}
         if module == "M(3,3)":  # (43) has the turbine's efficiency follow x(4), Table II does not: it peaks at full load
-            wanted |= {"p_charge"}
-        assert ours[module] == wanted, module
+            expected |= {"p_charge"}
+        assert ours[module] == expected, module
     peak = equations.turbine_temperature(3.95e5, 840.0, C.p_charge_nominal + 1e-20j, C)
     assert peak.imag == 0.0
     assert ours["M(1,1)"] == {"fuel"}

@@ -51,9 +51,9 @@ def test_bad_process_faults_are_named() -> None:
     with pytest.raises(ValueError, match="unknown process fault 'rust'; known: turbine-fouling"):
         ProcessFault("rust", 0.1)
     for severity in (0.0, 1.0, np.nan):
-        with pytest.raises(ValueError, match=r"turbine-fouling: severity is .*; wanted above 0 and below 1"):
+        with pytest.raises(ValueError, match=r"turbine-fouling: severity is .*; expected above 0 and below 1"):
             ProcessFault("turbine-fouling", severity)
-    with pytest.raises(ValueError, match=r"rise -1\.0 s; wanted finite, rise at least 0"):
+    with pytest.raises(ValueError, match=r"rise -1\.0 s; expected finite, rise at least 0"):
         ProcessFault("turbine-fouling", 0.1, rise=-1.0)
 
 
@@ -90,5 +90,5 @@ def test_the_governor_does_not_wind_up_at_a_limit() -> None:
 def test_bad_governors_and_speeds_are_named() -> None:
     with pytest.raises(ValueError, match=r"the governor's integral gain is -1\.0"):
         Governor(integral=-1.0)
-    with pytest.raises(ValueError, match=r"the speed asked for at 0 s is 0\.0; wanted a positive number in 1/s"):
+    with pytest.raises(ValueError, match=r"the speed asked for at 0 s is 0\.0; expected a positive number in 1/s"):
         governed_settings(lambda t: 0.0, 5)

@@ -11,9 +11,9 @@ import pytest
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine.parameters import (
     ENGINE_FILE,
+    EXPECTED,
     PROVENANCE,
     UNITS,
-    WANTED,
     engine_parameters,
     load_engine,
 )
@@ -31,7 +31,7 @@ def edited(folder: Path, old: str, new: str) -> Path:
 
 def test_every_value_has_a_unit_and_a_provenance() -> None:
     values = load_engine()
-    assert list(values) == list(WANTED) == sorted(values, key=list(WANTED).index)
+    assert list(values) == list(EXPECTED) == sorted(values, key=list(EXPECTED).index)
     assert all(v.unit in UNITS and v.source and np.isfinite(v.value) for v in values.values())
     assert set(Counter(v.provenance for v in values.values())) == set(PROVENANCE)
 
@@ -73,17 +73,17 @@ def test_another_engine_is_another_file(tmp_path: Path) -> None:
     [
         (LINES["bore"], "", "engine.toml lacks bore; an engine has power, speed"),
         (LINES["bore"], LINES["bore"] + "\nbores = 1", "has the unknown parameters bores; an engine has power"),
-        (LINES["bore"], "bore = 0.28", "bore is 0.28; wanted a table of value, unit, provenance, source"),
-        (LINES["bore"], LINES["bore"].replace('"m"', '"K"'), "bore is in 'K'; wanted one of m, mm"),
-        (LINES["bore"], LINES["bore"].replace("0.28,", "-0.28,"), "bore is -0.28; wanted above 0"),
-        (LINES["bore"], LINES["bore"].replace("0.28,", "nan,"), "bore has the value nan; wanted a finite number"),
-        (LINES["bore"], LINES["bore"].replace("0.28,", '"0.28",'), "bore has the value '0.28'; wanted a finite number"),
-        (LINES["bore"], LINES["bore"].replace("recalled", "guessed"), "has the provenance 'guessed'; wanted one of paper"),
+        (LINES["bore"], "bore = 0.28", "bore is 0.28; expected a table of value, unit, provenance, source"),
+        (LINES["bore"], LINES["bore"].replace('"m"', '"K"'), "bore is in 'K'; expected one of m, mm"),
+        (LINES["bore"], LINES["bore"].replace("0.28,", "-0.28,"), "bore is -0.28; expected above 0"),
+        (LINES["bore"], LINES["bore"].replace("0.28,", "nan,"), "bore has the value nan; expected a finite number"),
+        (LINES["bore"], LINES["bore"].replace("0.28,", '"0.28",'), "bore has the value '0.28'; expected a finite number"),
+        (LINES["bore"], LINES["bore"].replace("recalled", "guessed"), "has the provenance 'guessed'; expected one of paper"),
         (LINES["bore"], LINES["bore"].replace("28/33 engine", " "), "bore names no source; say where the number comes from"),
-        (LINES["T_cooler"], LINES["T_cooler"].replace("323.0", "0.0"), "T_cooler is 0; wanted above 0"),
-        (LINES["p_ambient"], LINES["p_ambient"].replace("1.0", "-1.0"), "p_ambient is -100000; wanted above 0"),
-        (LINES["kappa_air"], LINES["kappa_air"].replace("1.4", "1.0"), "kappa_air is 1; wanted above 1"),
-        (LINES["slip_nominal"], LINES["slip_nominal"].replace("0.08", "-0.1"), "slip_nominal is -0.1; wanted at least 0"),
+        (LINES["T_cooler"], LINES["T_cooler"].replace("323.0", "0.0"), "T_cooler is 0; expected above 0"),
+        (LINES["p_ambient"], LINES["p_ambient"].replace("1.0", "-1.0"), "p_ambient is -100000; expected above 0"),
+        (LINES["kappa_air"], LINES["kappa_air"].replace("1.4", "1.0"), "kappa_air is 1; expected above 1"),
+        (LINES["slip_nominal"], LINES["slip_nominal"].replace("0.08", "-0.1"), "slip_nominal is -0.1; expected at least 0"),
         (LINES["heat_efficiency"], LINES["heat_efficiency"].replace("0.915", "91.5"), "above 0 and at most 1"),
         (LINES["power"], "power = {", "engine.toml is not a TOML file"),
     ],
@@ -103,8 +103,8 @@ def test_a_full_load_that_does_not_close_is_refused() -> None:
         ({"heating_value": 30e6}, "loss of torque comes out as -.* correct power, fuel_consumption or heat_efficiency"),
         ({"p_receiver": 1.5e5}, "efficiency of the turbocharger comes out as .* correct p_charge"),
         ({"wheels": 4.0}, "unknown engine parameters wheels; known: power"),
-        ({"bore": np.inf}, "engine parameter bore is inf; wanted a finite number"),
-        ({"bore": -1.0}, "engine parameter bore is -1; wanted above 0"),
+        ({"bore": np.inf}, "engine parameter bore is inf; expected a finite number"),
+        ({"bore": -1.0}, "engine parameter bore is -1; expected above 0"),
     ):
         with pytest.raises(ValueError, match=message):
             engine_parameters(**changes)

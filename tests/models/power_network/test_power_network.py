@@ -331,8 +331,8 @@ def test_its_usual_operation_is_in_closed_loop() -> None:
     # 6 deviations (odds 1e-4)
     exact = power_network(discretisation="exact")
     assert found.x is not None
-    foretold = exact.step(0.0, found.x[:-1], found.u[1:], plant.dt)
-    assert np.abs((found.x[1:] - foretold) / np.sqrt(plant.process_cov)).max() < 6
+    predicted = exact.step(0.0, found.x[:-1], found.u[1:], plant.dt)
+    assert np.abs((found.x[1:] - predicted) / np.sqrt(plant.process_cov)).max() < 6
 
 
 def test_faults_and_switches_make_another_truth() -> None:

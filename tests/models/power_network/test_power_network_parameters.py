@@ -75,7 +75,7 @@ def test_load_steps_come_in_order_of_time() -> None:
         ('"4-13" = { value = 2.0', '"4-13" = { value = -2.0', "slope of tie 4-13 is -2"),
         ('"4-13" = { value = 2.0', '"4-13" = { value = 0', "slope of tie 4-13 is 0"),
         ('"4-13" = { value = 2.0', '"4-13" = { value = nan', "slope of tie 4-13 is nan"),
-        ('"4-13" = { value = 2.0', '"4-13" = { value = "2"', "tie 4-13 is '2'; wanted a number"),
+        ('"4-13" = { value = 2.0', '"4-13" = { value = "2"', "tie 4-13 is '2'; expected a number"),
         ('"4-13" = {', '"4-3" = {', "3 and 4 are linked more than once"),
         ('"4-13" = {', '"4-4" = {', "joins 4 to itself"),
         ('"4-13" = {', '"4" = {', "two areas each"),
@@ -84,11 +84,11 @@ def test_load_steps_come_in_order_of_time() -> None:
         ('"14", "15"]', '"14", "1-5"]', "without a hyphen"),
         ('"14", "15"]', '"14"]', "one for each of 14 areas"),
         ("inertia = { values = [12,", "inertia = { values = [-12,", "inertia of area 1 is -12"),
-        ('unit = "s2/rad"', 'unit = "s"', "is in 's'; wanted 's2/rad'"),
-        ('provenance = "chosen"', 'provenance = "guessed"', "provenance 'guessed'; wanted one of paper"),
+        ('unit = "s2/rad"', 'unit = "s"', "is in 's'; expected 's2/rad'"),
+        ('provenance = "chosen"', 'provenance = "guessed"', "provenance 'guessed'; expected one of paper"),
         ('source = "R, B18 Table I"', 'source = " "', "names no source"),
-        ('source = "R, B18 Table I"', 'page = "3"', "wanted a table of values, unit, provenance, source"),
-        ("droop =", "statism =", "wanted inertia, droop"),
+        ('source = "R, B18 Table I"', 'page = "3"', "expected a table of values, unit, provenance, source"),
+        ("droop =", "statism =", "expected inertia, droop"),
         ("[tie]", "[ties]", "a network has names, area, tie and loads"),
         ("[tie]", "[tie", "is not a TOML file"),
     ],
@@ -105,8 +105,8 @@ def test_a_file_that_is_wrong(tmp_path: Path, old: str, new: str, message: str) 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('[15, "2", -0.15]', '[15, "16", -0.15]', "wanted .time in s, area, change"),
-        ('[15, "2", -0.15]', '["15", "2", -0.15]', "wanted a number"),
+        ('[15, "2", -0.15]', '[15, "16", -0.15]', "expected .time in s, area, change"),
+        ('[15, "2", -0.15]', '["15", "2", -0.15]', "expected a number"),
         ("recalled = [[5", "remembered = [[5", "provenance 'remembered'"),
     ],
 )
@@ -119,7 +119,7 @@ def test_load_steps_that_are_wrong(tmp_path: Path, old: str, new: str, message: 
 
 def test_parameters_must_fit_the_network() -> None:
     pair = Topology.joined("ab", [("a", "b")])
-    with pytest.raises(ValueError, match=r"constants of 2 areas with 1 ties has shape \(2, 4\); wanted \(2, 5\)"):
+    with pytest.raises(ValueError, match=r"constants of 2 areas with 1 ties has shape \(2, 4\); expected \(2, 5\)"):
         NetworkParameters(pair, np.ones((2, 4)), np.ones(1), np.ones(2), np.ones(2))
 
 
@@ -148,8 +148,8 @@ def test_generated_networks_are_connected_and_of_the_stated_degree(areas: int, d
     ("areas", "seed", "degree", "message"),
     [
         (1, 0, 1.0, "at least 2"),
-        (10, 0, 1.0, "wanted 9 to 45"),
-        (10, 0, 10.0, "wanted 9 to 45"),
+        (10, 0, 1.0, "expected 9 to 45"),
+        (10, 0, 10.0, "expected 9 to 45"),
         (10, -1, 2.0, "seed is -1"),
         (10, 0, float("nan"), "degree is nan"),
     ],

@@ -9,18 +9,18 @@ from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
-from fusion_sfdia.stochastic_thresholds.consensus import beginners
+from fusion_sfdia.stochastic_thresholds.consensus import initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 
 ARRAYS = ("matrices", "slope", "shared_gain", "process_variance", "noise", "shared_noise")
 
 
 def assert_same(running: RunningNetwork, model: NetworkModel) -> None:
-    wanted = network_areas(model)
+    expected = network_areas(model)
     for name in ARRAYS:
-        assert getattr(running.areas, name).tobytes() == getattr(wanted, name).tobytes(), name
-    np.testing.assert_array_equal(running.areas.network.closed, wanted.network.closed)
-    np.testing.assert_array_equal(running.areas.network.plugged, wanted.network.plugged)
+        assert getattr(running.areas, name).tobytes() == getattr(expected, name).tobytes(), name
+    np.testing.assert_array_equal(running.areas.network.closed, expected.network.closed)
+    np.testing.assert_array_equal(running.areas.network.plugged, expected.network.plugged)
     np.testing.assert_array_equal(running.model.stiffness, model.stiffness)
 
 
@@ -51,7 +51,7 @@ def test_a_change_that_fails_leaves_the_network_running(change: dict[str, list[s
 def test_diagnosers_go_on_through_a_change() -> None:
     rng, model = np.random.default_rng(1), network_model()
     running = RunningNetwork(model)
-    ours = theirs = beginners(running.areas, (2,))
+    ours = theirs = initial_state(running.areas, (2,))
     at = model.network.topology
     for k in range(12):
         reference, load = rng.standard_normal((2, 2, 15))

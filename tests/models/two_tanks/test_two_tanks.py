@@ -99,5 +99,5 @@ def test_an_outlet_far_off_is_refused(outlet: float) -> None:
 
 @pytest.mark.parametrize("swing", [-0.1, 0.6, float("nan")])
 def test_a_swing_that_empties_a_tank_is_refused(swing: float) -> None:
-    with pytest.raises(ValueError, match=r"swing is .*; wanted a share of the nominal inflow from 0 to 0\.5"):
+    with pytest.raises(ValueError, match=r"swing is .*; expected a share of the nominal inflow from 0 to 0\.5"):
         two_tanks(swing=swing)
