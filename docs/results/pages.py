@@ -28,7 +28,7 @@ PUBLISHED = "published"  # the column of published values, in tables that have o
 # situation, detector, what it needs
 CHOICES = (
     ("the model errs by less than the noise; small, slow or large faults", "loo-glr", "model"),
-    ("the same; large or very short faults, at a fraction of the time and memory", "loo-chi2", "model"),
+    ("the same; large or very short faults", "loo-chi2", "model"),
     ("the plant's inputs (valves, loads, demand) are not known well", "uio", "model"),
     ("no model; recordings of every healthy operation", "dynamic-pca", "recordings"),
     ("no model; the plant stays at rest", "limits-ewma", "recordings"),
