@@ -178,8 +178,8 @@ def _fed_back(truth: Plant, t: float, y: Array, u: Array) -> Array:
     found = np.asarray(truth.feedback(t, y[:, None], u[:, None]), dtype=float)
     if found.shape != (len(y), 1, u.shape[-1]) or not np.all(np.isfinite(found)):
         raise ValueError(
-            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; expected inputs (..., {u.shape[-1]}) "
-            f"for readings {y[:, None].shape}"
+            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; expected finite inputs "
+            f"(..., {u.shape[-1]}) for readings {y[:, None].shape}"
         )
     return found[:, 0]
 
