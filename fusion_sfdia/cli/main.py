@@ -19,10 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia import __version__
+from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.core.numerals import decimal, integer
-
-KINDS = ("plants", "detectors", "faults", "scenarios")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -36,11 +35,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"fusion-sfdia {__version__}")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    one = commands.add_parser("list", help="list plants, detectors, faults and scenarios by name", allow_abbrev=False)
-    one.add_argument("kind", nargs="?", choices=KINDS, help="only these")
-    one.add_argument("--json", action="store_true", help="print JSON")
-    one.set_defaults(work=_list)
-
+    add_list(commands)
     add_run(commands, _run)
     add_compare(commands, _run)
 
@@ -143,25 +138,6 @@ def _done(chosen: argparse.Namespace) -> int:
         return 2 if at_fault and not full else 1
 
 
-def _list(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.registry import listing
-
-    found = {kind: entries for kind, entries in listing().items() if chosen.kind in (None, kind)}
-    if chosen.json:
-        print(json.dumps(found, indent=2))
-        return 0
-    for kind, entries in found.items():
-        if chosen.kind is None:
-            print(f"{kind}:")
-        width = max((len(e["name"]) for e in entries), default=0)
-        use = None
-        for entry in entries:
-            if use != (use := entry.get("use")):
-                print(f" {use}:")
-            print(f"  {entry['name']:<{width}}  {entry['about']}".rstrip())
-    return 0
-
-
 def _run(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.results import as_json
     from fusion_sfdia.experiments.runner import run_scenarios
@@ -210,13 +186,13 @@ def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.faults import apply, load_faults
     from fusion_sfdia.evaluation.logs import write_log
     from fusion_sfdia.evaluation.simulate import simulate
-    from fusion_sfdia.registry import fault, plant
+    from fusion_sfdia.registry import plant
 
     if chosen.out.is_dir():
         raise ValueError(f"{chosen.out} is a folder; name a file with --out")
     if chosen.out.is_file() and not chosen.force:  # a device or a pipe is written to, not replaced
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
-    model, named = plant(chosen.plant), [fault(text) for text in chosen.fault]
+    model, named = plant(chosen.plant), [_fault(text) for text in chosen.fault]
     faults = load_faults(chosen.faults, model) if chosen.faults else []
     faults += draw_apart(named, model, chosen.steps, chosen.seed)
     recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)
@@ -232,6 +208,20 @@ def _simulate(chosen: argparse.Namespace) -> int:
         size = "" if not f.magnitude else f", magnitude {f.magnitude:.4g}{' of the signal' if f.relative else ''}"
         say(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{size}")
     return 0
+
+
+def _fault(text: str) -> tuple[str, str | None]:
+    """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset."""
+    from fusion_sfdia.evaluation.fault_draws import PRESETS
+    from fusion_sfdia.evaluation.faults import FAULT_KINDS
+    from fusion_sfdia.registry import require_known
+
+    name, colon, quantity = text.partition(":")
+    if name in FAULT_KINDS:
+        raise ValueError(f"fault {text!r} is a kind, to be listed in a file (--faults); to be drawn: {', '.join(PRESETS)}")
+    if colon and not quantity:
+        raise ValueError(f"fault {text!r} has no quantity after its colon; expected NAME or NAME:QUANTITY")
+    return require_known("fault", name, PRESETS), quantity or None
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
