@@ -18,11 +18,10 @@ def add_list(commands: Any) -> None:
     one = commands.add_parser("list", help="list plants, detectors, faults and scenarios by name", allow_abbrev=False)
     one.add_argument("kind", nargs="?", choices=KINDS, help="only these")
     one.add_argument("--json", action="store_true", help="print JSON")
-    one.set_defaults(work=work)
+    one.set_defaults(work=_list)
 
 
-def work(chosen: argparse.Namespace) -> int:
-    """Print what there is, as text or JSON."""
+def _list(chosen: argparse.Namespace) -> int:
     found = {kind: entries(kind) for kind in KINDS if chosen.kind in (None, kind)}
     if chosen.json:
         print(json.dumps(found, indent=2))
@@ -36,22 +35,21 @@ def work(chosen: argparse.Namespace) -> int:
             if use != (use := entry.get("use")):
                 print(f" {use}:")
             package = entry.get("package", registry.OURS)
-            print(
-                f"  {entry['name']:<{width}}  {entry['about']}{'' if package == registry.OURS else f' (from {package})'}".rstrip()
-            )
+            origin = "" if package == registry.OURS else f" (from {package})"
+            print(f"  {entry['name']:<{width}}  {entry['about']}{origin}".rstrip())
     return 0
 
 
 def entries(kind: str) -> list[dict[str, str]]:
     """Name and description of all of a kind; of plants and detectors their package, of faults how each is used."""
-    from fusion_sfdia.evaluation.fault_draws import PRESETS
-    from fusion_sfdia.evaluation.faults import FAULT_KINDS
-
     match kind:
         case "plants" | "detectors":
             named = registry.plants() if kind == "plants" else registry.detectors()
             return [{"name": e.name, "about": e.about, "package": e.package} for e in named.values()]
         case "faults":
+            from fusion_sfdia.evaluation.fault_draws import PRESETS
+            from fusion_sfdia.evaluation.faults import FAULT_KINDS
+
             drawn = [{"name": name, "about": preset.description, "use": DRAWN} for name, preset in PRESETS.items()]
             return drawn + [{"name": name, "about": about, "use": LISTED} for name, about in FAULT_KINDS.items()]
         case _:
