@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from toy_plants import chain, readings, tanks
+from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Array, Plant
@@ -166,8 +166,8 @@ def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
 
 
 def network_areas_of(plant: Plant) -> object:
-    assert plant.areas is not None
-    return plant.areas
+    assert plant.structure.areas is not None
+    return plant.structure.areas
 
 
 @pytest.mark.parametrize("name", ["tanks", "network"])
@@ -208,11 +208,13 @@ def partly_measured() -> Plant:
     """The power network, of whose areas 2, 7 and 13 angle and speed are read alone."""
     whole = network()
     keep = [i for i, s in enumerate(whole.sensors) if s.name not in {f"{p}_{a}" for p in ("p_m", "p_v") for a in (2, 7, 13)}]
-    return replace(
+    jacobian = whole.numerics.output_jacobian
+    assert jacobian is not None
+    return changed(
         whole,
         sensors=tuple(whole.sensors[i] for i in keep),
         output=lambda t, x, u: whole.output(t, x, u)[..., keep],
-        output_jacobian=lambda t, x, u: whole.output_jacobian(t, x, u)[keep],
+        output_jacobian=lambda t, x, u: jacobian(t, x, u)[keep],
         finer=None,
     )
 
@@ -411,7 +413,7 @@ def test_settings_that_do_not_fit(settings: dict[str, object], message: str) -> 
 
 def test_areas_must_be_those_of_the_plant() -> None:
     with pytest.raises(ValueError, match="its areas 60 states and 30 inputs"):
-        Chebyshev(replace(tanks(), areas=network_areas_of(network())))
+        Chebyshev(changed(tanks(), areas=network_areas_of(network())))
     sensors = tuple(replace(s, owner="area 9") if s.name == "theta_1@2" else s for s in network().sensors)
     with pytest.raises(ValueError, match="a sensor of theta_1 is owned by 'area 9'"):
         Chebyshev(replace(network(), sensors=sensors))

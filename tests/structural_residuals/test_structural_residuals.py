@@ -19,6 +19,7 @@ from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Structure
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.detectors import FALSE_ALARM, build, healthy_data
 from fusion_sfdia.evaluation.simulate import simulate
@@ -70,7 +71,7 @@ def test_the_structure_of_two_tanks_by_hand() -> None:
 def test_what_is_computable_is_what_the_toolbox_computes_in_the_equations_own_direction(name: str) -> None:
     """Each equation matched to its own variable, one after the other, states by integration: by the toolbox's matching."""
     plant = plant_of(name)
-    model, modules = structural_model(plant), plant.modules
+    model, modules = structural_model(plant), plant.structure.modules
     assert modules is not None
     variables, count, n = tuple(modules.equations), len(modules.equations), len(plant.sensors)
     own = {v: k for k, v in enumerate(variables)}
@@ -145,7 +146,11 @@ def test_at_rest_a_residual_is_zero_and_knows_no_reading_that_it_does_not_use(na
     plant = plant_of(name)
     residuals = usable(plant)
     detector = StructuralResiduals(plant, residuals, np.ones(len(residuals)))
-    truth = np.array([plant.modules.nominal[s.measures] for s in plant.sensors]) if plant.modules else np.empty(0)
+    truth = (
+        np.array([plant.structure.modules.nominal[s.measures] for s in plant.sensors])
+        if plant.structure.modules
+        else np.empty(0)
+    )
     u = np.tile(plant.input_at(0.0), (12, 1))
     y = np.tile(truth, (12, 1))
     # the engine's equilibrium is solved to 1e-12 or so, of which 1/0.03 is a sigma; equations magnify by less than 1e3
@@ -206,7 +211,7 @@ def gauge() -> Plant:
     plant = discretise(physics, sensors, dt=1.0, x0=np.ones(1), initial_cov=np.ones(1), process_cov=np.ones(1))
     nominal = {"level": 1.0, "flow": 1.0, "gauge": 2.0}
     modules = Modules(equations, np.zeros(1), nominal, None, ("inflow",), {v: v for v in equations}, {"level": 1.0})
-    return replace(plant, modules=modules)
+    return replace(plant, structure=Structure(modules=modules))
 
 
 def test_false_alarms_are_as_rare_as_asked_for() -> None:
@@ -310,12 +315,12 @@ def test_bad_settings_and_data_are_named() -> None:
 
 def test_sequences_evaluate_each_residual_as_if_it_were_alone() -> None:
     plant = plant_of("marine-engine")
-    assert plant.modules is not None
+    assert plant.structure.modules is not None
     residuals, rng = usable(plant)[::40], np.random.default_rng(3)
-    nominal = np.array([plant.modules.nominal[v] for v in plant.modules.equations])
+    nominal = np.array([plant.structure.modules.nominal[v] for v in plant.structure.modules.equations])
     y: Array = nominal[:, None] * (1 + 0.02 * rng.standard_normal((nominal.size, 5)))
     x = np.repeat(y[None, :3], len(residuals), axis=0)
-    together = Sequences(plant.modules, residuals).predicted(x, y, np.ones((1, 5)))
+    together = Sequences(plant.structure.modules, residuals).predicted(x, y, np.ones((1, 5)))
     for k, r in enumerate(residuals):
-        alone = Sequences(plant.modules, (r,)).predicted(x[:1], y, np.ones((1, 5)))
+        alone = Sequences(plant.structure.modules, (r,)).predicted(x[:1], y, np.ones((1, 5)))
         np.testing.assert_array_equal(together[k], alone[0])
