@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from fusion_sfdia.evaluation.diagnose import Event as Event
     from fusion_sfdia.evaluation.diagnose import diagnose as diagnose
     from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
-    from fusion_sfdia.evaluation.fault_draws import draw as draw_faults  # noqa: F401
+    from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
+    from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
     from fusion_sfdia.evaluation.faults import Fault as Fault
-    from fusion_sfdia.evaluation.faults import apply as apply_faults  # noqa: F401
     from fusion_sfdia.evaluation.faults import load_faults as load_faults
     from fusion_sfdia.evaluation.logs import Log as Log
     from fusion_sfdia.evaluation.logs import read_log as read_log
@@ -93,9 +93,10 @@ _MODULES = {
     "core.equation": ("equation",),
     "core.linear": ("linear_plant",),
     "filters.estimators": ("Ensemble", "Extended", "Unscented"),
-    "evaluation.fault_draws": ("FaultRange", "draw_faults:draw"),
+    "evaluation.fault_draws": ("FaultRange", "draw_faults"),
+    "evaluation.fault_effects": ("apply_faults",),
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
-    "evaluation.faults": ("Fault", "apply_faults:apply", "load_faults"),
+    "evaluation.faults": ("Fault", "load_faults"),
     "filters.filterpy_adapter": ("plant_from_filterpy",),
     "data_driven.ewma_limits": ("EwmaLimits",),
     "data_driven.fixed_limits": ("FixedLimits",),

@@ -17,7 +17,8 @@ from fusion_sfdia.core.detector import Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.evaluation.diagnose import diagnose
-from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.fault_effects import apply_faults
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.logs import write_log
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.enkf import EnKFSettings
@@ -281,7 +282,7 @@ def test_dates_are_not_read_as_seconds(dates: Any, tmp_path: Path) -> None:
     for read in (
         lambda: run(detector, detector.init(), dates, y, u),
         lambda: diagnose(detector, dates, y, u),
-        lambda: apply(PLANT, dates, y, [Fault("l1", "bias", onset=10.0, magnitude=1.0)]),
+        lambda: apply_faults(PLANT, dates, y, [Fault("l1", "bias", onset=10.0, magnitude=1.0)]),
         lambda: simulate(PLANT, dates, [0]),
         lambda: write_log(tmp_path / "log.csv", PLANT, dates, y, u),
         lambda: calibrate(bank, dates, y, u),

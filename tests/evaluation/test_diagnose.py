@@ -8,8 +8,8 @@ from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose, spans
+from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.faults import apply as apply_faults
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
