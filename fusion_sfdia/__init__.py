@@ -26,9 +26,11 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.discretise import discretise as discretise
     from fusion_sfdia.core.equation import equation as equation
     from fusion_sfdia.core.linear import linear_plant as linear_plant
-    from fusion_sfdia.core.physics import Block as Block
     from fusion_sfdia.core.physics import Physics as Physics
     from fusion_sfdia.core.plant import Plant as Plant
+    from fusion_sfdia.core.plant_groups import Numerics as Numerics
+    from fusion_sfdia.core.plant_groups import Structure as Structure
+    from fusion_sfdia.core.plant_groups import Truth as Truth
     from fusion_sfdia.core.signals import Sensor as Sensor
     from fusion_sfdia.core.signals import Signal as Signal
     from fusion_sfdia.core.storage import load_state as load_state
@@ -115,8 +117,9 @@ _MODULES = {
     "stochastic_thresholds.monte_carlo": ("MonteCarlo",),
     "kalman_banks.particle_filter": ("ParticleFilter",),
     "data_driven.pca": ("PrincipalComponents",),
-    "core.physics": ("Block", "Physics"),
+    "core.physics": ("Physics",),
     "core.plant": ("Plant",),
+    "core.plant_groups": ("Numerics", "Structure", "Truth"),
     "stochastic_thresholds.replug": ("replug",),
     "core.signals": ("Sensor", "Signal"),
     "adaptive_thresholds.signatures": (
