@@ -93,7 +93,15 @@ def test_a_chapter_has_its_place_and_an_entry_in_the_contents(page: str) -> None
     assert "#s1-toys" in read.links and "s1-toys" in read.ids
     chapter = page[page.index('id="s1-toys"') :]
     assert page.count("<svg") == 2 and chapter.count("<svg") == 1
-    assert re.search(r"<td class=\"n\" data-sort=\"[\d.]+\">[\d.]+ \[-?[\d.]+, [\d.]+\]</td>", chapter)
+    assert re.search(r"<td class=\"n\" data-sort=\"[\d.]+\">[\d.]+ <small>\[-?[\d.]+, [\d.]+\]</small></td>", chapter)
+
+
+def test_the_page_opens_with_what_was_found_and_folds_how(page: str) -> None:
+    places = [page.index(text) for text in ("3 rows.", "<figure>", "Nothing is published.", "As printed", 'id="s1-toys"')]
+    assert places == sorted(places)
+    folded = re.findall(r'<details class="method">.*?</details>', page, re.DOTALL)
+    for expected in ("Method of all", "Chapter&#39;s method", "Table&#39;s method", "levels high, low"):
+        assert sum(expected in text for text in folded) == page.count(expected) == 1
 
 
 def test_estimates_show_what_their_interval_can_tell() -> None:
