@@ -17,7 +17,7 @@ NAME = "[a-z0-9]+(-[a-z0-9]+)*"
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the report: draw() returns it, alt says in words what it shows. name: letters, digits, hyphens."""
+    """A figure of the report: draw() returns it, alt states in words what it shows. name: letters, digits, hyphens."""
 
     name: str
     title: str
