@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 
-from fusion_sfdia.comparison.example import PREFIX, SIGMAS, draw_example
 from fusion_sfdia.comparison.figures import (
     departure_panels,
     draw_confusion,
@@ -13,9 +12,7 @@ from fusion_sfdia.comparison.figures import (
     draw_magnitudes,
     draw_panels,
     draw_roc,
-    looks,
     other_panels,
-    prominent,
 )
 from fusion_sfdia.comparison.findings import extremes, healthy_alarms, others_told, plant_findings
 from fusion_sfdia.comparison.measures import exactly, told_distance
@@ -65,22 +62,22 @@ def plant_chapter(
     return Chapter(
         some.plant,
         some.plant,
-        text=[about[0].upper() + about[1:], *plant_findings(settings, cells, criteria)],
-        method=[
+        [
+            about[0].upper() + about[1:],
             f"Truth behind the readings: differs from the detectors' model by {told_distance(some.plant)} at most.",
             f"A fault lasts {settings['window']} samples, {settings['window'] * model.dt:g} s, where no length is named, and "
             f"begins after {settle_of(settings, some.plant)} samples or later; all {len(model.sensors)} sensors take turns.",
+            *plant_findings(settings, cells, criteria),
             *absent,
         ],
-        figures=figures(settings, cells),
-        tables=[table for table in tables if table.rows],
+        figures(settings, cells),
+        [table for table in tables if table.rows],
     )
 
 
 def figures(settings: Settings, cells: Cells) -> list[Figure]:
     """Curves, magnitudes, confusion, what else was tried, departures and cost."""
     found = [
-        example_figure(settings, cells),
         roc_figure(settings, cells),
         magnitudes_figure(settings, cells),
         confusion_figure(cells),
@@ -89,24 +86,6 @@ def figures(settings: Settings, cells: Cells) -> list[Figure]:
         cost_figure(settings, cells),
     ]
     return [figure for figure in found if figure is not None]
-
-
-def example_figure(settings: Settings, cells: Cells) -> Figure:
-    """One faulty run as every detector sees it."""
-    some = next(iter(cells.values()))
-    sensor = some.model.sensor_names[int(some[f"{PREFIX}sensor"])]
-    examples = {d: {k: v for k, v in c.arrays.items() if k.startswith(PREFIX)} for d, c in cells.items()}
-    named = prominent({d: exactly(settings, c).value for d, c in cells.items()})
-    return Figure(
-        f"{some.plant}-example",
-        f"An example: one faulty run, {some.plant}",
-        f"Which detectors isolate it, how soon, and what they put in the place of the reading. {sensor}, the middle one of the "
-        f"plant's sensors, has a bias of {SIGMAS:g} sigma; thresholds are those of the common rate of false alarms. What is "
-        "restored is cut off where it leaves the range of the readings.",
-        partial(draw_example, some.model, examples, looks(list(cells)), named),
-        f"Readings of {sensor} on {some.plant}, reconstructions, residuals over thresholds and alarms of {len(cells)} "
-        "detectors over the same time",
-    )
 
 
 def roc_figure(settings: Settings, cells: Cells) -> Figure | None:
@@ -122,7 +101,7 @@ def roc_figure(settings: Settings, cells: Cells) -> Figure | None:
         f"Mean area under the curves of all kinds: {extremes(mean)}. The further up and left the better; what a "
         "detector finds is read at the rate of false alarms that one can stand. Thresholds swept over silent detectors; grey: "
         "chance.",
-        partial(draw_roc, cells, swept, prominent(mean)),
+        partial(draw_roc, cells, swept),
         f"Detection against false-alarm probability of {len(cells)} detectors on {some.plant} for {' and '.join(swept)}",
     )
 
@@ -138,7 +117,7 @@ def magnitudes_figure(settings: Settings, cells: Cells) -> Figure | None:
         f"Detection, isolation and delay against the size of the fault, {some.plant}",
         f"At the common rate of false alarms. Runs with an alarm at {small:g} sigma: {extremes(seen)}. Delays are "
         "those of the runs that have an alarm. Intervals: table below and metrics.csv.",
-        partial(draw_magnitudes, cells, prominent(seen)),
+        partial(draw_magnitudes, cells),
         f"Lines of {len(cells)} detectors over the size of bias, drift, noise and scale faults on {some.plant}",
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import matplotlib
@@ -27,26 +27,8 @@ FAMILIES = (
     "fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural", "uio", "multiple", "one", "mhe",
 )  # fmt: skip
 LEAST = 2  # runs behind a point
-MOST_NAMED, NAMED = 9, 6  # detectors that lines can show by name; where they are more, those that are named
-OTHERS = "other detectors"
-FAMILY_COLOURS = (*COLOURS[:-1], "#A89000", "#808080", "#8B4513", "#6A3D9A", "#808000", "#B03060")  # one each
+FAMILY_COLOURS = (*COLOURS, "#808080", "#8B4513", "#6A3D9A", "#808000", "#B03060")  # one each
 LINES: tuple[Any, ...] = (*DASHES, (0, (6, 2, 1, 2, 1, 2)), (0, (2, 4)))  # one for each member of a family
-
-
-def prominent(values: Mapping[str, float]) -> list[str]:
-    """The detectors that a figure of lines names: all, or of many the best of each of the best families."""
-    if len(values) <= MOST_NAMED:
-        return list(values)
-    best: dict[str, str] = {}
-    for detector in sorted(values, key=lambda d: -np.nan_to_num(values[d])):
-        best.setdefault(_family(detector), detector)
-    return list(best.values())[:NAMED]
-
-
-def quieted(look: Mapping[str, dict[str, Any]], named: Collection[str]) -> dict[str, dict[str, Any]]:
-    """The looks of detectors with those that are not named in grey, behind the others."""
-    grey = {"color": "0.82", "linestyle": "-", "marker": "", "zorder": 1}
-    return {d: one if d in named else grey for d, one in look.items()}
 
 
 def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -116,17 +98,16 @@ def draw_overview(cells: Cells, measures: Mapping[str, Measure]) -> Drawing:
     return figure
 
 
-def draw_roc(cells: Mapping[str, Cell], conditions: Sequence[str], named: Collection[str]) -> Drawing:
-    """Detection against false alarms of the silent detectors; the false-alarm axis is logarithmic. named: see `prominent`."""
+def draw_roc(cells: Mapping[str, Cell], conditions: Sequence[str]) -> Drawing:
+    """Detection against false alarms of the silent detectors; the false-alarm axis is logarithmic."""
     figure, axes = panels([c.replace("-", " ") for c in conditions], columns=3, width=11.5, height=3.4)
-    look = quieted(looks(list(cells)), named)
+    look = looks(list(cells))
     for axis, name in zip(axes, conditions, strict=True):
         for detector, cell in cells.items():
             scores, active = cell.swept(name)
             curve = metrics.roc(scores, active)
             style = {k: v for k, v in look[detector].items() if k != "marker"}
-            shown = detector if detector in named else OTHERS
-            axis.plot(*curve[:2], label=shown, drawstyle="steps-post", **style)
+            axis.plot(*curve[:2], label=detector, drawstyle="steps-post", **style)
         chance = np.geomspace(1e-4, 1.0, 100)
         axis.plot(chance, chance, color="0.6", linewidth=0.8)
         least = min(1.0 / cell["trunk"].size for cell in cells.values())
@@ -142,17 +123,15 @@ def legend_columns(figure: Drawing, columns: int = 5) -> None:
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(str(label), handle)
-    if OTHERS in entries:
-        entries[OTHERS] = entries.pop(OTHERS)  # the last
     figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=columns, fontsize=8)
 
 
-def draw_magnitudes(cells: Mapping[str, Cell], named: Collection[str]) -> Drawing:
-    """Runs with an alarm, exact isolation and delay against the size of a fault: a column a kind. named: see `prominent`."""
+def draw_magnitudes(cells: Mapping[str, Cell]) -> Drawing:
+    """Runs with an alarm, exact isolation and delay against the size of a fault: a column a kind."""
     some = next(iter(cells.values()))
     sizes = sorted(some.settings["magnitudes"])
     kinds = [k for k in GRADED if k in some.settings["faults"]]
-    look = quieted(looks(list(cells)), named)
+    look = looks(list(cells))
     measures: list[tuple[str, Callable[[Cell, Array], Estimate]]] = [
         ("runs with an alarm", lambda cell, rows: cell.detected(rows)),
         ("samples with the exact names", lambda cell, rows: cell.exact(rows)),
@@ -168,8 +147,7 @@ def draw_magnitudes(cells: Mapping[str, Cell], named: Collection[str]) -> Drawin
                 found = [measure(cell, cell.rows_of(f"{kind}-{m:g}-sigma")) for m in sizes]
                 values = [e.value if e.n >= LEAST else np.nan for e in found]
                 shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
-                shown = detector if detector in named else OTHERS
-                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.2, label=shown, **look[detector])
+                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.0, label=detector, **look[detector])
             axis.set_xscale("log")
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sizes, [f"{m:g}" for m in sizes])

@@ -7,7 +7,6 @@ told, findings, tables, figures, chapters and words.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,7 +16,6 @@ from fusion_sfdia.comparison.figures import Cells, draw_overview, of_plant
 from fusion_sfdia.comparison.findings import absent, highlights, left_out, overview_caption, remarks
 from fusion_sfdia.comparison.measures import glance
 from fusion_sfdia.comparison.numbers import complete, gather
-from fusion_sfdia.comparison.opening import opening
 from fusion_sfdia.comparison.protocol import SETTINGS, tasks
 from fusion_sfdia.comparison.ranking import CRITERIA, SHARES, clusters, ranking
 from fusion_sfdia.comparison.rows import SCENARIO as NAME
@@ -43,21 +41,19 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
     for plant, criterion, detector, standing in standing_rows(standings):
         rows.append(Row(NAME, plant, detector, "ranked", criterion, "score", *standing.mean))
         rows.append(Row(NAME, plant, detector, "ranked", criterion, "rank", float(standing.rank), n=standing.mean.n))
-    first, *more = [
-        plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), stated)
-        for plant in dict.fromkeys(p for p, _ in cells)
-    ]
-    example, *figures = first.figures
     return Summary(
         rows=rows,
-        figures=[overview(settings, cells), example],
+        figures=[overview(settings, cells)],
         tables=[
             table for table in (choices_table(settings, cells), ranks_table(EVERY, standings.get(EVERY, {}))) if table.rows
         ],
-        highlights=opening(settings, cells, standings),
-        remarks=[*highlights(settings, cells, standings), *left_out(cells, whole), *absent(settings, cells, reasons)],
-        method=remarks(settings, cells),
-        chapters=[replace(first, figures=figures), *more, words(list(dict.fromkeys(d for _, d in cells)))],
+        highlights=highlights(settings, cells, standings),
+        remarks=[*remarks(settings, cells), *left_out(cells, whole), *absent(settings, cells, reasons)],
+        chapters=[
+            plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), stated)
+            for plant in dict.fromkeys(p for p, _ in cells)
+        ]
+        + [words(list(dict.fromkeys(d for _, d in cells)))],
     )
 
 
