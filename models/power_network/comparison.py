@@ -109,7 +109,7 @@ CASES = ComparisonCases(
         ),
         ProcessFaultCase(
             "input-gain",
-            "the reference of area 4 arrives with its sign reversed; in B18, scenario 2, that of area 5, which has no load here",
+            "the reference of area 4 arrives with its sign reversed; B18, scenario 2, has area 5, which has no load here",
             partial(failing, SIGN_FLIP),
         ),
         ProcessFaultCase("load-loss", "a twentieth of the base power is lost at once in area 7", partial(failing, LOAD_LOSS)),
