@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from fusion_sfdia.detectors import DETECTORS
+from fusion_sfdia import registry
 
 HERE = Path(__file__).parent
 COLUMNS = ("plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n")
@@ -113,7 +113,8 @@ def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 def by_plant(detectors: Sequence[str], cell: Callable[[str, str], str]) -> str:
     """A table of detectors down and plants across, without detectors that apply to no plant."""
-    lines = [(f"`{d}`", DETECTORS[d].memory, *(cell(p, d) for p in PLANTS)) for d in detectors]
+    known = registry.detectors()
+    lines = [(f"`{d}`", known[d].memory, *(cell(p, d) for p in PLANTS)) for d in detectors]
     return table(("detector", "memory", *PLANTS), [line for line in lines if set(line[2:]) != {ABSENT}])
 
 

@@ -61,9 +61,7 @@ def branches(plant: ComparedPlant, recording: Recording, runs: Sequence[Run], wi
     return Branches(tuple(runs), readings, rows)
 
 
-def failures(
-    plant: ComparedPlant, recording: Recording, runs: Sequence[Run]
-) -> dict[Run, tuple[Recording, int]]:
+def failures(plant: ComparedPlant, recording: Recording, runs: Sequence[Run]) -> dict[Run, tuple[Recording, int]]:
     """Recordings, and places in them, of the runs with a process fault: those of a fault and onset at once."""
     alike: dict[tuple[str, int], list[Run]] = {}
     for run in runs:

@@ -58,7 +58,7 @@ def calibrated(
     that does not apply to the plant, that needs a package which is not installed, or whose scores cannot set a threshold;
     ValueError for one whose thresholds have no scale.
     """
-    detector: Any = registry.detector(by.what, plant_of(plant))
+    detector: Any = registry.detector(by.entry, plant_of(plant))
     require_scale(by.name, detector)
     recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + runs)))
     scores = silent_scores(silent(detector), recording)[settle:]
@@ -74,7 +74,7 @@ def require_scale(name: str, detector: Any) -> None:
     """Raise ValueError unless the detector's thresholds can be scaled."""
     if not is_dataclass(detector) or "threshold_scale" not in (f.name for f in fields(detector)):
         raise ValueError(
-            f"detector {name} has no field threshold_scale, by which its thresholds are set to the common rate of false alarms; "
+            f"detector {name} has no field threshold_scale, by which its thresholds are brought to the common rate; "
             "derive it from BatchDetector, or make it a frozen dataclass with that factor of all its thresholds"
         )
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+
+import numpy as np
 
 from fusion_sfdia.comparison.cell import ComparisonCell
 from fusion_sfdia.comparison.figures import (
@@ -16,7 +17,7 @@ from fusion_sfdia.comparison.figures import (
     mismatch_panels,
     other_panels,
 )
-from fusion_sfdia.comparison.protocol import MISMATCH_SIGMA, settle_of, sizes
+from fusion_sfdia.comparison.protocol import HEALTHY, MISMATCH_SIGMA, settle_of, sizes
 from fusion_sfdia.comparison.ranking import Standing
 from fusion_sfdia.comparison.recordings import stated_distance
 from fusion_sfdia.comparison.rows import exact_isolation, share_right
@@ -29,10 +30,11 @@ from fusion_sfdia.comparison.tables import (
     paper_table,
     ranks_table,
 )
-from fusion_sfdia.comparison.text import extremes, false_isolation_extremes, healthy_alarms, plant_findings
+from fusion_sfdia.comparison.text import plant_findings
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.report.content import Chapter, Figure, Table
+from fusion_sfdia.report.findings import span
 
 Cells = Mapping[str, ComparisonCell]  # of one plant, by detector
 
@@ -57,7 +59,7 @@ WORDS = {
     "freeze, replay, sign": "a reading that stays as it was; earlier ones over again; its negative",
     "truth": "what makes the readings: the high-fidelity model of a plant where it has one; see the tables' heads",
     "K22, K24; V22; B18": "Kougiatsos 2022 and 2024; its virtual sensors, 2022; Boem 2018",
-    ":paper, :corrected, :calibrated": "as printed; with misprints corrected; with margins that were set on healthy runs",
+    ":paper, :corrected, :calibrated": "as printed; with misprints corrected; with margins chosen by us",
 }
 
 
@@ -73,8 +75,9 @@ def plant_chapter(
     """
     some = next(iter(cells.values()))
     model = some.model
-    about = some.subject.about or some.plant
-    about = f"{about[0].upper() + about[1:]}; {len(model.states)} states, {len(model.sensors)} sensors, a sample every {model.dt:g} s."
+    about = some.subject.entry.about or some.plant
+    size = f"{len(model.states)} states, {len(model.sensors)} sensors, a sample every {model.dt:g} s"
+    about = f"{about[0].upper() + about[1:]}; {size}."
     missing: dict[str, list[str]] = {}
     for detector, why in reasons.items():
         missing.setdefault(why, []).append(detector)
@@ -88,7 +91,7 @@ def plant_chapter(
         cost_table(cells),
     ]
     return Chapter(
-        slug(some.plant),
+        some.subject.slug,
         some.plant,
         [
             about,
@@ -124,7 +127,7 @@ def roc_figure(settings: Settings, cells: Cells) -> Figure | None:
         return None
     mean = {d: c.mean_area(small).value for d, c in cells.items()}
     return Figure(
-        f"{slug(some.plant)}-roc",
+        f"{some.subject.slug}-roc",
         f"Receiver operating characteristics, {some.plant}",
         f"Mean area under the curves of all kinds: {extremes(mean)}. Further up and left is better; read "
         "a curve at the rate of false alarms that is acceptable. Thresholds swept over silent detectors; grey: chance.",
@@ -140,7 +143,7 @@ def magnitudes_figure(settings: Settings, cells: Cells) -> Figure | None:
         return None
     seen = {d: c.of(ComparisonCell.detected, *c.graded(small)).value for d, c in cells.items()}
     return Figure(
-        f"{slug(some.plant)}-magnitudes",
+        f"{some.subject.slug}-magnitudes",
         f"Detection, isolation and delay against the size of the fault, {some.plant}",
         f"At the common rate of false alarms. Runs with an alarm at {small:g} sigma: {extremes(seen)}. Delays are "
         "those of the runs that have an alarm. Intervals: table below and metrics.csv.",
@@ -151,10 +154,11 @@ def magnitudes_figure(settings: Settings, cells: Cells) -> Figure | None:
 
 def confusion_figure(cells: Cells) -> Figure:
     """What is isolated, by the quantity of the faulty sensor."""
-    plant = next(iter(cells.values())).plant
+    some = next(iter(cells.values()))
+    plant = some.plant
     right = {d: share_right(c) for d, c in cells.items()}
     return Figure(
-        f"{slug(plant)}-confusion",
+        f"{some.subject.slug}-confusion",
         f"Which quantity is isolated, {plant}",
         "Single faults of the two largest sizes, replays and negated readings; rows: the quantity of the faulty sensor, "
         "columns: what is isolated, in shares of the samples, each of several having its share. The share of the "
@@ -170,7 +174,7 @@ def others_figure(cells: Cells) -> Figure | None:
     if not (shown := other_panels(some)):
         return None
     return Figure(
-        f"{slug(some.plant)}-others",
+        f"{some.subject.slug}-others",
         f"Other sensor faults, and process faults, {some.plant}",
         "Samples with false isolation: "
         + false_isolation_extremes(cells, [column.name for column in shown[0].columns])
@@ -187,7 +191,7 @@ def mismatch_figure(cells: Cells) -> Figure | None:
         return None
     worst = {m: extremes(healthy_alarms(cells.values(), m)) for m in some.mismatches}
     return Figure(
-        f"{slug(some.plant)}-mismatch",
+        f"{some.subject.slug}-mismatch",
         f"Model mismatch, {some.plant}",
         "Healthy samples with an alarm: " + "; ".join(f"{m} {shares}" for m, shares in worst.items()) + ".",
         partial(draw_panels, cells, mismatch_panels(some, f"bias-{MISMATCH_SIGMA:g}-sigma")),
@@ -202,7 +206,7 @@ def cost_figure(settings: Settings, cells: Cells) -> Figure | None:
         return None
     exact = {d: exact_isolation(settings, c) for d, c in cells.items()}
     return Figure(
-        f"{slug(some.plant)}-cost",
+        f"{some.subject.slug}-cost",
         f"Exact isolation, and the cost of a step, {some.plant}",
         f"Samples under a fault of {large:g} sigma at which exactly the faulty sensor is isolated, "
         f"{extremes({d: e.value for d, e in exact.items()})}, against the least processor time of a step of one run; 95 % "
@@ -228,6 +232,20 @@ def words_chapter(detectors: Sequence[ComparedDetector]) -> Chapter:
     )
 
 
-def slug(name: str) -> str:
-    """A name as a part of names of figures and chapters."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+def extremes(values: Mapping[str, float]) -> str:
+    """The least and the largest by name."""
+    known = {k: v for k, v in values.items() if np.isfinite(v)}
+    if not known:
+        return "none is known"
+    low, high = min(known, key=lambda k: known[k]), max(known, key=lambda k: known[k])
+    return f"from {span([known[low]])} ({low}) to {span([known[high]])} ({high})"
+
+
+def false_isolation_extremes(cells: Mapping[str, ComparisonCell], names: Sequence[str]) -> str:
+    """Least and largest false isolation by condition."""
+    return "; ".join(f"{n} {extremes({d: c.false_isolation(c.rows_of(n)).value for d, c in cells.items()})}" for n in names)
+
+
+def healthy_alarms(cells: Iterable[ComparisonCell], mismatch: str) -> dict[str, float]:
+    """Share of healthy samples with an alarm in a mismatch case, by detector."""
+    return {c.detector: c.alarms(c.rows_of(HEALTHY, mismatch=mismatch)).value for c in cells}

@@ -196,7 +196,9 @@ def draw_panels(cells: Mapping[str, ComparisonCell], shown: Sequence[Panel]) -> 
     """Detectors down and conditions across; grey where there is no number."""
     figure, axes = panels([p.title for p in shown], columns=3, width=13.0, height=1.9 + 0.24 * len(cells))
     for axis, panel in zip(axes, shown, strict=True):
-        values = [[panel.measure(c, c.rows_of(k.name, mismatch=k.mismatch)).value for k in panel.columns] for c in cells.values()]
+        values = [
+            [panel.measure(c, c.rows_of(k.name, mismatch=k.mismatch)).value for k in panel.columns] for c in cells.values()
+        ]
         heat(axis, np.array(values), list(cells), [k.label for k in panel.columns], less=panel.less)
     for axis in axes[1:]:
         axis.set_yticklabels([])

@@ -101,4 +101,3 @@ def stated_distance(plant: ComparedPlant) -> str:
     """How far the usual truth of a plant is from the detectors' model, in words."""
     distance = distance_of_truth(plant)
     return "nothing in this operation" if distance < SAME else f"{distance:.2g} sigma"
-

@@ -65,8 +65,8 @@ def record(plant: Plant, decision: KeptDecisions, branch: BranchReadings) -> Arr
     and faulty, isolated, faulty. exact: samples at which exactly the faulty sensors are isolated. falsely_isolated: samples at
     which a healthy sensor is. isolated_as (B, Q + 2): samples at which none is isolated, healthy sensors of each quantity, a
     faulty sensor; where several are isolated, each has its share of the sample. judged: see `judged_right`. size_error: mean
-    |size / true size - 1| where isolated. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty
-    sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
+    |size / true size - 1| where isolated. Mean squared errors against the noise-free readings in the sensors' variances: of the
+    faulty sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
     """
     isolated, active = decision.isolated, branch.active
     right = isolated & active

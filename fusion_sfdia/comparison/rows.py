@@ -128,7 +128,7 @@ def paper_rows(cell: ComparisonCell, name: str, kind: str) -> list[Row]:
 
 
 def confusion(cell: ComparisonCell) -> Array:
-    """What is isolated where a sensor of each quantity is faulty (Q, runs, Q + 2): none, another of each quantity, the right one.
+    """What is isolated where a sensor of each quantity is faulty (Q, runs, Q + 2): none, another of each quantity, that one.
 
     Samples of bias, drift, noise and scale at their two largest sizes, of replays and negated readings; sizes share noise and
     sensor and count as one run; where several are isolated, each has its share of the sample. Runs in which a sensor of another

@@ -187,7 +187,9 @@ def labelled(plant: Plant, material: Material, labels: Sequence[Labelled], seen:
     found, records, sensors = material.branches, [], []
     for condition, _, members in labels:
         rows = found.of(members, condition.length)
-        records.append(record(plant, KeptDecisions(*(a[rows] for a in seen)), BranchReadings(*(a[rows] for a in found.readings))))
+        records.append(
+            record(plant, KeptDecisions(*(a[rows] for a in seen)), BranchReadings(*(a[rows] for a in found.readings)))
+        )
         seeds = [material.recording.seeds[found.runs[i].b] for i in members]
         sensors.append([(sensors_of(plant, condition, seed) or [-1])[0] for seed in seeds])
     return join(records) | {

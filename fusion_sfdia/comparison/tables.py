@@ -58,7 +58,7 @@ def choices_table(settings: Settings, cells: Cells) -> Table:
         "Which to take",
         header,
         tuple(rows),
-        "Exact isolation: share of the samples under a fault of one sensor at which that one alone is isolated. False isolation: "
+        "Exact isolation: share of the samples under a fault of one sensor at which it alone is isolated. False isolation: "
         "share of the samples at which a healthy sensor is isolated though none is faulty, under model mismatch or a process "
         "fault. The most robust has the largest product of exact isolation and of the share of samples without false isolation "
         "in the worst mismatch case. Others may not differ beyond chance: see ranks. Healthy samples: as deployed, alarms that "
@@ -78,10 +78,10 @@ def numbers_table(settings: Settings, cells: Mapping[str, ComparisonCell]) -> Ta
         tuple((d, *line, claim_of(cells[d])) for d, line in found.items()),
         "In brackets 95 % intervals, n: runs. Faults are bias, drift, noise and scale; thresholds those of the common rate of "
         "false alarms, but for the column of its own. Exact isolation: share of samples at which exactly the faulty sensor is "
-        "isolated. Healthy sensors isolated: share of healthy sensor-samples. Claims are per step over all sensors. As deployed: "
-        "with what an alarm does to later samples, as where decisions are latched. Delays: of the runs that have an alarm. "
-        "Sizes: of faults other than noise. False isolation: share of healthy samples at which a sensor is isolated. Where runs "
-        "do not differ, as without any alarm, an interval counts runs, not samples. All other numbers: metrics.csv.",
+        "isolated. Healthy sensors isolated: share of healthy sensor-samples. Claims are per step over all sensors. As "
+        "deployed: with what an alarm does to later samples, as where decisions are latched. Delays: of the runs that have an "
+        "alarm. Sizes: of faults other than noise. False isolation: share of healthy samples at which a sensor is isolated. "
+        "Where runs do not differ, as without any alarm, an interval counts runs, not samples. All other numbers: metrics.csv.",
     )
 
 
@@ -132,8 +132,10 @@ def claim_of(cell: ComparisonCell) -> str:
 def paper_table(published: Sequence[Row]) -> Table:
     """Published numbers beside ours."""
     rows = [
-        (r.fault, r.detector, r.quantity, r.condition, r.metric, (r.value, r.low, r.high, r.n), r.n, float(r.published))
-        + (judged(r), r.source)
+        (
+            *(r.fault, r.detector, r.quantity, r.condition, r.metric, (r.value, r.low, r.high, r.n), r.n),
+            *(float(r.published), judged(r), r.source),
+        )
         for r in published
         if r.published is not None
     ]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from fusion_sfdia.comparison.cell import ComparisonCell
 from fusion_sfdia.comparison.figures import Cells, of_plant
-from fusion_sfdia.comparison.protocol import HEALTHY, length_name, sizes
+from fusion_sfdia.comparison.protocol import length_name, sizes
 from fusion_sfdia.comparison.ranking import Standing
 from fusion_sfdia.comparison.recordings import stated_distance
 from fusion_sfdia.comparison.rows import (
@@ -45,7 +45,8 @@ def by_plant(standings: Standings) -> list[str]:
             continue
         ranks = {plant: criteria[criterion] for plant, criteria in standings.items() if plant != EVERY}
         of_each = [
-            f"{name} is {', '.join(f'{place(of, name)} on {plant}' for plant, of in ranks.items() if name in of)}" for name in best
+            f"{name} is {', '.join(f'{place(of, name)} on {plant}' for plant, of in ranks.items() if name in of)}"
+            for name in best
         ]
         found.append(f"First in {criterion} over all plants, and by plant: {'; '.join(of_each)}.")
     return found
@@ -91,7 +92,9 @@ def verdict(settings: Settings, cells: Mapping[str, ComparisonCell]) -> list[str
     ]
 
 
-def plant_findings(settings: Settings, cells: Mapping[str, ComparisonCell], criteria: Mapping[str, Mapping[str, Standing]]) -> list[str]:
+def plant_findings(
+    settings: Settings, cells: Mapping[str, ComparisonCell], criteria: Mapping[str, Mapping[str, Standing]]
+) -> list[str]:
     """The findings on one plant."""
     plant, known = next(iter(cells.values())).plant, list(cells.values())
     return [
@@ -107,7 +110,7 @@ def plant_findings(settings: Settings, cells: Mapping[str, ComparisonCell], crit
 def leaders(
     settings: Settings, plant: str, cells: Sequence[ComparisonCell], criteria: Mapping[str, Mapping[str, Standing]]
 ) -> str:
-    """Which detectors none exceeds beyond chance on a plant, with a note where they detect or isolate little of what is large."""
+    """Which detectors none exceeds beyond chance on a plant, with a note where one misses large faults."""
     _, large = sizes(settings)
     flaws: dict[str, dict[str, list[str]]] = {}
     for cell in cells:
@@ -213,8 +216,8 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
         f"{f'shown to exceed {rate:g}: {which}' if which else f'no cell is shown to exceed {rate:g}'}. As deployed, where some "
         f"alarms last, {deployed} have an alarm. Of healthy windows of {settings['window']} samples, as long as most faults, "
         f"{chance} have one by chance.",
-        "The order of the kinds of faults is drawn for each seed, so that each occurs in all phases of the operation; all sensors "
-        "fail in turn. Ranks hold for the thresholds as they were set.",
+        "The order of the kinds of faults is drawn for each seed, so that each occurs in all phases of the operation; all "
+        "sensors fail in turn. Ranks hold for the thresholds as they were set.",
         "Receiver operating characteristics are those of silent detectors, which isolate and replace nothing; all else is of "
         "deployed ones, which have not alarmed yet when a fault begins. All faults of sensors are among the runs that rank "
         "detectors.",
@@ -247,33 +250,3 @@ def divergences(cells: Sequence[ComparisonCell]) -> list[str]:
     """Detectors whose estimator diverged."""
     which = [f"{c.detector} {share:.1%}" for c in cells if (share := float(c["diverged"].mean())) > 0]
     return [f"Runs in which the estimator diverged: {'; '.join(which)}."] if which else []
-
-
-def overview_caption(settings: Settings, cells: Cells) -> str:
-    """What the overview shows."""
-    best = {plant: best_isolation(settings, of_plant(cells, plant)) for plant, _ in cells}
-    names = "; ".join(f"{plant}: {name}" for plant, name in best.items() if name is not None)
-    return (
-        f"Read a detector along its row: most exact isolation ({names or 'unknown'}) need not go with least false isolation. At "
-        "the common rate of false alarms. Blue: more is better; orange: less is better; grey: not applicable; numbers over "
-        "several decades are coloured by their logarithm."
-    )
-
-
-def extremes(values: Mapping[str, float]) -> str:
-    """The least and the largest by name."""
-    known = {k: v for k, v in values.items() if np.isfinite(v)}
-    if not known:
-        return "none is known"
-    low, high = min(known, key=lambda k: known[k]), max(known, key=lambda k: known[k])
-    return f"from {span([known[low]])} ({low}) to {span([known[high]])} ({high})"
-
-
-def false_isolation_extremes(cells: Mapping[str, ComparisonCell], names: Sequence[str]) -> str:
-    """Least and largest false isolation by condition."""
-    return "; ".join(f"{n} {extremes({d: c.false_isolation(c.rows_of(n)).value for d, c in cells.items()})}" for n in names)
-
-
-def healthy_alarms(cells: Iterable[ComparisonCell], mismatch: str) -> dict[str, float]:
-    """Share of healthy samples with an alarm in a mismatch case, by detector."""
-    return {c.detector: c.alarms(c.rows_of(HEALTHY, mismatch=mismatch)).value for c in cells}

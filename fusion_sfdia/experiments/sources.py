@@ -13,45 +13,48 @@ import sysconfig
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
-from joblib.externals import cloudpickle
+import cloudpickle
 
 OURS = "fusion_sfdia"
 KNOWN = ("numpy", "scipy", "numba", "joblib", "sklearn")  # libraries whose versions decide are in the names of parts
 
 
 def object_digest(thing: Any, modules: Iterable[str] = ()) -> str:
-    """A digest of an object's pickled bytes and of the sources of the modules that define it, other than those of the package.
+    """A digest of an object's pickled bytes and of the sources of the modules that define it, as they are on disk.
 
-    modules: names of further modules that define it. Modules that these import are among them, but for installed libraries.
-    An object that is defined in the main module is pickled whole. ValueError for what cannot be pickled.
+    modules: names of further modules that define it. Modules from which these take names count too, but for the package itself
+    and for libraries. What is defined in the main module is pickled whole. ValueError for what cannot be pickled.
     """
+    buffer = io.BytesIO()
+    pickler = _Pickler(buffer)
     try:
-        pickled = cloudpickle.dumps(thing)
+        pickler.dump(thing)
     except (pickle.PicklingError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"{type(thing).__name__} cannot be sent to worker processes ({error}); make it of functions, classes and arrays"
-        ) from error
-    reader = _ModuleReader(io.BytesIO(pickled))
-    reader.load()
-    digest = hashlib.sha256(pickled)
-    for name, source in sorted(defining_sources({*modules, *reader.modules}).items()):
+        raise ValueError(f"{thing!r} cannot be sent to other processes: {error}; make it of functions and arrays") from error
+    digest = hashlib.sha256(buffer.getvalue())
+    for name, source in sorted(defining_sources({*modules, *pickler.modules}).items()):
         digest.update(f"{name}\0".encode() + source + b"\0")
     return digest.hexdigest()
 
 
-class _ModuleReader(pickle.Unpickler):
-    """Reads an object and notes the modules that its pickle refers to."""
+class _Pickler(cloudpickle.Pickler):
+    """Pickles as for a worker process, the same bytes in every process, and notes the modules of functions and classes."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
         self.modules: set[str] = set()
 
-    def find_class(self, module: str, name: str) -> Any:
-        self.modules.add(module)
-        return super().find_class(module, name)
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, type | FunctionType):
+            self.modules.add(obj.__module__)
+        reduced = super().reducer_override(obj)
+        if isinstance(obj, type) and isinstance(reduced, tuple) and len(reduced[1]) > 2:
+            function, (*arguments, _, last), *others = reduced  # a class of the main module has a random number
+            return (function, (*arguments, "", last), *others)
+        return reduced
 
 
 def defining_sources(modules: Iterable[str]) -> dict[str, bytes]:

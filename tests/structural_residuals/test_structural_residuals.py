@@ -13,6 +13,7 @@ from scipy.stats import betabinom
 from toy_plants import Array, chain
 
 from fusion_sfdia import registry
+from fusion_sfdia.builders import healthy_data
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import argument_names
@@ -20,7 +21,7 @@ from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.detectors import FALSE_ALARM, build, healthy_data
+from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.two_tanks.plant import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
 from fusion_sfdia.structural_residuals.selection import isolable, reads, selected, usable
@@ -39,7 +40,7 @@ def plant_of(name: str) -> Plant:
 
 @cache
 def detector_of(name: str) -> StructuralResiduals:
-    detector = build("structural-residuals", plant_of(name))
+    detector = registry.detector("structural-residuals", plant_of(name))
     assert isinstance(detector, StructuralResiduals)
     return detector
 
@@ -278,10 +279,10 @@ def test_a_missing_reading_leaves_out_what_reads_it() -> None:
 
 def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="does not say its scalar equations"):
-        build("structural-residuals", chain(3))
+        registry.detector("structural-residuals", chain(3))
     monkeypatch.setitem(sys.modules, "faultdiagnosistoolbox", None)
     with pytest.raises(ModuleNotFoundError, match=r"fusion-sfdia\[structural\]"):
-        build("structural-residuals", plant_of("two-tanks"))
+        registry.detector("structural-residuals", plant_of("two-tanks"))
 
 
 def test_bad_settings_and_data_are_named() -> None:
