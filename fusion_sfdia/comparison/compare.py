@@ -138,7 +138,7 @@ def compare(
     plants: PlantLike | Iterable[PlantLike] | None = None,
     detectors: DetectorLike | Iterable[DetectorLike] | None = None,
     *,
-    faults: Iterable[str] | None = None,
+    faults: str | Iterable[str] | None = None,
     seeds: int | None = None,
     full: bool = False,
     cases: Mapping[str, ComparisonCases] | None = None,
@@ -176,7 +176,7 @@ def compare(
     if detectors is not None:
         given["detectors"] = tuple(subjects.detectors)
     if faults is not None:
-        given["faults"] = tuple(faults)
+        given["faults"] = faults if isinstance(faults, str) else tuple(faults)
     changes = {name: setting_text(value) for name, value in given.items()}
     with nullcontext(str(out)) if out is not None else TemporaryDirectory(prefix="fusion-sfdia-") as folder:
         outcome = run_scenarios(
