@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from fusion_sfdia.adaptive_thresholds.signatures import sensors_read as sensors_read
     from fusion_sfdia.adaptive_thresholds.signatures import signature_matrix as signature_matrix
     from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
+    from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
+    from fusion_sfdia.comparison.compare import compare as compare
     from fusion_sfdia.core.detector import Decision as Decision
     from fusion_sfdia.core.detector import Detector as Detector
     from fusion_sfdia.core.detector import MissingPackageError as MissingPackageError
@@ -26,9 +28,11 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.discretise import discretise as discretise
     from fusion_sfdia.core.equation import equation as equation
     from fusion_sfdia.core.linear import linear_plant as linear_plant
-    from fusion_sfdia.core.physics import Block as Block
     from fusion_sfdia.core.physics import Physics as Physics
     from fusion_sfdia.core.plant import Plant as Plant
+    from fusion_sfdia.core.plant_groups import Numerics as Numerics
+    from fusion_sfdia.core.plant_groups import Structure as Structure
+    from fusion_sfdia.core.plant_groups import Truth as Truth
     from fusion_sfdia.core.signals import Sensor as Sensor
     from fusion_sfdia.core.signals import Signal as Signal
     from fusion_sfdia.core.storage import load_state as load_state
@@ -37,13 +41,17 @@ if TYPE_CHECKING:
     from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
     from fusion_sfdia.data_driven.one_class import OneClass as OneClass
     from fusion_sfdia.data_driven.pca import PrincipalComponents as PrincipalComponents
+    from fusion_sfdia.evaluation.cases import ComparisonCases as ComparisonCases
+    from fusion_sfdia.evaluation.cases import MismatchCase as MismatchCase
+    from fusion_sfdia.evaluation.cases import PaperFault as PaperFault
+    from fusion_sfdia.evaluation.cases import ProcessFaultCase as ProcessFaultCase
     from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
     from fusion_sfdia.evaluation.diagnose import Event as Event
     from fusion_sfdia.evaluation.diagnose import diagnose as diagnose
     from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
-    from fusion_sfdia.evaluation.fault_draws import draw as draw_faults  # noqa: F401
+    from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
+    from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
     from fusion_sfdia.evaluation.faults import Fault as Fault
-    from fusion_sfdia.evaluation.faults import apply as apply_faults  # noqa: F401
     from fusion_sfdia.evaluation.faults import load_faults as load_faults
     from fusion_sfdia.evaluation.logs import Log as Log
     from fusion_sfdia.evaluation.logs import read_log as read_log
@@ -84,16 +92,19 @@ _MODULES = {
     "kalman_banks.calibration": ("calibrate",),
     "kalman_banks.central_filter": ("CentralFilter",),
     "stochastic_thresholds.chebyshev": ("Chebyshev",),
+    "comparison.compare": ("ComparisonResult", "compare"),
     "core.detector": ("Decision", "Detector", "MissingPackageError", "NotApplicableError", "run"),
+    "evaluation.cases": ("ComparisonCases", "MismatchCase", "PaperFault", "ProcessFaultCase"),
     "evaluation.diagnose": ("Diagnosis", "Event", "diagnose"),
     "adaptive_thresholds.diagnosis_sets": ("DiagnosisLogic",),
     "core.discretise": ("discretise",),
     "core.equation": ("equation",),
     "core.linear": ("linear_plant",),
     "filters.estimators": ("Ensemble", "Extended", "Unscented"),
-    "evaluation.fault_draws": ("FaultRange", "draw_faults:draw"),
+    "evaluation.fault_draws": ("FaultRange", "draw_faults"),
+    "evaluation.fault_effects": ("apply_faults",),
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
-    "evaluation.faults": ("Fault", "apply_faults:apply", "load_faults"),
+    "evaluation.faults": ("Fault", "load_faults"),
     "filters.filterpy_adapter": ("plant_from_filterpy",),
     "data_driven.ewma_limits": ("EwmaLimits",),
     "data_driven.fixed_limits": ("FixedLimits",),
@@ -114,8 +125,9 @@ _MODULES = {
     "stochastic_thresholds.monte_carlo": ("MonteCarlo",),
     "kalman_banks.particle_filter": ("ParticleFilter",),
     "data_driven.pca": ("PrincipalComponents",),
-    "core.physics": ("Block", "Physics"),
+    "core.physics": ("Physics",),
     "core.plant": ("Plant",),
+    "core.plant_groups": ("Numerics", "Structure", "Truth"),
     "stochastic_thresholds.replug": ("replug",),
     "core.signals": ("Sensor", "Signal"),
     "adaptive_thresholds.signatures": (

@@ -13,6 +13,7 @@ from pathlib import Path
 from fusion_sfdia import registry
 
 HERE = Path(__file__).parent
+FALSE_ISOLATION = "blame_probability"  # the metric
 COLUMNS = ("plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n")
 PLANTS = ("two-tanks", "marine-engine", "gas-pipeline", "power-network")
 LENGTHS = (2, 5, 30, 120)
@@ -76,7 +77,7 @@ def needed(row: Row) -> bool:
     return (
         (row["fault"], row["metric"]) in shown
         or row["metric"] in rates
-        or row["metric"] == "blame_probability"
+        or row["metric"] == FALSE_ISOLATION
         or row["fault"] == "ranked"
     )
 
@@ -123,7 +124,7 @@ def worst(rows: Sequence[Row], plant: str, detector: str, *, mismatch: bool) -> 
     found = [
         row
         for row in rows
-        if (row["plant"], row["detector"], row["metric"]) == (plant, detector, "blame_probability")
+        if (row["plant"], row["detector"], row["metric"]) == (plant, detector, FALSE_ISOLATION)
         and row["fault"] != "dropout"
         and ((row["fault"] == "none" and row["quantity"] != "all") if mismatch else (row["fault"] != "none"))
         and row["value"] not in ("", "nan")

@@ -68,11 +68,11 @@ def simulated(
     """
     of = plant_of(plant)
     model = in_operation(of if truth is None else truth, inputs)
-    if lost is not None and model.feedback is not None:
+    if lost is not None and model.truth.feedback is not None:
         raise ValueError(f"plant {model.name!r} has controllers, which would act on what is lost; give its fault a truth")
-    finest, to_states = (model, None) if model.finer is None else model.finer()
+    finest, to_states = (model, None) if model.truth.finer is None else model.truth.finer()
     finest = replace(finest, sensors=of.sensors)  # whose noise may be a share of what they usually read
-    run = partial(simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.disturbed)
+    run = partial(simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.truth.disturbed)
     if lost is None:
         return run()
     t = np.arange(steps) * of.dt
@@ -89,10 +89,11 @@ def distance_of_truth(plant: ComparedPlant) -> float:
     """
     of = plant_of(plant)
     run = partial(simulate, of, DISTANCE_STEPS, (0,))
-    finest, to_states = (of, None) if of.finer is None else of.finer()
+    finest, to_states = (of, None) if of.truth.finer is None else of.truth.finer()
+    alone = replace(of, truth=replace(of.truth, finer=None))
     signals = [
         run(truth=replace(truth, sensors=of.sensors), to_states=mapped).signal
-        for truth, mapped in ((finest, to_states), (replace(of, finer=None), None))
+        for truth, mapped in ((finest, to_states), (alone, None))
     ]
     return float(np.max(np.abs(signals[0] - signals[1]) / of.sensor_sigma))
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Finer
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.results import Published
 
@@ -105,10 +106,10 @@ def in_operation(plant: Plant, operation: Callable[[float], Array] | None) -> Pl
     """The plant, and its high-fidelity model, in another operation; None for its own."""
     if operation is None:
         return plant
-    return replace(plant, operation=operation, finer=plant.finer and partial(_finer_in_operation, plant, operation))
+    finer = plant.truth.finer and partial(_finer_in_operation, plant.truth.finer, operation)
+    return replace(plant, truth=replace(plant.truth, operation=operation, finer=finer))
 
 
-def _finer_in_operation(plant: Plant, operation: Callable[[float], Array]) -> tuple[Plant, Callable[[Array], Array]]:
-    assert plant.finer is not None
-    finer, to_states = plant.finer()
-    return replace(finer, operation=operation), to_states
+def _finer_in_operation(finer: Finer, operation: Callable[[float], Array]) -> tuple[Plant, Callable[[Array], Array]]:
+    plant, to_states = finer()
+    return replace(plant, truth=replace(plant.truth, operation=operation)), to_states

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, in_operation
-from fusion_sfdia.evaluation.fault_draws import PRESETS, draw
+from fusion_sfdia.evaluation.fault_draws import PRESETS, draw_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.models.gas_pipeline import published
@@ -56,7 +56,7 @@ def altered(factor: str, by: float, plus: float = 0.0) -> Plant:
 
 def drawn_fault(preset: str, plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:
     """A fault of the paper of that sensor, its size and sign drawn."""
-    (fault,) = draw(preset, plant, stream(seed, "faults"), window=(onset, onset))
+    (fault,) = draw_faults(preset, plant, stream(seed, "faults"), window=(onset, onset))
     return replace(fault, sensor=sensor, length=length, rise=length / 2 if fault.kind == "drift" else None)
 
 
