@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from fusion_sfdia.adaptive_thresholds.signatures import sensors_read as sensors_read
     from fusion_sfdia.adaptive_thresholds.signatures import signature_matrix as signature_matrix
     from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
+    from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
+    from fusion_sfdia.comparison.compare import compare as compare
     from fusion_sfdia.core.detector import Decision as Decision
     from fusion_sfdia.core.detector import Detector as Detector
     from fusion_sfdia.core.detector import MissingPackageError as MissingPackageError
@@ -39,6 +41,10 @@ if TYPE_CHECKING:
     from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
     from fusion_sfdia.data_driven.one_class import OneClass as OneClass
     from fusion_sfdia.data_driven.pca import PrincipalComponents as PrincipalComponents
+    from fusion_sfdia.evaluation.cases import ComparisonCases as ComparisonCases
+    from fusion_sfdia.evaluation.cases import MismatchCase as MismatchCase
+    from fusion_sfdia.evaluation.cases import PaperFault as PaperFault
+    from fusion_sfdia.evaluation.cases import ProcessFaultCase as ProcessFaultCase
     from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
     from fusion_sfdia.evaluation.diagnose import Event as Event
     from fusion_sfdia.evaluation.diagnose import diagnose as diagnose
@@ -86,7 +92,9 @@ _MODULES = {
     "kalman_banks.calibration": ("calibrate",),
     "kalman_banks.central_filter": ("CentralFilter",),
     "stochastic_thresholds.chebyshev": ("Chebyshev",),
+    "comparison.compare": ("ComparisonResult", "compare"),
     "core.detector": ("Decision", "Detector", "MissingPackageError", "NotApplicableError", "run"),
+    "evaluation.cases": ("ComparisonCases", "MismatchCase", "PaperFault", "ProcessFaultCase"),
     "evaluation.diagnose": ("Diagnosis", "Event", "diagnose"),
     "adaptive_thresholds.diagnosis_sets": ("DiagnosisLogic",),
     "core.discretise": ("discretise",),

@@ -342,21 +342,25 @@ def test_rows_come_back_to_the_bit(tmp_path: Path) -> None:
     rows = [
         Row("s", "p", "d", "none", 'a, "quoted"\nline', "auc", third, third - 1e-17, np.nextafter(third, 1), 50),
         Row("s", "p", "d", "f", "all", "rmse", float("inf"), published=0.1, source="Nobody 1999, Table I, p. 1"),
-        Row("s", "p", "d", "f", "all", "rmse", float("nan")),
+        Row("s", "p", "d", "f", "all", "rmse", float("nan"), condition="noise 5 %, finer grid"),
     ]
     write_rows(tmp_path / "metrics.csv", rows)
     text = (tmp_path / "metrics.csv").read_text(encoding="utf-8")
     assert text.startswith(",".join(COLUMNS) + "\n")
     assert "0.3333333333333333," in text and "float64" not in text
     assert repr(read_rows(tmp_path / "metrics.csv")) == repr([replace(rows[0], high=float(rows[0].high)), *rows[1:]])
-    told = json.loads(as_json(rows))
-    assert [r["value"] for r in told] == [third, "inf", None]
-    assert told[1]["source"] == "Nobody 1999, Table I, p. 1"
+    objects = json.loads(as_json(rows))
+    assert [r["value"] for r in objects] == [third, "inf", None]
+    assert [r["condition"] for r in objects] == ["", "", "noise 5 %, finer grid"]
+    assert objects[1]["source"] == "Nobody 1999, Table I, p. 1"
     (tmp_path / "metrics.csv").write_text(text.replace("50", "many"), encoding="utf-8")
     with pytest.raises(ValueError, match="row 2"):
         read_rows(tmp_path / "metrics.csv")
     (tmp_path / "metrics.csv").write_text("a,b\n", encoding="utf-8")
     with pytest.raises(ValueError, match="no metrics file"):
+        read_rows(tmp_path / "metrics.csv")
+    (tmp_path / "metrics.csv").write_text(text.replace(",condition", "", 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"metrics\.csv was written by an earlier version: it has no column condition"):
         read_rows(tmp_path / "metrics.csv")
 
 
