@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from fusion_sfdia.comparison.cell import ComparisonCell
+from fusion_sfdia.comparison.example_figure import example_figure
 from fusion_sfdia.comparison.figures import (
     draw_confusion,
     draw_cost,
@@ -17,6 +18,7 @@ from fusion_sfdia.comparison.figures import (
     mismatch_panels,
     other_panels,
 )
+from fusion_sfdia.comparison.looks import prominent
 from fusion_sfdia.comparison.protocol import HEALTHY, MISMATCH_SIGMA, settle_of, sizes
 from fusion_sfdia.comparison.ranking import Standing
 from fusion_sfdia.comparison.recordings import stated_distance
@@ -93,22 +95,22 @@ def plant_chapter(
     return Chapter(
         some.subject.slug,
         some.plant,
-        [
-            about,
+        text=[about, *plant_findings(settings, cells, criteria)],
+        method=[
             f"Truth behind the readings: differs from the detectors' model by {stated_distance(some.subject)} at most.",
             f"A fault lasts {settings['window']} samples, {settings['window'] * model.dt:g} s, where no length is stated, and "
             f"begins after {settle_of(settings, some.cases)} samples or later; all {len(model.sensors)} sensors take turns.",
-            *plant_findings(settings, cells, criteria),
             *absent,
         ],
-        figures(settings, cells),
-        [table for table in tables if table.rows],
+        figures=figures(settings, cells),
+        tables=[table for table in tables if table.rows],
     )
 
 
 def figures(settings: Settings, cells: Cells) -> list[Figure]:
-    """Curves, magnitudes, confusion, other faults, model mismatch and cost."""
+    """The example, curves, magnitudes, confusion, other faults, model mismatch and cost."""
     found = [
+        example_figure(settings, cells),
         roc_figure(settings, cells),
         magnitudes_figure(settings, cells),
         confusion_figure(cells),
@@ -131,7 +133,7 @@ def roc_figure(settings: Settings, cells: Cells) -> Figure | None:
         f"Receiver operating characteristics, {some.plant}",
         f"Mean area under the curves of all kinds: {extremes(mean)}. Further up and left is better; read "
         "a curve at the rate of false alarms that is acceptable. Thresholds swept over silent detectors; grey: chance.",
-        partial(draw_roc, cells, swept),
+        partial(draw_roc, cells, swept, prominent(mean)),
         f"Detection against false-alarm probability of {len(cells)} detectors on {some.plant} for {' and '.join(swept)}",
     )
 
@@ -147,7 +149,7 @@ def magnitudes_figure(settings: Settings, cells: Cells) -> Figure | None:
         f"Detection, isolation and delay against the size of the fault, {some.plant}",
         f"At the common rate of false alarms. Runs with an alarm at {small:g} sigma: {extremes(seen)}. Delays are "
         "those of the runs that have an alarm. Intervals: table below and metrics.csv.",
-        partial(draw_magnitudes, cells),
+        partial(draw_magnitudes, cells, prominent(seen)),
         f"Lines of {len(cells)} detectors over the size of bias, drift, noise and scale faults on {some.plant}",
     )
 

@@ -47,9 +47,7 @@ def example_figure(settings: Settings, cells: Mapping[str, ComparisonCell]) -> F
     )
 
 
-def draw_example(
-    plant: Plant, examples: Mapping[str, Mapping[str, Array]], named: Collection[str]
-) -> Drawing:
+def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], named: Collection[str]) -> Drawing:
     """Four panels over one time axis. examples: by detector, the arrays of `example`; named: those not drawn in grey."""
     some, look_of = next(iter(examples.values())), looks(list(examples))
     t, sensor = some[f"{PREFIX}t"], plant.sensors[int(some[f"{PREFIX}sensor"])]

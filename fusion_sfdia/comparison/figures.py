@@ -1,8 +1,8 @@
-"""Figures of a comparison. A family of detectors has a colour, its members differ by dashes and markers."""
+"""Figures of a comparison."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import matplotlib
@@ -13,43 +13,18 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.cell import CellNumber, ComparisonCell
+from fusion_sfdia.comparison.looks import OTHERS, looks, quieted
 from fusion_sfdia.comparison.protocol import GRADED, HEALTHY, LENGTH, PROCESS
 from fusion_sfdia.comparison.rows import Measure, confusion
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, panels
+from fusion_sfdia.report.plots import panels
 
 Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], ComparisonCell]
 T = TypeVar("T")
 
-FAMILIES = (
-    "fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural", "uio", "multiple", "one", "mhe",
-)  # fmt: skip
 LEAST = 2  # runs behind a point
-FAMILY_COLOURS = (*COLOURS, "#808080", "#8B4513", "#6A3D9A", "#808000", "#B03060")  # one each
-LINES: tuple[Any, ...] = (*DASHES, (0, (6, 2, 1, 2, 1, 2)), (0, (2, 4)))  # one for each member of a family
-
-
-def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour, dashes and marker of each detector."""
-    found: dict[str, dict[str, Any]] = {}
-    members: dict[str, int] = {}
-    families = [*FAMILIES, *sorted({_family(d) for d in detectors} - set(FAMILIES))]
-    for d in detectors:
-        family = _family(d)
-        i = members[family] = members.get(family, -1) + 1
-        place = families.index(family)
-        found[d] = {
-            "color": FAMILY_COLOURS[place % len(FAMILY_COLOURS)],
-            "linestyle": LINES[i % len(LINES)],
-            "marker": MARKERS[(place + i) % len(MARKERS)],
-        }
-    return found
-
-
-def _family(detector: str) -> str:
-    return detector.partition(":")[0].removeprefix("dynamic-").partition("-")[0]
 
 
 def of_plant(found: Mapping[tuple[str, str], T], plant: str) -> dict[str, T]:
@@ -98,16 +73,17 @@ def draw_overview(cells: Cells, measures: Mapping[str, Measure]) -> Drawing:
     return figure
 
 
-def draw_roc(cells: Mapping[str, ComparisonCell], conditions: Sequence[str]) -> Drawing:
-    """Detection against false alarms of the silent detectors; the false-alarm axis is logarithmic."""
+def draw_roc(cells: Mapping[str, ComparisonCell], conditions: Sequence[str], named: Collection[str]) -> Drawing:
+    """Detection against false alarms of the silent detectors, on a logarithmic axis. named: those not drawn in grey."""
     figure, axes = panels([c.replace("-", " ") for c in conditions], columns=3, width=11.5, height=3.4)
-    look = looks(list(cells))
+    look = quieted(looks(list(cells)), named)
     for axis, name in zip(axes, conditions, strict=True):
         for detector, cell in cells.items():
             scores, active = cell.swept(name)
             curve = metrics.roc(scores, active)
             style = {k: v for k, v in look[detector].items() if k != "marker"}
-            axis.plot(*curve[:2], label=detector, drawstyle="steps-post", **style)
+            shown = detector if detector in named else OTHERS
+            axis.plot(*curve[:2], label=shown, drawstyle="steps-post", **style)
         chance = np.geomspace(1e-4, 1.0, 100)
         axis.plot(chance, chance, color="0.6", linewidth=0.8)
         least = min(1.0 / cell["trunk"].size for cell in cells.values())
@@ -123,15 +99,17 @@ def legend_columns(figure: Drawing, columns: int = 5) -> None:
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(str(label), handle)
+    if OTHERS in entries:
+        entries[OTHERS] = entries.pop(OTHERS)  # the last
     figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=columns, fontsize=8)
 
 
-def draw_magnitudes(cells: Mapping[str, ComparisonCell]) -> Drawing:
-    """Runs with an alarm, exact isolation and delay against the size of a fault: a column a kind."""
+def draw_magnitudes(cells: Mapping[str, ComparisonCell], named: Collection[str]) -> Drawing:
+    """Runs with an alarm, exact isolation and delay against the size of a fault: a column a kind. named: as in draw_roc."""
     some = next(iter(cells.values()))
     sizes = sorted(some.settings["magnitudes"])
     kinds = [k for k in GRADED if k in some.settings["faults"]]
-    look = looks(list(cells))
+    look = quieted(looks(list(cells)), named)
     measures: list[tuple[str, CellNumber]] = [
         ("runs with an alarm", lambda cell, rows: cell.detected(rows)),
         ("samples with exact isolation", lambda cell, rows: cell.exact(rows)),
@@ -147,7 +125,8 @@ def draw_magnitudes(cells: Mapping[str, ComparisonCell]) -> Drawing:
                 found = [measure(cell, cell.rows_of(f"{kind}-{m:g}-sigma")) for m in sizes]
                 values = [e.value if e.n >= LEAST else np.nan for e in found]
                 shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
-                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.0, label=detector, **look[detector])
+                shown = detector if detector in named else OTHERS
+                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.2, label=shown, **look[detector])
             axis.set_xscale("log")
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sizes, [f"{m:g}" for m in sizes])

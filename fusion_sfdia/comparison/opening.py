@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fusion_sfdia.comparison.cell import ComparisonCell
 from fusion_sfdia.comparison.figures import Cells, of_plant
-from fusion_sfdia.comparison.measures import exactly, under_departures, under_plant_faults
-from fusion_sfdia.comparison.numbers import Cell
 from fusion_sfdia.comparison.protocol import sizes
 from fusion_sfdia.comparison.ranking import Standing
-from fusion_sfdia.comparison.tables import EVERY, Standings, steadiness
+from fusion_sfdia.comparison.rows import exact_isolation, under_mismatch, under_process_faults
+from fusion_sfdia.comparison.tables import EVERY, Standings, robustness
 from fusion_sfdia.experiments.scenario import Settings
 
 MOST_EQUALS = 4  # detectors that are no worse beyond chance, by name
@@ -25,13 +25,13 @@ def opening(settings: Settings, cells: Cells, standings: Standings) -> list[str]
     return [line for line in (*advice, decided(standings)) if line]
 
 
-def advised(settings: Settings, cells: Mapping[str, Cell], isolation: Mapping[str, Standing]) -> str:
+def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: Mapping[str, Standing]) -> str:
     """Which detector to take on a plant, what it does where the model is wrong, and which does better there.
 
     Of those that nothing beats beyond chance in isolation the one with the largest share of exact isolation. Empty where none
     isolates a faulty sensor, or where no such fault is among the conditions.
     """
-    exact = {d: exactly(settings, cell) for d, cell in cells.items()}
+    exact = {d: exact_isolation(settings, cell) for d, cell in cells.items()}
     best = [d for d in exact if d not in isolation or isolation[d].rank == 1]
     name = max(best, key=lambda d: np.nan_to_num(exact[d].value))
     if not exact[name].value > 0:
@@ -43,18 +43,18 @@ def advised(settings: Settings, cells: Mapping[str, Cell], isolation: Mapping[st
         f"{cell.plant}: take {name}{named}; under a fault of {large:g} sigma it isolates exactly the faulty sensor in "
         f"{percent(exact[name].value)} of the samples."
     ]
-    mismatch, process = under_departures(cell), under_plant_faults(cell)
+    mismatch, process = under_mismatch(cell), under_process_faults(cell)
     if mismatch.share.value > RARELY:
         told.append(
-            f"If the model errs ({mismatch.where}), it isolates a healthy sensor in {percent(mismatch.share.value)} of "
+            f"If the model errs ({mismatch.case}), it isolates a healthy sensor in {percent(mismatch.share.value)} of "
             "the samples"
         )
-        robust = max(cells, key=lambda d: np.nan_to_num(steadiness(settings, cells[d])))
-        less = under_departures(cells[robust]).share.value
+        robust = max(cells, key=lambda d: np.nan_to_num(robustness(settings, cells[d])))
+        less = under_mismatch(cells[robust]).share.value
         better = robust != name and less < mismatch.share.value / 2
         told[-1] += f"; {robust} in {percent(less)}, and the faulty one in {percent(exact[robust].value)}." if better else "."
     if process.share.value > RARELY:
-        told.append(f"It takes a process fault ({process.where}) for a sensor's in {percent(process.share.value)}.")
+        told.append(f"It takes a process fault ({process.case}) for a sensor's in {percent(process.share.value)}.")
     return " ".join(told)
 
 

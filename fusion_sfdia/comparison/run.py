@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, silent_walk
+from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, pick, silent_walk
 from fusion_sfdia.comparison.calibration import Calibrated, calibrated, deployed, silent
+from fusion_sfdia.comparison.example import example
 from fusion_sfdia.comparison.protocol import (
     GRADED,
     HEALTHY,
@@ -74,7 +75,7 @@ def work(task: Task, plant: ComparedPlant, detector: ComparedDetector) -> Arrays
     with an alarm of the deployed one on the trunk. scale, ends (2,), claim; of the calibration runs, calibration_samples each,
     nominal_alarms (R,) and calibration_alarms (R,), above the own and the common threshold. step_seconds, batch_seconds (of a
     run in a batch), state_bytes, step_bytes: seconds and step_bytes differ from one call to the next, all else has the same
-    bits for the same task.
+    bits for the same task. Of the deployed detector also the arrays of `example`.
     """
     cases = cases_of(plant)
     settle, steps, runs = settle_of(task, cases), judged_steps(task, cases), calibration_runs(task, cases)
@@ -114,6 +115,7 @@ def work(task: Task, plant: ComparedPlant, detector: ComparedDetector) -> Arrays
         "deployed_alarms": alarms[settle:].sum(axis=0),
         "batch_seconds": np.array(seconds),
         **cost(calibration.detector, recording),
+        **example(deployed(calibration), recording, pick(quiet.states[settle], np.arange(1)), settle, task["window"]),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,11 +12,12 @@ import numpy as np
 from fusion_sfdia.comparison.cell import ComparisonCell
 from fusion_sfdia.comparison.chapters import plant_chapter, words_chapter
 from fusion_sfdia.comparison.figures import Cells, draw_overview, of_plant
+from fusion_sfdia.comparison.opening import opening
 from fusion_sfdia.comparison.ranking import CRITERIA, SHARES, clusters, ranking
 from fusion_sfdia.comparison.rows import SCENARIO, best_isolation, glance, rows_of_cell
 from fusion_sfdia.comparison.subjects import Subjects
 from fusion_sfdia.comparison.tables import EVERY, Standings, choices_table, ranks_table, standing_rows
-from fusion_sfdia.comparison.text import absent, highlights, left_out, remarks
+from fusion_sfdia.comparison.text import absent, findings, left_out, remarks
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task
 from fusion_sfdia.report.content import Figure, Summary
@@ -34,18 +36,21 @@ def summarise(subjects: Subjects, settings: Settings, results: list[tuple[Task, 
     for plant, criterion, detector, standing in standing_rows(standings):
         rows.append(Row(SCENARIO, plant, detector, "ranked", criterion, "score", *standing.mean))
         rows.append(Row(SCENARIO, plant, detector, "ranked", criterion, "rank", float(standing.rank), n=standing.mean.n))
+    first, *more = [
+        plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), published)
+        for plant in dict.fromkeys(p for p, _ in cells)
+    ]
+    example, *figures = first.figures  # that of the first plant stands at the top
+    words = words_chapter([subjects.detector(d) for d in dict.fromkeys(d for _, d in cells)])
     tables = (choices_table(settings, cells), ranks_table(EVERY, standings.get(EVERY, {})))
     return Summary(
         rows=rows,
-        figures=[overview(settings, cells)],
+        figures=[overview(settings, cells), example],
         tables=[table for table in tables if table.rows],
-        highlights=highlights(settings, cells, standings),
-        remarks=[*remarks(settings, cells), *left_out(cells, whole), *absent(settings, cells, reasons)],
-        chapters=[
-            plant_chapter(settings, of_plant(cells, plant), standings.get(plant, {}), of_plant(reasons, plant), published)
-            for plant in dict.fromkeys(p for p, _ in cells)
-        ]
-        + [words_chapter([subjects.detector(d) for d in dict.fromkeys(d for _, d in cells)])],
+        highlights=opening(settings, cells, standings),
+        remarks=[*findings(settings, cells, standings), *left_out(cells, whole), *absent(settings, cells, reasons)],
+        chapters=[replace(first, figures=figures), *more, words],
+        method=remarks(settings, cells),
     )
 
 

@@ -58,7 +58,8 @@ def choices_table(settings: Settings, cells: Cells) -> Table:
         "Which to take",
         header,
         tuple(rows),
-        "Exact isolation: share of the samples under a fault of one sensor at which it alone is isolated. False isolation: "
+        method="Exact isolation: share of the samples under a fault of one sensor at which it alone is isolated. "
+        "False isolation: "
         "share of the samples at which a healthy sensor is isolated though none is faulty, under model mismatch or a process "
         "fault. The most robust has the largest product of exact isolation and of the share of samples without false isolation "
         "in the worst mismatch case. Others may not differ beyond chance: see ranks. Healthy samples: as deployed, alarms that "
@@ -76,7 +77,8 @@ def numbers_table(settings: Settings, cells: Mapping[str, ComparisonCell]) -> Ta
         f"In numbers; the truth differs from the model by {stated_distance(next(iter(cells.values())).subject)}",
         ("detector", *(f"{name} ({n})" if n else name for name, n in zip(columns, runs, strict=True)), "false alarms claimed"),
         tuple((d, *line, claim_of(cells[d])) for d, line in found.items()),
-        "In brackets 95 % intervals, n: runs. Faults are bias, drift, noise and scale; thresholds those of the common rate of "
+        method="In brackets 95 % intervals, n: runs. Faults are bias, drift, noise and scale; thresholds those of the "
+        "common rate of "
         "false alarms, but for the column of its own. Exact isolation: share of samples at which exactly the faulty sensor is "
         "isolated. Healthy sensors isolated: share of healthy sensor-samples. Claims are per step over all sensors. As "
         "deployed: with what an alarm does to later samples, as where decisions are latched. Delays: of the runs that have an "
@@ -99,7 +101,8 @@ def lengths_tables(settings: Settings, cells: Mapping[str, ComparisonCell]) -> l
                 f"How long a bias of {size:g} sigma lasts",
                 ("detector", *(f"{what}, {n} samples" for what, _ in shown for n in lengths)),
                 tuple(rows),
-                "The same biases, cut off after some samples. Area: under the ROC of single samples. Alarm: share of runs with "
+                method="The same biases, cut off after some samples. Area: under the ROC of single samples. Alarm: "
+                "share of runs with "
                 "one while the fault lasts. Exact: share of its samples at which exactly the faulty sensor is isolated. In "
                 "brackets 95 % intervals.",
                 folded=True,
@@ -143,7 +146,8 @@ def paper_table(published: Sequence[Row]) -> Table:
         "What the papers state of their own faults, and what comes out here",
         ("fault", "detector", "of", "until", "metric", "ours", "n", "published", "our interval", "source"),
         tuple(rows),
-        "Sizes are the papers'; onset, length, thresholds and truth are those of this comparison, so that a difference does "
+        method="Sizes are the papers'; onset, length, thresholds and truth are those of this comparison, so that a "
+        "difference does "
         "not refute: the papers' own experiments are the scenarios pipeline/*, engine/* and network/* (fusion-sfdia run). "
         "Trial accuracy: share of runs in which the faulty sensor is isolated more often than any other; Shaheen 2024 does not "
         "define its own.",
@@ -173,7 +177,8 @@ def ranks_table(plant: str, criteria: Mapping[str, Mapping[str, Standing]]) -> T
         f"Ranks, {plant}",
         tuple(header),
         tuple(map(tuple, rows)),
-        "1 + the number of detectors whose mean is larger beyond chance (random signs of paired differences over clusters, "
+        method="1 + the number of detectors whose mean is larger beyond chance (random signs of paired differences "
+        "over clusters, "
         "Holm's correction over all pairs, 5 %); a shared rank is no difference that this many runs show. Mean over clusters "
         f"({counts}) and its 95 % interval: detection, of runs with an alarm; isolation, of samples with exact isolation; "
         "accommodation, of -log10(error after over before); exoneration, of samples without false isolation under model "
@@ -197,7 +202,8 @@ def cost_table(cells: Mapping[str, ComparisonCell]) -> Table:
             "a step (kB)",
         ),
         tuple(rows),
-        "Processor time on this machine: the least of some steps of a single run, and the mean of the batch of the seeds of a "
+        method="Processor time on this machine: the least of some steps of a single run, and the mean of the batch of "
+        "the seeds of a "
         "task. Memory of a step: the largest in use at once. Both differ from run to run, so they are not in metrics.csv.",
         folded=True,
     )
@@ -212,7 +218,8 @@ def changes_table(settings: Settings, cell: ComparisonCell) -> Table:
         "Mismatch cases and faults of this plant",
         ("what", "name", "why"),
         tuple(rows),
-        "Amounts are ours unless a paper is named. No detector knows the mismatch cases; each is tried healthy and with a bias "
+        method="Amounts are ours unless a paper is named. No detector knows the mismatch cases; each is tried healthy "
+        "and with a bias "
         f"of {MISMATCH_SIGMA:g} sigma.",
         folded=True,
     )

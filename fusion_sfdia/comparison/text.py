@@ -12,9 +12,7 @@ from fusion_sfdia.comparison.protocol import length_name, sizes
 from fusion_sfdia.comparison.ranking import Standing
 from fusion_sfdia.comparison.recordings import stated_distance
 from fusion_sfdia.comparison.rows import (
-    best_isolation,
     detected_share,
-    exact_isolation,
     under_mismatch,
     under_process_faults,
 )
@@ -26,14 +24,12 @@ MOST_LEADERS = 3  # whose ranks by plant stand at the top
 RARELY = 0.01  # of samples: what is less is not reported
 
 
-def highlights(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
-    """The findings for the top of the report."""
-    plants = dict.fromkeys(p for p, _ in cells)
+def findings(settings: Settings, cells: Cells, standings: Standings) -> list[str]:
+    """What is found over all plants."""
     found = [leaders(settings, EVERY, list(cells.values()), standings[EVERY])] if EVERY in standings else []
     found += by_plant(standings)
     found += shortest(settings, cells)
-    verdicts = [line for plant in plants for line in verdict(settings, of_plant(cells, plant))]
-    return [*found, *verdicts, *broken_claims(list(cells.values()))]
+    return [*found, *broken_claims(list(cells.values()))]
 
 
 def by_plant(standings: Standings) -> list[str]:
@@ -75,20 +71,6 @@ def shortest(settings: Settings, cells: Cells) -> list[str]:
     return [
         f"A bias of {small:g} sigma of {min(settings['lengths'])} and of {max(settings['lengths'])} samples, largest areas "
         f"under the ROC: {'; '.join(lines)}."
-    ]
-
-
-def verdict(settings: Settings, cells: Mapping[str, ComparisonCell]) -> list[str]:
-    """The detector with most exact isolation on a plant, and its false isolation under model mismatch and process faults."""
-    if (name := best_isolation(settings, cells)) is None:
-        return []
-    cell, (_, large) = cells[name], sizes(settings)
-    worst = (under_mismatch(cell), under_process_faults(cell))
-    shares = [f"{one.share.value:.0%} under {one.case}" for one in worst if np.isfinite(one.share.value)]
-    false = f"; it isolates a healthy one in {' and in '.join(shares)}" if shares else ""
-    return [
-        f"{cell.plant}: {name} isolates exactly the faulty sensor most often, at {large:g} sigma in "
-        f"{exact_isolation(settings, cell).value:.0%} of the samples{false}."
     ]
 
 

@@ -28,7 +28,7 @@ from fusion_sfdia.comparison.calibration import (
 )
 from fusion_sfdia.comparison.cell import ComparisonCell, widened
 from fusion_sfdia.comparison.compare import SCENARIO, Comparison
-from fusion_sfdia.comparison.figures import looks
+from fusion_sfdia.comparison.looks import looks
 from fusion_sfdia.comparison.recordings import failing, healthy, mismatched
 from fusion_sfdia.comparison.records import in_a_row, until
 from fusion_sfdia.comparison.rows import confusion

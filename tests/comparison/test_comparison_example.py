@@ -8,17 +8,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia import LeaveOneOutBank, simulate, two_tanks
-from fusion_sfdia.comparison.example import (
-    NOTHING,
-    PREFIX,
-    RIGHT,
-    SIGMAS,
-    VERDICTS,
-    WRONG,
-    draw_example,
-    example,
-)
-from fusion_sfdia.comparison.figures import MOST_NAMED, NAMED, looks, prominent, quieted
+from fusion_sfdia.comparison.example import NOTHING, PREFIX, RIGHT, SIGMAS, WRONG, example
+from fusion_sfdia.comparison.example_figure import VERDICTS, draw_example
+from fusion_sfdia.comparison.looks import MOST_NAMED, NAMED, looks, prominent, quieted
 from fusion_sfdia.core.plant import Plant
 
 WINDOW = 10
@@ -73,7 +65,7 @@ def test_a_recording_that_ends_early_gives_what_there_is(plant: Plant) -> None:
 def test_every_detector_has_its_row_and_the_named_have_lines(plant: Plant) -> None:
     arrays = {f"{PREFIX}{k}": v for k, v in seen(plant).items() if k != "recording"}
     names = [f"d-{k}" for k in range(MOST_NAMED + 3)]
-    figure = draw_example(plant, dict.fromkeys(names, arrays), looks(names), names[:2])
+    figure = draw_example(plant, dict.fromkeys(names, arrays), names[:2])
     readings, restored, scores, verdicts = figure.axes
     assert [label.get_text() for label in verdicts.get_yticklabels()] == names
     assert [text.get_text() for text in scores.get_legend().get_texts()] == [*names[:2], "other detectors"]
