@@ -37,11 +37,6 @@ CHOICES = (
 )
 
 
-def index_of(rows: Sequence[comparison.Row]) -> comparison.Index:
-    """Rows by plant, detector, fault, quantity and metric."""
-    return {(r["plant"], r["detector"], r["fault"], r["quantity"], r["metric"]): r for r in rows}
-
-
 def short(text: str) -> str:
     """The value of a cell without its interval and its explanation; "-" for one that does not apply."""
     return "-" if text == comparison.ABSENT else f"{float(text.split()[0]):.2f}"
@@ -49,7 +44,7 @@ def short(text: str) -> str:
 
 def choices(rows: Sequence[comparison.Row]) -> str:
     """Which detector for which situation, and what each achieves on the plants of the comparison, in their order."""
-    index = index_of(rows)
+    index = comparison.index_of(rows)
 
     def values(detector: str, fault: str, metric: str) -> str:
         found = (comparison.interval(index.get((p, detector, fault, "all", metric))) for p in comparison.PLANTS)
@@ -77,7 +72,7 @@ def choices(rows: Sequence[comparison.Row]) -> str:
 
 def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
     """The detectors of a plant by exact isolation: detection, isolation, and false isolation in the worst cases."""
-    index = index_of(rows)
+    index = comparison.index_of(rows)
 
     def cell(detector: str, fault: str, metric: str) -> str:
         return comparison.interval(index.get((plant, detector, fault, "all", metric)))

@@ -5,6 +5,7 @@ The package's own sources are in the name of every part of a run (see `provenanc
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import io
 import pickle
@@ -13,7 +14,7 @@ import sysconfig
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any
 
 import cloudpickle
@@ -25,8 +26,8 @@ KNOWN = ("numpy", "scipy", "numba", "joblib", "sklearn")  # libraries whose vers
 def object_digest(thing: Any, modules: Iterable[str] = ()) -> str:
     """A digest of an object's pickled bytes and of the sources of the modules that define it, as they are on disk.
 
-    modules: names of further modules that define it. Modules from which these take names count too, but for the package itself
-    and for libraries. What is defined in the main module is pickled whole. ValueError for what cannot be pickled.
+    modules: names of further modules that define it. Modules that these import count too, but for this package and libraries.
+    What is defined in the main module is pickled whole. ValueError for what cannot be pickled.
     """
     buffer = io.BytesIO()
     pickler = _Pickler(buffer)
@@ -58,30 +59,38 @@ class _Pickler(cloudpickle.Pickler):
 
 
 def defining_sources(modules: Iterable[str]) -> dict[str, bytes]:
-    """Sources by name of modules, and of those that their names come from; none of the package, of Python or of libraries.
+    """Sources by name of modules, and of those that they import; none of this package, of Python, or of other libraries.
 
     A module that is asked for may be of an installed package, whose own modules then count.
     """
-    asked = {name for name in modules if name != "__main__"}
-    packages = {name.partition(".")[0] for name in asked} - {OURS, *sys.stdlib_module_names}
+    asked = {name for name in modules if name}
+    packages = {name.partition(".")[0] for name in asked}
     libraries = [Path(sysconfig.get_path(kind)).resolve() for kind in ("purelib", "platlib")]
     found: dict[str, bytes] = {}
-    to_see, seen = list(asked), set[str]()
+    to_see, seen = sorted(asked), {"__main__"}
     while to_see:
-        if (name := to_see.pop()) in seen:
+        name = to_see.pop()
+        top = name.partition(".")[0]
+        if name in seen or top in (OURS, *sys.stdlib_module_names):
             continue
         seen.add(name)
-        top = name.partition(".")[0]
-        if top == OURS or top in sys.stdlib_module_names or top == "__main__":
-            continue
         module = import_module(name)
         path = Path(getattr(module, "__file__", None) or "")
-        installed = any(folder in path.resolve().parents for folder in libraries)
-        if path.suffix != ".py" or (installed and (top not in packages or top in KNOWN)):
-            continue
-        found[name] = path.read_bytes()
-        for value in vars(module).values():
-            other = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
-            if isinstance(other, str) and other in sys.modules:
-                to_see.append(other)
+        library = top in KNOWN or (top not in packages and any(folder in path.resolve().parents for folder in libraries))
+        if path.suffix == ".py" and not library:
+            found[name] = path.read_bytes()
+            to_see += [other for other in _imported(found[name], module.__package__ or "") if other in sys.modules]
+    return found
+
+
+def _imported(source: bytes, package: str) -> set[str]:
+    """Full names of what a module of a package imports; names that are no modules are among them."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            start = ".".join([*base, *([node.module] if node.module else [])])
+            found |= {start, *(f"{start}.{alias.name}" for alias in node.names)}
     return found
