@@ -167,7 +167,7 @@ def test_isolation_matrix_shows_shares_of_rows() -> None:
     assert shown is not None
     np.testing.assert_array_equal(np.ma.filled(shown, np.nan), [[0.75, 0.25], [np.nan, np.nan]])
     assert axes.images[0].get_cmap().get_bad()[:3] == pytest.approx([0.8] * 3)  # no such fault: grey, not "never named"
-    assert [a.get_ylabel() for a in figure.axes] == ["true", "share of the row"]
+    assert [a.get_ylabel() for a in figure.axes] == ["faulty", "share of the row"]
 
 
 def test_chance_is_on_the_diagonal_of_a_logarithmic_axis_too() -> None:
