@@ -1,4 +1,4 @@
-"""What the report of a comparison opens with, on a made-up cell: exact in 7 of 16 samples, at worst false isolation in 5 of 8."""
+"""What the report of a comparison opens with, on a made-up cell: exact in 7 of 16 samples, false isolation in 5 of 8."""
 
 from __future__ import annotations
 
