@@ -89,7 +89,7 @@ def test_ranks_are_in_the_order_of_their_sum() -> None:
     }
     found = tables.ranks_table("all plants", criteria)
     assert found.header == ("detector", "detection: rank", "mean of detection", "isolation: rank", "mean of isolation")
-    assert [row[:2] for row in found.rows] == [("b", 1), ("a", 2)] and "6 of detection, 6 of isolation" in found.caption
+    assert [row[:2] for row in found.rows] == [("b", 1), ("a", 2)] and "6 of detection, 6 of isolation" in found.method
     assert tables.ranks_table("none", {}).rows == ()
     assert [row[:3] for row in tables.standing_rows({"p": criteria})][:3] == [
         ("p", "detection", "a"), ("p", "detection", "b"), ("p", "isolation", "a"),
