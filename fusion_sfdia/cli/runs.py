@@ -75,13 +75,17 @@ def _run(chosen: argparse.Namespace) -> int:
 
 def _compare(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.comparison.compare import compare
+    from fusion_sfdia.comparison.protocol import SETTINGS
+    from fusion_sfdia.registry import require_known
 
     settings: dict[str, Any] = _settings(chosen.set)
-    given = [kind for kind in ("plants", "detectors") if kind in settings]
-    subjects = {kind: [name.strip() for name in settings.pop(kind).split(",") if name.strip()] for kind in given}
+    for key in settings:
+        require_known("setting", key, SETTINGS)
+    for kind in ("plants", "detectors"):
+        if kind in settings:
+            settings[kind] = [name.strip() for name in settings[kind].split(",") if name.strip()]
     out = chosen.out or Path("results") / "comparison"
     found = compare(
-        **subjects,
         seeds=chosen.seeds,
         full=chosen.full,
         workers=chosen.workers,

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -121,7 +122,7 @@ class ComparisonResult:
     def frame(self) -> Any:
         """The rows as a pandas DataFrame, a column for each of metrics.csv; MissingPackageError without pandas."""
         try:
-            import pandas
+            pandas: Any = import_module("pandas")
         except ModuleNotFoundError as error:
             raise MissingPackageError("a frame needs pandas, which is not installed; install it, or use rows") from error
         return pandas.DataFrame([row.columns for row in self.rows])

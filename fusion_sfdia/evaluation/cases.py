@@ -95,7 +95,7 @@ class ComparisonCases:
     settle: int = USUAL_SETTLE
 
     def __post_init__(self) -> None:
-        names = [case.name for case in (*self.mismatch, *self.process_faults, *self.paper_faults)]
+        names = [c.name for c in self.mismatch] + [c.name for c in self.process_faults] + [c.name for c in self.paper_faults]
         if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
             raise ValueError(f"cases of a plant named {', '.join(twice)} stand twice; expected each name once")
         if self.settle < 1:

@@ -41,7 +41,7 @@ def object_digest(thing: Any, modules: Iterable[str] = ()) -> str:
     return digest.hexdigest()
 
 
-class _Pickler(cloudpickle.Pickler):
+class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # it states no types
     """Pickles as for a worker process, the same bytes in every process, and notes the modules of functions and classes."""
 
     def __init__(self, file: io.BytesIO) -> None:
