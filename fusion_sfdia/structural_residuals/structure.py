@@ -49,7 +49,7 @@ def modules_of(plant: Plant) -> Modules:
     """Return a plant's scalar equations; NotApplicableError where it has none, or its sensors do not read their variables."""
     if plant.structure.modules is None:
         raise NotApplicableError(
-            f"plant {plant.name!r} does not say its scalar equations, without which it has no structure to analyse; give "
+            f"plant {plant.name!r} does not state its scalar equations, without which it has no structure to analyse; give "
             "Plant(structure=Structure(modules=Modules(...))) or take another detector"
         )
     measured = [s.measures for s in plant.sensors]
