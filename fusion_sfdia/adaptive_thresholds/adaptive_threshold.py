@@ -104,7 +104,7 @@ class AdaptiveThreshold(BatchDetector):
     def _modules(self) -> Modules:
         if self.plant.modules is None:
             raise NotApplicableError(
-                f"plant {self.plant.name!r} does not say its scalar equations; give Plant(modules=Modules(...)) or take "
+                f"plant {self.plant.name!r} does not state its scalar equations; give Plant(modules=Modules(...)) or take "
                 "another detector"
             )
         return self.plant.modules

@@ -1,7 +1,7 @@
 """Closed-loop runs of power networks of any size: noise, controllers, faults, areas that join and leave.
 
-The controllers see noisy readings, so each seed has its own inputs. Every seed draws its own streams: its run is the same
-bits whatever other seeds run beside it.
+The controllers see noisy readings, so each seed has its own inputs. Every seed draws its own streams, so its run has the same
+bits alone and among other seeds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]
 
 
 class Moment(NamedTuple):
-    """What there is at a time: B seeds, N areas, 2E sides of ties.
+    """The network at a time: B seeds, N areas, 2E sides of ties.
 
     t (s). x (B, N, 4) true states. own (B, N, 4) the areas' readings of their states, shared (B, 2E) their readings of their
     neighbours' angles, NaN at open ties. reference (B, N) commanded and load (N,) known, both as they acted until t.

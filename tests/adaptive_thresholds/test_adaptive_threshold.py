@@ -104,7 +104,7 @@ def test_missing_readings_widen_and_never_alarm() -> None:
 def test_what_is_refused() -> None:
     assert ENGINE.modules is not None
     modules: Modules = ENGINE.modules
-    with pytest.raises(ValueError, match="does not say its scalar equations"):
+    with pytest.raises(ValueError, match="does not state its scalar equations"):
         AdaptiveThreshold(replace(ENGINE, modules=None))
     with pytest.raises(ValueError, match="observer of fuel has the gain -100"):
         replace(modules, gains={**modules.gains, "fuel": -100.0})
