@@ -60,8 +60,8 @@ def test_a_fault_is_in_the_truth_and_not_in_what_is_known() -> None:
         ({"kind": "turbine"}, "unknown fault 'turbine' of area 4; known: governor, input-gain, load-loss"),
         ({"value": 0.0}, "positive for a time constant"),
         ({"value": float("inf")}, "finite"),
-        ({"kind": "input-gain", "value": 1.0}, "a value of 1 is no fault"),
-        ({"kind": "load-loss", "value": 0.0}, "a value of 0 is no fault"),
+        ({"kind": "input-gain", "value": 1.0}, "a value of 1 means no fault"),
+        ({"kind": "load-loss", "value": 0.0}, "a value of 0 means no fault"),
         ({"onset": 3.0, "end": 3.0}, "onset before the end"),
     ],
 )
