@@ -13,13 +13,16 @@ from scipy.stats import betabinom
 from structural_plants import PLANTS, plant_of
 from toy_plants import chain
 
+from fusion_sfdia import registry
+from fusion_sfdia.builders import healthy_data
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Structure
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.detectors import FALSE_ALARM, build, healthy_data
+from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.two_tanks.plant import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
 from fusion_sfdia.structural_residuals.selection import isolable, reads, selected, usable
@@ -31,7 +34,7 @@ toolbox = pytest.importorskip("faultdiagnosistoolbox", reason="structural residu
 
 @cache
 def detector_of(name: str) -> StructuralResiduals:
-    detector = build("structural-residuals", plant_of(name))
+    detector = registry.detector("structural-residuals", plant_of(name))
     assert isinstance(detector, StructuralResiduals)
     return detector
 
@@ -59,7 +62,11 @@ def test_at_rest_a_residual_is_zero_and_knows_no_reading_that_it_does_not_use(na
     plant = plant_of(name)
     residuals = usable(plant)
     detector = StructuralResiduals(plant, residuals, np.ones(len(residuals)))
-    truth = np.array([plant.modules.nominal[s.measures] for s in plant.sensors]) if plant.modules else np.empty(0)
+    truth = (
+        np.array([plant.structure.modules.nominal[s.measures] for s in plant.sensors])
+        if plant.structure.modules
+        else np.empty(0)
+    )
     u = np.tile(plant.input_at(0.0), (12, 1))
     y = np.tile(truth, (12, 1))
     # the engine's equilibrium is solved to 1e-12 or so, of which 1/0.03 is a sigma; equations magnify by less than 1e3
@@ -120,7 +127,7 @@ def gauge() -> Plant:
     plant = discretise(physics, sensors, dt=1.0, x0=np.ones(1), initial_cov=np.ones(1), process_cov=np.ones(1))
     nominal = {"level": 1.0, "flow": 1.0, "gauge": 2.0}
     modules = Modules(equations, np.zeros(1), nominal, None, ("inflow",), {v: v for v in equations}, {"level": 1.0})
-    return replace(plant, modules=modules)
+    return replace(plant, structure=Structure(modules=modules))
 
 
 def test_false_alarms_are_as_rare_as_asked_for() -> None:
@@ -192,10 +199,10 @@ def test_a_missing_reading_leaves_out_what_reads_it() -> None:
 
 def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="does not state its scalar equations"):
-        build("structural-residuals", chain(3))
+        registry.detector("structural-residuals", chain(3))
     monkeypatch.setitem(sys.modules, "faultdiagnosistoolbox", None)
     with pytest.raises(ModuleNotFoundError, match=r"fusion-sfdia\[structural\]"):
-        build("structural-residuals", plant_of("two-tanks"))
+        registry.detector("structural-residuals", plant_of("two-tanks"))
 
 
 def test_bad_settings_and_data_are_named() -> None:

@@ -313,4 +313,4 @@ def test_the_outlet_flow_is_the_users() -> None:
     assert plant.input_at(0.0)[2] == 210.0  # at the end of the step, to which it runs
     same = gas_pipeline(outlet_flow=demand)
     np.testing.assert_array_equal(same.x0, gas_pipeline().x0)
-    assert plant.finer is not None and plant.finer()[0].input_at(0.0)[2] == 210.0
+    assert plant.truth.finer is not None and plant.truth.finer()[0].input_at(0.0)[2] == 210.0

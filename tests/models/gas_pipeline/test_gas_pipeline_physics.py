@@ -108,17 +108,17 @@ def test_one_pipe_of_a_commercial_solver(shared_fixtures: Path, case: str, visco
 def test_cfl_condition_names_the_cure() -> None:
     with pytest.raises(ValueError, match=r"81 nodes .* largest admissible step is 3\.\d+ s; use substeps=3"):
         gas_pipeline(nodes=81, substeps=1)
-    assert gas_pipeline(nodes=81, substeps=3).max_dt >= 10.0
+    assert gas_pipeline(nodes=81, substeps=3).numerics.max_dt >= 10.0
     plant = gas_pipeline()
     with pytest.raises(ValueError, match="largest admissible step"):
         plant.check_dt(30.0)
-    assert plant.max_dt == largest_step(21, C, plant.x0)
+    assert plant.numerics.max_dt == largest_step(21, C, plant.x0)
     # (9) by the definition, with the slower sound at the plant's own state: the limit used is the stricter
     p, T = plant.x0[0], plant.x0[42]
     z, alpha_1, alpha_2, cp = equations.gas(p, T, C)
     rho = p / (z * C.gas_constant * T)
     a = np.sqrt(equations.wave_speed_squared(p, rho, T, alpha_1, alpha_2, cp))
-    assert plant.max_dt < 7500.0 / (a + 300.0 / (rho * AREA))
+    assert plant.numerics.max_dt < 7500.0 / (a + 300.0 / (rho * AREA))
 
 
 def test_bad_parameters() -> None:

@@ -18,9 +18,9 @@ from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import (
-    BLOCKS,
     MODULES,
     SENSORS,
+    SUBSYSTEMS,
     decay_rates,
     engine_physics,
     marine_engine,
@@ -152,11 +152,11 @@ def test_jacobians_are_those_of_differences_and_of_the_settled_loop(slip: str) -
         np.testing.assert_allclose(output_jacobian * per_cent, arrays.output_jacobian_at(0.0, x, FULL) * per_cent, atol=1e-11)
 
 
-def test_blocks_sensors_and_modules_are_those_of_the_paper() -> None:
-    assert [len(b.variables) for b in BLOCKS] == [1, 3, 3, 3]
+def test_subsystems_sensors_and_modules_are_those_of_the_paper() -> None:
+    assert [len(variables) for variables in SUBSYSTEMS.values()] == [1, 3, 3, 3]
     assert PLANT.sensor_names == tuple(f"S({i}){{{j}}}" for i, n in enumerate((1, 3, 3, 3), 1) for j in range(1, n + 1))
-    assert [s.owner for s in PLANT.sensors] == [b.name for b in BLOCKS for _ in b.variables]
-    assert list(SENSORS.values()) == [v for b in BLOCKS for v in b.variables]
+    assert [s.owner for s in PLANT.sensors] == [name for name, variables in SUBSYSTEMS.items() for _ in variables]
+    assert list(SENSORS.values()) == [v for variables in SUBSYSTEMS.values() for v in variables]
     assert sorted(m.variable for m in MODULES.values()) == sorted(SENSORS.values())
     assert all(SENSORS[m.sensors[0]] or set(m.sensors) <= set(SENSORS) for m in MODULES.values())
     values = engine_variables(PLANT.x0, C)
@@ -180,8 +180,8 @@ def test_a_longer_step_is_divided() -> None:
 
 
 def test_a_finer_twin_is_the_same_engine() -> None:
-    assert PLANT.finer is not None
-    twin, to_states = PLANT.finer()
+    assert PLANT.truth.finer is not None
+    twin, to_states = PLANT.truth.finer()
     x = around((2,))
     np.testing.assert_array_equal(to_states(x), x)
     assert twin.sensors == PLANT.sensors

@@ -103,7 +103,6 @@ def test_the_plant_has_the_sensors_of_the_paper() -> None:
     readers = {s.owner for s in plant.sensors if s.measures == "theta_4"}
     assert readers == {"area 4", "area 3", "area 5", "area 13"}
     assert plant.sensor_sigma[:4] ** 2 == pytest.approx([1e-5, 1e-5, 1e-4, 1e-4])
-    assert plant.blocks[3].neighbours == ("area 3", "area 5", "area 13")
 
 
 @pytest.mark.parametrize(("noise", "variance"), [("lit", [1e-4] * 4), ("small", [1e-5, 1e-5, 1e-4, 1e-4])])
@@ -141,7 +140,7 @@ def test_a_step_of_load_with_a_reference_that_follows_shifts_angles_and_nothing_
 
 def test_simulations_take_the_exact_network_for_the_truth() -> None:
     plant, exact = power_network(unplugged=iter(["15"])), power_network(unplugged=["15"], discretisation="exact")
-    assert exact.finer is None
+    assert exact.truth.finer is None
     a, b = simulate(plant, 30, [0]), simulate(exact, 30, [0], truth="model")
     assert np.array_equal(a.y, b.y)
     assert a.x is not None and not np.array_equal(a.x, simulate(plant, 30, [0], truth="model").x)
