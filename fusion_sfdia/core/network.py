@@ -57,7 +57,7 @@ class Topology:
         pairs = list(links)
         unknown = sorted({end for pair in pairs for end in pair if end not in at})
         if unknown:
-            raise ValueError(f"links end at unknown nodes {', '.join(unknown[:MOST_SHOWN])}; known: {listed(names)}")
+            raise ValueError(f"links end at unknown nodes {', '.join(unknown[:MOST_SHOWN])}; known: {_listed(names)}")
         return cls(tuple(names), np.array([(at[a], at[b]) for a, b in pairs], dtype=np.int64).reshape(-1, 2))
 
     @cached_property
@@ -67,12 +67,12 @@ class Topology:
     def index(self, name: str) -> int:
         """Position of a node; ValueError for an unknown name."""
         if name not in self._positions:
-            raise ValueError(f"unknown node {name!r}; known: {listed(self.names)}")
+            raise ValueError(f"unknown node {name!r}; known: {_listed(self.names)}")
         return self._positions[name]
 
     def shown(self, nodes: Array) -> str:
         """The names of nodes, given by their positions, for an error."""
-        return listed([self.names[i] for i in nodes])
+        return _listed([self.names[i] for i in nodes])
 
     @cached_property
     def _order(self) -> Array:
@@ -202,6 +202,6 @@ class Network:
         return Network(self.topology, plugged)
 
 
-def listed(names: Sequence[str]) -> str:
+def _listed(names: Sequence[str]) -> str:
     """Names for an error, at most MOST_SHOWN."""
     return ", ".join(names[:MOST_SHOWN]) + (f", ... ({len(names)} in all)" if len(names) > MOST_SHOWN else "")

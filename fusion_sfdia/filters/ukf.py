@@ -53,7 +53,7 @@ class SigmaPoints:
         return self.alpha**2 * (n + self.kappa)
 
 
-def draw(points: SigmaPoints, x: Array, P: Array) -> Array:
+def sigma_points(points: SigmaPoints, x: Array, P: Array) -> Array:
     """Return the sigma points (..., 2n+1, n): x, then x + sqrt(n + lambda) L_j, then x - sqrt(n + lambda) L_j, L L' = P."""
     return _around(points, x, square_root(P))
 
@@ -88,7 +88,7 @@ def predict(points: SigmaPoints, x: Array, P: Array, f: Model, Q: Array) -> tupl
 
     f maps points (..., 2n+1, n) to points; Q is (n,) or (..., n, n).
     """
-    propagated = f(draw(points, x, P))
+    propagated = f(sigma_points(points, x, P))
     return *moments(points, propagated, Q), propagated
 
 

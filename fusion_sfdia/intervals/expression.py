@@ -86,11 +86,11 @@ class Symbol(NDArrayOperatorsMixin):
             del kwargs["out"]
         if method != "__call__" or kwargs or ufunc not in KERNELS:
             raise TypeError(f"an equation on intervals does not use {ufunc.__name__}")
-        operands = tuple(x.index if isinstance(x, Symbol) else constant(self.slots, x) for x in inputs)
+        operands = tuple(x.index if isinstance(x, Symbol) else add_constant(self.slots, x) for x in inputs)
         return Symbol(self.slots, (ufunc, operands))
 
 
-def constant(slots: list[Any], x: Any) -> int:
+def add_constant(slots: list[Any], x: Any) -> int:
     """Add a constant to the slots and return its index."""
     value = x if isinstance(x, Interval) else Interval(x)
     if value.shape:
@@ -116,7 +116,7 @@ def record(function: Callable[..., Any] | Expression, n_arguments: int) -> Expre
         except TypeError as error:
             raise ValueError(f"{function!r} does not run on {n_arguments} symbols: {error}") from error
         results = results if isinstance(results, tuple) else (results,)
-        outputs = tuple(x.index if isinstance(x, Symbol) else constant(slots, x) for x in results)
+        outputs = tuple(x.index if isinstance(x, Symbol) else add_constant(slots, x) for x in results)
         expression = Expression(n_arguments, tuple(slots), outputs)
     if expression.n_arguments != n_arguments:
         raise ValueError(f"the equation has {expression.n_arguments} arguments, the box and its parameters {n_arguments}")

@@ -57,7 +57,7 @@ def gerg_2008(p: Array, T: Array, composition: dict[str, float] = COMPOSITION) -
     return dict(zip(QUANTITIES, np.array(rows).T, strict=True)), 8.314472 / molar_mass
 
 
-def box(points: int, chebyshev: bool) -> tuple[Array, Array]:
+def grid(points: int, chebyshev: bool) -> tuple[Array, Array]:
     """Pressures and temperatures of a grid over the box; Chebyshev nodes for the fit, equal steps to check it."""
     axis = np.cos(np.pi * (np.arange(points) + 0.5) / points) if chebyshev else np.linspace(-1, 1, points)
     sides = [(low + high) / 2 + (high - low) / 2 * axis for low, high in (PRESSURES, TEMPERATURES)]
@@ -67,7 +67,7 @@ def box(points: int, chebyshev: bool) -> tuple[Array, Array]:
 
 def fit() -> tuple[Array, Array, float]:
     """Return the coefficients z (6, 7) and cp0 (3,) of `equations.gas`, and the specific gas constant."""
-    p, T = box(24, chebyshev=True)
+    p, T = grid(24, chebyshev=True)
     expected, R = gerg_2008(p, T)
     x, tau = p / PRESSURE_SCALE, TEMPERATURE_SCALE / T
     powers = [np.polynomial.Polynomial.basis(j) for j in range(POWERS_OF_TAU + 1)]
@@ -104,7 +104,7 @@ def properties(p: Array, T: Array) -> dict[str, Array]:
 
 def largest_errors(points: int = 33) -> dict[str, float]:
     """Largest relative deviation of the gas in natural_gas.py from GERG-2008 over the box, by quantity."""
-    p, T = box(points, chebyshev=False)
+    p, T = grid(points, chebyshev=False)
     expected, _ = gerg_2008(p, T)
     return {name: float(np.max(np.abs(value / expected[name] - 1))) for name, value in properties(p, T).items()}
 

@@ -144,7 +144,7 @@ def _carried(nodes: int, flow: float, parameters: PipelineParameters) -> Array |
     return x if inside else None
 
 
-def largest_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
+def courant_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
     """Largest step (s) by Courant, Friedrichs and Lewy (9).
 
     At the fastest sound in the gas model's box and twice the largest velocity of x, so that it holds all along a transient.

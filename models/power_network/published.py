@@ -15,7 +15,7 @@ from fusion_sfdia.models.power_network.operation import AreaFault
 B18 = "Boem 2018"
 
 
-class Experiment(NamedTuple):
+class PublishedScenario(NamedTuple):
     """A published scenario: the fault, and when (s) it was detected, isolated and accommodated in the run that is shown."""
 
     fault: AreaFault
@@ -34,8 +34,12 @@ class Experiment(NamedTuple):
         return None if time is None else Published(time, self.source)
 
 
-GOVERNOR = Experiment(AreaFault("governor", "4", 1000.0, onset=35.0), "1", 43.0, None, None, f"{B18}, sec. VIII-A, one run")
-SIGN_FLIP = Experiment(AreaFault("input-gain", "5", -1.0, onset=45.0), "2", 48.0, 61.0, 67.0, f"{B18}, sec. VIII-B, one run")
+GOVERNOR = PublishedScenario(
+    AreaFault("governor", "4", 1000.0, onset=35.0), "1", 43.0, None, None, f"{B18}, sec. VIII-A, one run"
+)
+SIGN_FLIP = PublishedScenario(
+    AreaFault("input-gain", "5", -1.0, onset=45.0), "2", 48.0, 61.0, 67.0, f"{B18}, sec. VIII-B, one run"
+)
 PLUGGED_IN = 70.0  # s: area 15, sec. VIII-A
 ATTACKS: tuple[tuple[str, AreaFault | None], ...] = (  # sec. VIII-B: "-u, 2u and 10u"
     ("-u", AreaFault("input-gain", "5", -1.0)),

@@ -16,7 +16,7 @@ from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.models.power_network.control import Control, generation_control
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
-from fusion_sfdia.models.power_network.operation import AreaFault, Condition, Switch, conditions
+from fusion_sfdia.models.power_network.operation import AreaFault, NetworkCondition, Switch, network_conditions
 
 Array = NDArray[Any]
 Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]
@@ -36,7 +36,7 @@ class Moment(NamedTuple):
     shared: Array
     reference: Array
     load: Array
-    condition: Condition
+    condition: NetworkCondition
 
     @property
     def y(self) -> Array:
@@ -68,7 +68,7 @@ def run_network(
     """
     whole("steps", steps, 0)
     seeds = require_seeds(seeds)
-    at = conditions(model, faults, switches)
+    at = network_conditions(model, faults, switches)
     n, sides = len(model.names), model.network.topology.node.size
     sigma, shared_sigma, disturbance = np.sqrt(NOISE_VARIANCE), np.sqrt(NOISE_VARIANCE[0]), np.sqrt(model.process_cov)
     read = [stream(s, "measurement noise") for s in seeds]
