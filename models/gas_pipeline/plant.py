@@ -41,8 +41,8 @@ from fusion_sfdia.models.gas_pipeline.physics import (
     INLET_PRESSURE,
     INLET_TEMPERATURE,
     STENCIL,
+    courant_step,
     initial_state,
-    largest_step,
     pipeline_parameters,
     require_parameters,
     signals,
@@ -110,7 +110,7 @@ def gas_pipeline(
     flow = asked if callable(asked) else partial(_constant, number("outlet_flow", asked))
     first = number("outlet_flow at 0 s", flow(0.0))
     x0 = initial_state(nodes, first, c)
-    limit = largest_step(nodes, c, x0)
+    limit = courant_step(nodes, c, x0)
     needed = int(np.ceil(dt / limit - 1e-9))
     count = needed if substeps is None else substeps
     if count < needed:

@@ -40,7 +40,7 @@ from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.equations import STATES, area_rates
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel, network_model
-from fusion_sfdia.models.power_network.operation import AreaFault, Condition, Switch, conditions, load_profile
+from fusion_sfdia.models.power_network.operation import AreaFault, NetworkCondition, Switch, load_profile, network_conditions
 from fusion_sfdia.models.power_network.parameters import (
     LoadStep,
     NetworkParameters,
@@ -90,7 +90,7 @@ def power_network(
     picks = np.array([place[s.measures] for s in sensors])
     readout = np.zeros((len(sensors), 4 * n))
     readout[np.arange(len(sensors)), picks] = 1.0
-    running = _Running(n, conditions(model, faults, switches), profile)
+    running = _Running(n, network_conditions(model, faults, switches), profile)
     exact = partial(
         power_network, c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults,
         switches=switches,
@@ -122,7 +122,7 @@ class _Running:
     """The functions of a plant of n areas, from its condition and its loads (n,) as functions of time (s)."""
 
     n: int
-    condition: Callable[[float], Condition]
+    condition: Callable[[float], NetworkCondition]
     profile: Callable[[float], Array]
 
     def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
