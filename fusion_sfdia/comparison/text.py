@@ -21,6 +21,7 @@ from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.report.findings import span
 
 MOST_LEADERS = 3  # whose ranks by plant stand at the top
+MOST_LISTED = 9  # detectors by name in a sentence
 RARELY = 0.01  # of samples: what is less is not reported
 
 
@@ -166,9 +167,14 @@ def false_isolations(plant: str, cells: Mapping[str, ComparisonCell]) -> list[st
             "in some": [f"{d} {v:.0%}" for d, v in shares.items() if RARELY < v <= 0.5],
             "in 1 % of them at most": [d for d, v in shares.items() if v <= RARELY],
         }
-        listed = "; ".join(f"{how}: {', '.join(names)}" for how, names in groups.items() if names)
+        listed = "; ".join(f"{how}: {listing(names, len(shares))}" for how, names in groups.items() if names)
         found += [f"False isolation under the worst {under} of {plant}, {listed}."] if shares else []
     return found
+
+
+def listing(names: Sequence[str], among: int) -> str:
+    """Names, or how many they are where they are too many to read."""
+    return ", ".join(names) if len(names) <= MOST_LISTED else f"{len(names)} of {among} detectors"
 
 
 def missed(settings: Settings, cells: Sequence[ComparisonCell]) -> list[str]:

@@ -9,6 +9,7 @@ from made_up_cell import SETTINGS_HERE, cell
 from fusion_sfdia.comparison.opening import advised, decided, opening, percent
 from fusion_sfdia.comparison.ranking import Standing
 from fusion_sfdia.comparison.tables import EVERY
+from fusion_sfdia.comparison.text import MOST_LISTED, false_isolations
 from fusion_sfdia.evaluation.metrics import Estimate
 
 NONE = np.zeros((12, 2), int)
@@ -58,3 +59,11 @@ def test_ranks_count_the_pairs_that_differ() -> None:
 @pytest.mark.parametrize(("share", "text"), [(0.0, "0 %"), (0.004, "under 1 %"), (0.055, "6 %"), (1.0, "100 %")])
 def test_shares_are_rounded_but_not_to_none(share: float, text: str) -> None:
     assert percent(share) == text
+
+
+def test_many_detectors_are_counted_rather_than_named() -> None:
+    few = {f"d{k}": cell() for k in range(MOST_LISTED)}
+    mismatch, process = false_isolations("two-tanks", few)
+    assert "in most samples: d0 62%, d1 62%" in mismatch and "in some: d0 12%" in process
+    mismatch, process = false_isolations("two-tanks", few | {"one more": cell()})
+    assert mismatch == "False isolation under the worst mismatch case of two-tanks, in most samples: 10 of 10 detectors."
