@@ -49,8 +49,8 @@ def modules_of(plant: Plant) -> Modules:
     """Return a plant's scalar equations; NotApplicableError where it has none, or its sensors do not read their variables."""
     if plant.structure.modules is None:
         raise NotApplicableError(
-            f"plant {plant.name!r} does not state its scalar equations, which structural analysis needs; give "
-            "Plant(structure=Structure(modules=Modules(...))) or choose another detector"
+            f"plant {plant.name!r} does not state its scalar equations, without which it has no structure to analyse; give "
+            "Plant(structure=Structure(modules=Modules(...))) or take another detector"
         )
     measured = [s.measures for s in plant.sensors]
     if unknown := [s.name for s in plant.sensors if s.measures not in plant.structure.modules.equations]:
