@@ -12,7 +12,7 @@ from fusion_sfdia.stochastic_thresholds.network_part import blocks
 AREAS = network_areas(network_model(generate_network(23, 3, degree=5.0), unplugged=["7", "8"]))
 
 
-def test_a_part_is_told_of_no_more_than_its_border() -> None:
+def test_a_part_receives_no_more_than_its_border() -> None:
     first, second, third = blocks(AREAS, 3)
     at = AREAS.network.topology
     for block in (first, second, third):
