@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 
-class Memory(NamedTuple):
+class FaultMemory(NamedTuple):
     """Arrays (B, S) of the observers of states, and (B, E) by variable, in SI.
 
     x, error: estimates of the states and bounds of their errors. before: the last readings as they came. accused: bool.
@@ -34,7 +34,7 @@ class Memory(NamedTuple):
     fault: Array
 
     @classmethod
-    def new(cls, batch: tuple[int, ...], nominal: Array, half_width: Array, states: int) -> Memory:
+    def new(cls, batch: tuple[int, ...], nominal: Array, half_width: Array, states: int) -> FaultMemory:
         """Nobody is accused, and of the states (S = `states`) the envelope is known."""
         e, s = (*batch, len(nominal)), (*batch, states)
         x, error = (np.broadcast_to(a[:states], s) for a in (nominal, half_width))
@@ -43,9 +43,9 @@ class Memory(NamedTuple):
             x.copy(), error.copy(), unknown, np.zeros(e, bool), -free, free, unknown.copy(), x.copy(), nothing, nothing.copy()
         )
 
-    def where(self, condition: Array, other: Memory) -> Memory:
+    def where(self, condition: Array, other: FaultMemory) -> FaultMemory:
         """These runs where the condition (B,) holds, the others' elsewhere."""
-        return Memory(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
+        return FaultMemory(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
 
     def reconstructed(self, reading: Array, bound: Array) -> tuple[Array, Array]:
         """Readings without the faults, (11), and bounds of their errors (B, E); NaN where the fault is unknown.
@@ -58,7 +58,7 @@ class Memory(NamedTuple):
         healthy = np.where(known, reading - self.size, np.where(self.accused, np.nan, reading))
         return healthy, bound + np.where(known, width, 0.0)
 
-    def without(self, sensor: int, touched: Array, nominal: Array, half_width: Array) -> Memory:
+    def without(self, sensor: int, touched: Array, nominal: Array, half_width: Array) -> FaultMemory:
         """Accuse a sensor and forget what rests on its readings, `touched` (E,): intervals, and observers of states.
 
         The observers restart from the envelope nominal +- half_width (E,).

@@ -30,14 +30,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, adapt
+from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, Rates, adapt
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold, named
 from fusion_sfdia.adaptive_thresholds.algebraic_bounds import enclosure
-from fusion_sfdia.adaptive_thresholds.fault_memory import Memory
+from fusion_sfdia.adaptive_thresholds.fault_memory import FaultMemory
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, monitor
-from fusion_sfdia.core.batch_detector import CLOCK, BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.modules import Modules
+from fusion_sfdia.core.state import State
 from fusion_sfdia.intervals.interval import Interval
 
 Array = NDArray[Any]
@@ -45,7 +46,7 @@ Array = NDArray[Any]
 INVERSIONS = ("corners", "sivia")
 
 
-class Judged(NamedTuple):
+class ModuleBounds(NamedTuple):
     """Observers after the step (B, S), what each sensor should have read and whether its module fires, by variable (B, E)."""
 
     x: Array
@@ -54,9 +55,9 @@ class Judged(NamedTuple):
     high: Array
     firing: Array
 
-    def where(self, condition: Array, other: Judged) -> Judged:
+    def where(self, condition: Array, other: ModuleBounds) -> ModuleBounds:
         """These runs where the condition (B,) holds, the others' elsewhere."""
-        return Judged(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
+        return ModuleBounds(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class VirtualSensors(BatchDetector):
 
     isolated: sensors whose own module has fired, given the reconstructed readings of the others; from then on.
     fault_size: the middle of the fault's interval, or the adaptive observer's; the residual where no constant offset fits.
-    measured: reconstructed readings; the equation's value where there is no reading or no constant offset.
+    reconstruction: the readings without the faults; the equation's value where there is no reading or no constant offset.
 
     envelope, drift: as of AdaptiveThreshold. learning_rates: {state: Gamma, 1/s} of those that are sized by an adaptive
     observer (12) with the gain of their module; its estimate has no guarantee, the interval has. intersect: False for the
@@ -95,7 +96,7 @@ class VirtualSensors(BatchDetector):
         -inf to inf for a sensor that is not accused, empty where no constant offset fits.
         """
         self._batch_of(state)
-        m, of = Memory(*state[CLOCK + 1 :]), self.thresholds
+        m, of = state.memory, self.thresholds
         a, b = (end[..., of._variable] * self.plant.sensor_scale for end in (m.low, m.high))
         return Interval.unchecked(np.minimum(a, b), np.maximum(a, b))
 
@@ -119,13 +120,13 @@ class VirtualSensors(BatchDetector):
         reads = np.array([[v == w or w in named(m, v) for w in m.equations] for v in m.equations])
         return np.linalg.matrix_power(reads.astype(float), len(reads)) > 0
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+    def _start(self, batch: tuple[int, ...], seed: int) -> FaultMemory:
         s = self._settings
-        return tuple(Memory.new(batch, s.nominal, s.half_width, len(s.gains)))
+        return FaultMemory.new(batch, s.nominal, s.half_width, len(s.gains))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: FaultMemory, now: TimeStep, y: Array, u: Array) -> tuple[FaultMemory, Decision]:
         shape, scale, of = y.shape[:-1], self.plant.sensor_scale, self.thresholds
-        m = Memory(*(a.reshape(-1, a.shape[-1]) for a in core))
+        m = FaultMemory(*(a.reshape(-1, a.shape[-1]) for a in memory))
         reading = np.ascontiguousarray((y / scale)[..., of._sensor].reshape(len(m.x), -1))
         u = np.ascontiguousarray(u.reshape(len(m.x), -1))
         judged = self._look(m, reading, u, now.dt)
@@ -137,12 +138,12 @@ class VirtualSensors(BatchDetector):
         size = np.where(np.isfinite(m.size), m.size, residual)
         usable = np.isfinite(reading) & ~(m.accused & np.isnan(m.size))
         healthy = np.where(usable, reading - np.where(m.accused, size, 0.0), middle)
-        told = (a[:, of._variable] for a in (healthy, residual, np.where(m.accused, size, np.nan)))
-        measured, residual, size = ((a * scale).reshape(y.shape) for a in told)
+        of_sensors = (a[:, of._variable] for a in (healthy, residual, np.where(m.accused, size, np.nan)))
+        healthy, residual, size = ((a * scale).reshape(y.shape) for a in of_sensors)
         isolated = m.accused[:, of._variable].reshape(y.shape)
         decision = Decision(
             estimate=judged.x.reshape(*shape, -1),
-            measured=np.where(np.isfinite(y) & ~isolated, y, measured),
+            reconstruction=np.where(np.isfinite(y) & ~isolated, y, healthy),
             residual=residual,
             threshold=(threshold[:, of._variable] * np.abs(scale)).reshape(y.shape),
             isolated=isolated,
@@ -151,9 +152,9 @@ class VirtualSensors(BatchDetector):
             guarded=np.zeros(shape, bool),
             nis=np.full(shape, np.nan),
         )
-        return tuple(a.reshape(*shape, -1) for a in m), decision
+        return FaultMemory(*(a.reshape(*shape, -1) for a in m)), decision
 
-    def _look(self, m: Memory, reading: Array, u: Array, dt: float) -> Judged:
+    def _look(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
         """A step of the modules on reconstructed readings, observers of accused sensors uncorrected."""
         s, states = self._settings, len(self._settings.gains)
         (before, _), (healthy, bound) = (m.reconstructed(a, s.bound) for a in (m.before, reading))
@@ -163,24 +164,26 @@ class VirtualSensors(BatchDetector):
             lower, upper = self._inverted(m, healthy, bound, u, lower, upper)
         low, high = np.concatenate([x - error, lower], axis=-1), np.concatenate([x + error, upper], axis=-1)
         firing = np.abs(reading - (low + high) / 2) > self.threshold_scale * ((high - low) / 2 + s.bound)
-        return Judged(x, error, low, high, firing)
+        return ModuleBounds(x, error, low, high, firing)
 
     def _monitor(
-        self, m: Memory, before: Array, healthy: Array, bound: Array, gains: Array, u: Array, dt: float
+        self, m: FaultMemory, before: Array, healthy: Array, bound: Array, gains: Array, u: Array, dt: float
     ) -> list[Array]:
         """Compiled, run by run since each has its own bounds and gains; otherwise on arrays."""
         modules, s = self._modules, self._settings
         given = m.x, m.error, before, healthy, u
         if modules.monitor is None:
             of_all = s._replace(bound=bound, gains=gains)
-            return list(monitor(modules.equations, modules.variables, modules.parameters, *given, dt, of_all))
+            return list(monitor(modules, *given, dt, of_all))
         runs = [
             modules.monitor(*(a[b : b + 1] for a in given), dt, s._replace(bound=bound[b], gains=gains[b]))
             for b in range(len(m.x))
         ]
         return [np.concatenate(parts) for parts in zip(*runs, strict=True)]
 
-    def _inverted(self, m: Memory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    def _inverted(
+        self, m: FaultMemory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array
+    ) -> tuple[Array, Array]:
         """The bounds (B, E - S) with those of accused sensors by set inversion, where it finds some."""
         s, states = self._settings, len(self._settings.gains)
         low, high = box(healthy, healthy, u, s._replace(bound=bound))
@@ -195,7 +198,9 @@ class VirtualSensors(BatchDetector):
                 upper[rows, e - states] = np.where(known, found.hi + slack, upper[rows, e - states])
         return lower, upper
 
-    def _accuse(self, m: Memory, judged: Judged, fresh: Array, reading: Array, u: Array, dt: float) -> tuple[Memory, Judged]:
+    def _accuse(
+        self, m: FaultMemory, judged: ModuleBounds, fresh: Array, reading: Array, u: Array, dt: float
+    ) -> tuple[FaultMemory, ModuleBounds]:
         """Accuse one of the sensors whose modules fire (B, E) in each run: the one whose loss leaves the fewest firing."""
         s, best = self._settings, m
         fewest = np.full(len(fresh), np.iinfo(int).max)
@@ -207,7 +212,7 @@ class VirtualSensors(BatchDetector):
             best, judged, fewest = tried.where(better, best), seen.where(better, judged), np.where(better, left, fewest)
         return best, judged
 
-    def _after(self, m: Memory, judged: Judged, reading: Array, u: Array, dt: float) -> Memory:
+    def _after(self, m: FaultMemory, judged: ModuleBounds, reading: Array, u: Array, dt: float) -> FaultMemory:
         """The memory after the step: observers, and the faults' intervals and estimates."""
         low, high = m.interval(reading, judged.low, judged.high, self._settings.bound, self.intersect)
         with np.errstate(invalid="ignore"):
@@ -216,9 +221,9 @@ class VirtualSensors(BatchDetector):
         for e, variable in enumerate(self._modules.states):
             if variable in self.learning_rates:
                 size[:, e] = np.where(np.isfinite(size[:, e]), adaptive.fault[:, e], np.nan)
-        return Memory(judged.x, judged.error, reading, m.accused, low, high, size, *adaptive)
+        return FaultMemory(judged.x, judged.error, reading, m.accused, low, high, size, *adaptive)
 
-    def _adapted(self, m: Memory, reading: Array, u: Array, dt: float) -> Estimates:
+    def _adapted(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> Estimates:
         """The adaptive observers after the step, fed with the mean of the reconstructed readings before and after it."""
         modules, s = self._modules, self._settings
         new = [a.copy() for a in (m.state, m.omega, m.fault)]
@@ -230,7 +235,7 @@ class VirtualSensors(BatchDetector):
             values = dict(zip(modules.variables, at.T, strict=True)) | {variable: m.state[:, e]}
             h = modules.equations[variable](*(values[a] for a in named(modules, variable)), modules.parameters)
             own, gamma = Estimates(m.state[:, e], m.omega[:, e], m.fault[:, e]), self.learning_rates[variable]
-            after = adapt(own, h, m.before[:, e], reading[:, e], m.accused[:, e], dt, rate, s.gains[e], gamma)
+            after = adapt(own, h, m.before[:, e], reading[:, e], m.accused[:, e], dt, Rates(rate, s.gains[e], gamma))
             for column, value in zip(new, after, strict=True):
                 column[:, e] = value
         return Estimates(*new)

@@ -40,7 +40,7 @@ def exclude(now: Exclusion, faulty: Array, size: Array) -> Exclusion:
     )
 
 
-def watch(now: Exclusion, error: Array, variance: Array, limit: float, level: float) -> Exclusion:
+def readmit(now: Exclusion, error: Array, variance: Array, limit: float, level: float) -> Exclusion:
     """Follow the faults of the sensors that are out and readmit those that are healthy again.
 
     error (..., N): reading less its estimate from the trusted sensors, NaN where missing (nothing is learned then);

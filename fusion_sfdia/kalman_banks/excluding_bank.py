@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import probability
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
-from fusion_sfdia.core.exclusion import Exclusion, exclude, watch
+from fusion_sfdia.core.exclusion import Exclusion, exclude, readmit
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent
@@ -66,7 +66,7 @@ class ExcludingBank(BatchDetector):
         return self.max_faults or most_faults(self.plant)
 
     def _conclude(
-        self, now: Moment, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
+        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
     ) -> tuple[Exclusion, Decision]:
         """Leave the named sensors out, readmit those that are healthy again, and say so; without `accommodate` only say."""
         plant, (x, p, prior, joint, found) = self.plant, update
@@ -75,13 +75,13 @@ class ExcludingBank(BatchDetector):
         variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
         error = y - expected  # of the sensors that are out: they have no part in `expected`
         if self.accommodate:
-            exclusion = watch(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
+            exclusion = readmit(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
             exclusion = exclude(exclusion, verdict.named, error)
         held = exclusion.out if self.accommodate else verdict.named
         outside = np.isfinite(y) & ~verdict.usable
         decision = Decision(
             estimate=x,
-            measured=np.where(np.isfinite(y) & ~held, y, expected),
+            reconstruction=np.where(np.isfinite(y) & ~held, y, expected),
             residual=np.where(outside, error, np.where(verdict.usable, verdict.residual, np.nan)),
             threshold=np.where(outside, np.sqrt(verdict.limit * variance), verdict.threshold),
             isolated=held,

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, NotApplicableError, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision, NotApplicableError
 from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.filters.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks import mixing
@@ -93,17 +94,17 @@ class FusingBank(BatchDetector):
             )
         return super().init(batch, t, seed)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """The filter's core, with an axis N after the batch when literal."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> Core:
+        """The core of the filter, with an axis N after the batch when literal."""
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         if self.runs_literally:
             axis, count = len(batch), len(self.plant.sensors)
-            core = tuple(np.repeat(np.expand_dims(a, axis), count, axis=axis) for a in core)
+            core = mapped(lambda a: np.repeat(np.expand_dims(a, axis), count, axis=axis), core)
         return core
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
         plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
-        prior = self._predict(core, y.ndim - 1, now, u)
+        prior = self._predict(memory, y.ndim - 1, now, u)
         joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
         used = np.isfinite(y)
         founds, local = self._update(joints, y, used)
@@ -127,7 +128,7 @@ class FusingBank(BatchDetector):
         expected = plant.output(now.t, mixed.x, u)
         decision = Decision(
             estimate=mixed.x,
-            measured=np.where(used & ~isolated, y, expected),
+            reconstruction=np.where(used & ~isolated, y, expected),
             residual=residual,
             threshold=threshold.copy(),
             isolated=isolated,
@@ -139,13 +140,13 @@ class FusingBank(BatchDetector):
         )
         return mixed.core, decision
 
-    def _predict(self, core: Core, axis: int, now: Moment, u: Array) -> list[Prior]:
+    def _predict(self, core: Core, axis: int, now: TimeStep, u: Array) -> list[Prior]:
         """The prior of each local filter (their axis in a literal core is given), or the one they share."""
         cores = [core]
         if self.runs_literally:
-            cores = [tuple(np.take(a, i, axis=axis) for a in core) for i in range(len(self.plant.sensors))]
+            cores = [mapped(lambda a, i=i: np.take(a, i, axis=axis), core) for i in range(len(self.plant.sensors))]
         est, plant = self.estimator, self.plant
-        return [est.predict(plant, c, now.last, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
+        return [est.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
 
     def _update(self, joints: list[Joint], y: Array, used: Array) -> tuple[list[LeaveOneOut], Array]:
         """Step 2: the statistics of the readings in use (of each filter, when literal), and the local estimates (..., N, n)."""
@@ -162,7 +163,7 @@ class FusingBank(BatchDetector):
         joints: list[Joint],
         founds: list[LeaveOneOut],
         local: Array,
-        now: Moment,
+        now: TimeStep,
         y: Array,
         u: Array,
     ) -> Mixed:
@@ -184,5 +185,7 @@ class FusingBank(BatchDetector):
             est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(now.seed, now.k + 2**32))
             for prior, b in zip(priors, beta, strict=False)
         ]
-        core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))
+        core = cores[0]
+        if self.runs_literally:
+            core = mapped(lambda *each: np.stack(each, axis=used.ndim - 1), *cores)
         return Mixed(x, p, core, normalised_innovation_squared(joints[0], founds[0], y))

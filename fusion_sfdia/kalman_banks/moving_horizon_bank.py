@@ -11,17 +11,17 @@ the state is that of the moving-horizon problem with these faults free, and the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import whole
-from fusion_sfdia.core.batch_detector import Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
-from fusion_sfdia.filters.estimators import step_stream
+from fusion_sfdia.filters.estimators import GaussianState, step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
 from fusion_sfdia.kalman_banks.excluding_bank import Update, Verdict
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
@@ -30,6 +30,14 @@ from fusion_sfdia.kalman_banks.moving_horizon import Horizons
 
 Array = NDArray[Any]
 HORIZONS = 2  # beside that of the present reading
+
+
+class MovingHorizonMemory(NamedTuple):
+    """The filter's estimate, the sensors that are left out, and the sums of the horizons."""
+
+    estimate: GaussianState
+    exclusion: Exclusion
+    horizons: Horizons
 
 
 @dataclass(frozen=True)
@@ -49,25 +57,25 @@ class MovingHorizon(LeaveOneOutBank):
         share = self.false_alarm / len(self.plant.sensors) / (1 + HORIZONS)
         return float(-self.threshold_scale * ndtri(share / 2))
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """x, P, the exclusions, and the horizons' E, g, G."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
-        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *none_excluded(batch, count), *moving_horizon.empty(batch, HORIZONS, n, count)
+        estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        horizons = moving_horizon.empty(batch, HORIZONS, n, count)
+        return MovingHorizonMemory(estimate, none_excluded(batch, count), horizons)
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        exclusion, past = Exclusion(*core[2:7]), Horizons(*core[7:])
+    def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
+        estimate, exclusion, past = memory
         plant, est, t = self.plant, self.estimator, now.t
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         found = statistics(joint, y, usable)
         x, p = posterior(joint, found)
         gain = joint.C @ found.inverse
-        tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.last, core[0], u, now.dt)
+        tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
         if now.k % (self.window // 2) == 0:
             past = moving_horizon.renew(past)
-        past = moving_horizon.extend(past, tangent, plant.output_jacobian_at(t, prior.core[0], u), gain, found)
+        past = moving_horizon.extend(past, tangent, plant.output_jacobian_at(t, prior.core.x, u), gain, found)
         present = moving_horizon.of_present(gain, found)
         known = np.concatenate([moving_horizon.information(h, usable, plant.sensor_cov) for h in (present, past)], axis=-2)
         g = np.concatenate([present.g, past.g], axis=-2)
@@ -86,7 +94,7 @@ class MovingHorizon(LeaveOneOutBank):
         update = Update(x, p, prior, joint, found)
         verdict = Verdict(usable, named, alone, threshold, size, capped, self.penalty**2)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
-        return (x, p, *exclusion, *past), decision
+        return MovingHorizonMemory(GaussianState(x, p), exclusion, past), decision
 
     def _solve(
         self, problems: tuple[Horizons, ...], known: Array, ratio: Array, room: Array, x: Array, p: Array

@@ -22,20 +22,27 @@ Markov's inequality only gives a bound of about p duration a step, were the mode
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from fusion_sfdia.core.arguments import number, probability
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.filters.estimators import Estimator, Extended, require_consistent, step_stream
+from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, require_consistent, step_stream
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared, posterior, statistics
 
 Array = NDArray[Any]
+
+
+class MultipleModelMemory(NamedTuple):
+    """The merged estimate, and the logarithms of the modes' probabilities (..., N + 1), healthy first."""
+
+    estimate: GaussianState
+    log_probability: Array
 
 
 @dataclass(frozen=True)
@@ -60,19 +67,18 @@ class MultipleModel(BatchDetector):
             if not 1 < number(what, getattr(self, what)) < np.inf:
                 raise ValueError(f"{what} is {getattr(self, what)}; expected a number above 1")
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """x, P, and the logarithms of the modes' probabilities (N + 1,), healthy first."""
-        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+    def _start(self, batch: tuple[int, ...], seed: int) -> MultipleModelMemory:
+        estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         count = len(self.plant.sensors)
         mode = np.log(np.append(1 - self.fault_probability, np.full(count, self.fault_probability / count)))
-        return *core, np.broadcast_to(mode, (*batch, count + 1)).copy()
+        return MultipleModelMemory(estimate, np.broadcast_to(mode, (*batch, count + 1)).copy())
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: MultipleModelMemory, now: TimeStep, y: Array, u: Array) -> tuple[MultipleModelMemory, Decision]:
         plant, est = self.plant, self.estimator
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, memory.estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, now.t, u)
         found = statistics(joint, y, np.isfinite(y))
-        mode, gain = self._weigh(self._passed(core[2]), found)
+        mode, gain = self._weigh(self._passed(memory.log_probability), found)
         mu = np.exp(mode[..., 1:])
 
         x, p = posterior(joint, found)
@@ -93,7 +99,7 @@ class MultipleModel(BatchDetector):
         shown = np.where(np.signbit(found.innovation), -ratio, ratio) * limit * np.where(found.used, deviation, 1.0)
         decision = Decision(
             estimate=x,
-            measured=np.where(np.isfinite(y) & ~isolated, y, expected),
+            reconstruction=np.where(np.isfinite(y) & ~isolated, y, expected),
             residual=np.where(found.used, shown, np.nan),
             threshold=limit * deviation,
             isolated=isolated,
@@ -103,7 +109,7 @@ class MultipleModel(BatchDetector):
             nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
         )
-        return (x, p, mode), decision
+        return MultipleModelMemory(GaussianState(x, p), mode), decision
 
     def _passed(self, mode: Array) -> Array:
         """Logarithms of the modes' probabilities (..., N + 1) a step later, before the readings."""

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import probability, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters import particle
@@ -33,7 +33,7 @@ from fusion_sfdia.filters.particle import Particles
 Array = NDArray[Any]
 
 
-class Judged(NamedTuple):
+class LeaveOneOutResiduals(NamedTuple):
     """Readings less what the others make of them (..., N), NaN where not used, and its standard deviation (..., N)."""
 
     residual: Array
@@ -62,15 +62,14 @@ class ParticleFilter(BatchDetector):
         probability("false_alarm", self.false_alarm)
         require_max_faults(self.plant, self.max_faults)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Members (*batch, M, n) and log weights (*batch, M)."""
-        return tuple(particle.start(self.plant.x0, self.plant.initial_cov, self.size, step_stream(seed, 0), batch))
+    def _start(self, batch: tuple[int, ...], seed: int) -> Particles:
+        return particle.start(self.plant.x0, self.plant.initial_cov, self.size, step_stream(seed, 0), batch)
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: Particles, now: TimeStep, y: Array, u: Array) -> tuple[Particles, Decision]:
         plant = self.plant
         rng, over = step_stream(now.seed, now.k), np.expand_dims(u, -2)
-        _, ahead, moved, stuck, lost = guarded_points(plant, now.last, core[0], u, now.dt)
-        cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(now.dt), rng)
+        _, ahead, moved, stuck, lost = guarded_points(plant, now.t_start, memory.members, u, now.dt)
+        cloud = particle.predict(Particles(ahead, memory.log_weights), lambda s: s, plant.process_cov_over(now.dt), rng)
         predicted = readings_of(plant, now.t, cloud.members, over)
         judged, named, capped = self._eliminated(cloud, predicted, y)
         used = np.isfinite(y) & ~(named & self.accommodate)
@@ -80,7 +79,7 @@ class ParticleFilter(BatchDetector):
         after = particle.resample(weighed, rng)
         decision = Decision(
             estimate=x,
-            measured=np.where(used, y, expected),
+            reconstruction=np.where(used, y, expected),
             residual=judged.residual,
             threshold=self._alpha * judged.sigma,
             isolated=named,
@@ -91,7 +90,7 @@ class ParticleFilter(BatchDetector):
             covariance=p,
             capped=capped,
         )
-        return tuple(after), decision
+        return after, decision
 
     @property
     def _alpha(self) -> float:
@@ -102,7 +101,7 @@ class ParticleFilter(BatchDetector):
         """How many sensors may be named in a step."""
         return self.max_faults or most_faults(self.plant)
 
-    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array, Array]:
+    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[LeaveOneOutResiduals, Array, Array]:
         """The leave-one-out residuals of all readings, the sensors that elimination names (..., N), and whether there is one
         more (...).
         """
@@ -127,7 +126,7 @@ class ParticleFilter(BatchDetector):
         return np.where(count > 0, np.sum(d * d, axis=-1) / np.maximum(count, 1), np.nan)
 
 
-def without_each(cloud: Particles, predicted: Array, y: Array, R: Array) -> Judged:
+def without_each(cloud: Particles, predicted: Array, y: Array, R: Array) -> LeaveOneOutResiduals:
     """Return the residual of each reading y (..., N), NaN where missing, against the cloud weighed by all others.
 
     predicted (..., M, N) are the members' readings, R (N,) the variances of their noises. With L_j the likelihood of y_j,
@@ -144,4 +143,4 @@ def without_each(cloud: Particles, predicted: Array, y: Array, R: Array) -> Judg
     h = np.swapaxes(h, -1, -2)
     mean = np.sum(w * h, axis=-1)
     variance = np.sum(w * (h - mean[..., None]) ** 2, axis=-1)
-    return Judged(np.where(used, y - mean, np.nan), np.sqrt(variance + R))
+    return LeaveOneOutResiduals(np.where(used, y - mean, np.nan), np.sqrt(variance + R))

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.batch_detector import Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
-from fusion_sfdia.filters.estimators import Estimator, Extended, Prior, step_stream
+from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
@@ -36,15 +36,23 @@ from fusion_sfdia.kalman_banks.memory_rules import Rule, Shewhart
 Array = NDArray[Any]
 
 
-class Judged(NamedTuple):
-    """Innovations with their standard deviations (..., N), memory of each rule with them (..., rows, N), and the
+class TestedInnovations(NamedTuple):
+    """Innovations with their standard deviations (..., N), the memory of each rule with them (..., rows, N), and the
     largest ratio of a statistic to its limit (..., N).
     """
 
     innovation: Array
     deviation: Array
-    memory: tuple[Array, ...]
+    of_rules: tuple[Array, ...]
     ratio: Array
+
+
+class SequentialMemory(NamedTuple):
+    """The filter's estimate, the sensors that are left out, and of each rule its memory (..., rows, N), see memory_rules."""
+
+    estimate: GaussianState
+    exclusion: Exclusion
+    rules: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
@@ -70,29 +78,28 @@ class SequentialBank(ExcludingBank):
         if not isinstance(self.rules, tuple) or not self.rules:
             raise ValueError(f"rules is {shown(self.rules)}; expected a tuple of at least one, such as (Shewhart(), Cusum())")
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """x, P, the exclusions, and the memory of each rule."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> SequentialMemory:
         count = len(self.plant.sensors)
-        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *none_excluded(batch, count), *(rule.start(batch, count) for rule in self.rules)
+        estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        return SequentialMemory(estimate, none_excluded(batch, count), tuple(rule.start(batch, count) for rule in self.rules))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        exclusion, memory = Exclusion(*core[2:7]), core[7:]
+    def _judge(self, memory: SequentialMemory, now: TimeStep, y: Array, u: Array) -> tuple[SequentialMemory, Decision]:
+        estimate, exclusion, of_rules = memory
         plant, est, count = self.plant, self.estimator, y.shape[-1]
         usable = np.isfinite(y) & ~exclusion.out
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
-        joint = self._joint(now, core[0], prior, u, usable)
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        joint = self._joint(now, estimate.x, prior, u, usable)
         everything = statistics(joint, y, usable)
-        judged = self._test(joint, everything, y, memory)
-        found, named, capped = self._eliminate(joint, everything, judged, y, memory, exclusion.out)
+        judged = self._test(joint, everything, y, of_rules)
+        found, named, capped = self._eliminate(joint, everything, judged, y, of_rules, exclusion.out)
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
-        memory = judged.memory
+        of_rules = judged.of_rules
         if self.accommodate and np.any(named):
             restart = np.any(named, axis=-1)[..., None, None]
             fresh = (rule.start(y.shape[:-1], count) for rule in self.rules)
-            memory = tuple(np.where(restart, new, old) for new, old in zip(fresh, memory, strict=True))
+            of_rules = tuple(np.where(restart, new, old) for new, old in zip(fresh, of_rules, strict=True))
 
         limit = (self.threshold_scale * ndtri(self.false_alarm / count / 2)) ** 2
         signed = np.where(np.signbit(judged.innovation), -judged.ratio, judged.ratio)
@@ -100,13 +107,13 @@ class SequentialBank(ExcludingBank):
         update = Update(x, p, prior, joint, found)
         verdict = Verdict(usable, named, signed * threshold, threshold, judged.innovation, capped, limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
-        return (x, p, *exclusion, *memory), decision
+        return SequentialMemory(GaussianState(x, p), exclusion, of_rules), decision
 
-    def _joint(self, now: Moment, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
+    def _joint(self, now: TimeStep, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
         """The joint Gaussian of state and readings; before: the estimate before the step (..., n)."""
         return self.estimator.joint(self.plant, prior, now.t, u)
 
-    def _test(self, joint: Joint, found: LeaveOneOut, y: Array, memory: State) -> Judged:
+    def _test(self, joint: Joint, found: LeaveOneOut, y: Array, of_rules: tuple[Array, ...]) -> TestedInnovations:
         if self.leave_one_out:
             innovation, variance = found.innovation, found.variance
         else:
@@ -114,14 +121,14 @@ class SequentialBank(ExcludingBank):
             variance = np.where(found.used, np.diagonal(joint.S, axis1=-2, axis2=-1), np.inf)
         deviation = np.sqrt(variance)
         z = np.where(found.used, innovation / deviation, np.nan)
-        memory = tuple(rule.advance(m, z) for rule, m in zip(self.rules, memory, strict=True))
+        of_rules = tuple(rule.advance(m, z) for rule, m in zip(self.rules, of_rules, strict=True))
         share = self.false_alarm / y.shape[-1] / len(self.rules)
-        ratios = [rule.statistic(m) / rule.limit(m, share) for rule, m in zip(self.rules, memory, strict=True)]
+        ratios = [rule.statistic(m) / rule.limit(m, share) for rule, m in zip(self.rules, of_rules, strict=True)]
         ratio = np.where(found.used, np.max(ratios, axis=0) / self.threshold_scale, 0.0)
-        return Judged(innovation, deviation, memory, ratio)
+        return TestedInnovations(innovation, deviation, of_rules, ratio)
 
     def _eliminate(
-        self, joint: Joint, found: LeaveOneOut, judged: Judged, y: Array, memory: State, out: Array
+        self, joint: Joint, found: LeaveOneOut, judged: TestedInnovations, y: Array, of_rules: tuple[Array, ...], out: Array
     ) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out.
 
@@ -137,4 +144,4 @@ class SequentialBank(ExcludingBank):
                 return found, named, above & ~room
             named = named | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
             found = eliminate(found, worst, where)
-            judged = self._test(joint, found, y, memory)
+            judged = self._test(joint, found, y, of_rules)

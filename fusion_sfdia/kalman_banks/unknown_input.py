@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.equation import COMPLEX_STEP, complex_step_holds, difference_jacobian
 from fusion_sfdia.core.plant import Plant
@@ -52,9 +52,9 @@ class UnknownInputFilter(SequentialBank):
                 "detector that takes its inputs as known"
             )
 
-    def _joint(self, now: Moment, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
+    def _joint(self, now: TimeStep, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
         joint = super()._joint(now, before, prior, u, usable)
-        moved, effect = self._input_jacobians(now.last, now.t, before, u)
+        moved, effect = self._input_jacobians(now.t_start, now.t, before, u)
         shown = effect**2 / self.plant.sensor_cov[:, None]
         information = np.sum(shown, axis=-2)
         seen = (information > 0) & (np.sum(shown * usable[..., None], axis=-2) > SEEN * information)
@@ -63,23 +63,24 @@ class UnknownInputFilter(SequentialBank):
         g_t, f_t = np.swapaxes(g, -1, -2), np.swapaxes(f, -1, -2)
         return joint._replace(P=joint.P + g @ g_t, S=joint.S + f @ f_t, C=joint.C + g @ f_t)
 
-    def _input_jacobians(self, last: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
-        return input_jacobians(self.plant, last, t, x, u, self._complex_step)
+    def _input_jacobians(self, t_start: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+        return input_jacobians(self.plant, t_start, t, x, u, self._complex_step)
 
     @cached_property
     def _complex_step(self) -> bool:
         return complex_step_in_inputs(self.plant)
 
 
-def input_jacobians(plant: Plant, last: float, t: float, x: Array, u: Array, exact: bool) -> tuple[Array, Array]:
-    """G (..., n, m) of a step over [last, t] from states x (..., n) under inputs u (..., m), F (..., N, m) of its readings; 0
-    where the model has no number. exact: by the complex step; otherwise by central differences.
+def input_jacobians(plant: Plant, t_start: float, t: float, x: Array, u: Array, exact: bool) -> tuple[Array, Array]:
+    """G (..., n, m) of a step over [t_start, t] from states x (..., n) under inputs u (..., m), F (..., N, m) of its readings.
+
+    0 where the model has no number. exact: by the complex step; otherwise by central differences.
     """
     count = u.shape[-1]
     start = np.broadcast_to(plant.guard(x)[0][..., None, :], (*x.shape[:-1], count, x.shape[-1]))
 
     def shown(inputs: Array) -> tuple[Array, Array]:
-        after = plant.step(last, start, inputs, t - last)
+        after = plant.step(t_start, start, inputs, t - t_start)
         return after, plant.output(t, after, inputs)
 
     if exact:

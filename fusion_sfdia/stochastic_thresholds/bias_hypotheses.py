@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 
-class Evidence(NamedTuple):
-    """Residuals (R, N) of a step, NaN where not evaluated, their standard deviations and thresholds (inf: says nothing)."""
+class StepResiduals(NamedTuple):
+    """Residuals (R, N) of a step, NaN where not evaluated, their standard deviations and thresholds (inf: cannot judge yet)."""
 
     residual: Array
     deviation: Array
@@ -44,7 +44,9 @@ class Explanation(NamedTuple):
     late: Array
 
 
-def explain(before: Evidence, now: Evidence, from_readings: Array, from_residuals: Array, suspects: Array) -> Explanation:
+def explain(
+    before: StepResiduals, now: StepResiduals, from_readings: Array, from_residuals: Array, suspects: Array
+) -> Explanation:
     """Explain R runs by suspects (R, N); from_readings M and from_residuals L (R, N, N)."""
     one = np.broadcast_to(np.eye(suspects.shape[-1]), from_readings.shape)
     reach = (one != 0) | (from_readings != 0) | (from_residuals != 0)
@@ -74,7 +76,7 @@ def _apart(gain: Array, reach: Array) -> Array:
 
 
 def _sizes(
-    before: Evidence, now: Evidence, share_before: Array, share_now: Array, reach: Array
+    before: StepResiduals, now: StepResiduals, share_before: Array, share_now: Array, reach: Array
 ) -> tuple[Array, Array, Array, Array]:
     """(R, N) each: interval of the faults that explain the residuals, the best of them, and twice its log-likelihood ratio."""
     residual, deviation, threshold = (np.concatenate(parts, axis=-1)[..., None] for parts in zip(before, now, strict=True))

@@ -11,20 +11,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, number, probability, shown, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State, run
-from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, watch
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, readmit
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
-from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
+from fusion_sfdia.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
 from fusion_sfdia.stochastic_thresholds.bounded_readings import BoundedReadings
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, PresentReadings, Taken
@@ -45,14 +45,27 @@ AT_ONCE = 32  # runs whose alarms are explained together
 READMISSION = 1e-3  # probability with which a sensor that is still faulty comes back: exp(-level) of the evidence
 
 
-class Diagnosis(Protocol):
-    """What predicts readings and takes them: AreaDiagnosers or PresentReadings."""
+class Diagnoser(Protocol):
+    """What predicts readings and takes them: AreaDiagnosers (memory: Diagnosers) or PresentReadings (memory: PresentMemory)."""
 
-    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]: ...
-    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook: ...
+    def start(self, batch: tuple[int, ...], seed: int) -> Any: ...
+    def predict(self, memory: Any, now: TimeStep, u: Array) -> Outlook: ...
     def take(self, outlook: Outlook, y: Array) -> Taken: ...
-    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook: ...
-    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]: ...
+    def freed(self, memory: Any, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook: ...
+    def effects(self, memory: Any, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> tuple[Array, Array]: ...
+
+
+class ChebyshevMemory(NamedTuple):
+    """residual, deviation: (..., N) of the last readings, NaN where not evaluated or left out. exceeded: (..., N) steps in a
+    row for which each residual has exceeded its threshold. exclusion: the sensors that are left out. diagnoser: the memory of
+    what predicts the readings, Diagnosers of a plant with areas, PresentMemory of any other.
+    """
+
+    residual: Array
+    deviation: Array
+    exceeded: Array
+    exclusion: Exclusion
+    diagnoser: Any
 
 
 @dataclass(frozen=True)
@@ -102,11 +115,11 @@ class Chebyshev(BatchDetector):
             )
         if self.alpha is None and self.rule == CONFORMAL:
             raise ValueError("the rule 'conformal' needs alpha from healthy data; use calibrated(detector, ...)")
-        self.diagnosis  # noqa: B018 - refuses a plant whose areas do not fit
+        self.diagnoser  # noqa: B018 - refuses a plant whose areas do not fit
         self.alphas  # noqa: B018 - refuses an alpha by which nothing is claimed
 
     @cached_property
-    def diagnosis(self) -> Diagnosis:
+    def diagnoser(self) -> Diagnoser:
         """The plant's diagnosers."""
         if self.rule == BOUND:
             return BoundedReadings(self.plant, self.lam, self.moments)
@@ -142,40 +155,36 @@ class Chebyshev(BatchDetector):
         """(N,): `alphas` times threshold_scale."""
         return self.threshold_scale * self.alphas
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Last residual and its standard deviation (N,), steps for which each residual has exceeded its threshold (N,), the
-        exclusions, and the core of the diagnosers.
-        """
+    def _start(self, batch: tuple[int, ...], seed: int) -> ChebyshevMemory:
         count = len(self.plant.sensors)
         shape = (*batch, count)
-        memory = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
-        return *memory, *none_excluded(batch, count), *self.diagnosis.start(batch, seed)
+        last = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
+        return ChebyshevMemory(*last, none_excluded(batch, count), self.diagnoser.start(batch, seed))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        exceeded = core[2]
-        exclusion, inner = Exclusion(*core[3:8]), core[8:]
-        outlook = self.diagnosis.predict(inner, now, u)
+    def _judge(self, memory: ChebyshevMemory, now: TimeStep, y: Array, u: Array) -> tuple[ChebyshevMemory, Decision]:
+        exceeded, exclusion = memory.exceeded, memory.exclusion
+        outlook = self.diagnoser.predict(memory.diagnoser, now, u)
         expected, deviation = outlook.expected, outlook.deviation
         residual, threshold = y - expected, self.limits * deviation
         exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
         capped = np.zeros(y.shape[:-1], bool)
         if self.accommodate:
-            exclusion = watch(exclusion, residual, deviation**2, self.limits**2, -np.log(READMISSION))  # type: ignore[arg-type]
+            exclusion = readmit(exclusion, residual, deviation**2, self.limits**2, -np.log(READMISSION))  # type: ignore[arg-type]
             trusted = np.isfinite(y) & ~exclusion.out
             rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
             if np.any(rows):
-                named, absorbed, doubt = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
+                named, absorbed, doubt = self._explained(memory, outlook, now, u, rows, trusted, residual, threshold)
                 capped = np.any(named, axis=-1) & (np.sum(exclusion.out | named, axis=-1) > self.most_faults)
                 named &= ~capped[..., None]
                 if np.any(named & (absorbed != 0)):
                     faults = np.where(named, absorbed, 0.0), np.where(named, doubt, 0.0)
-                    outlook = self.diagnosis.freed(inner, outlook, now, u, *faults)
+                    outlook = self.diagnoser.freed(memory.diagnoser, outlook, now, u, *faults)
                 exclusion = exclude(exclusion, named, y - outlook.expected)
         used = np.where(exclusion.out, np.nan, y)
-        taken = self.diagnosis.take(outlook, used)
+        taken = self.diagnoser.take(outlook, used)
         decision = Decision(
             estimate=taken.estimate,
-            measured=np.where(np.isfinite(used), used, outlook.expected),
+            reconstruction=np.where(np.isfinite(used), used, outlook.expected),
             residual=residual,
             threshold=threshold,
             isolated=exclusion.out,
@@ -187,13 +196,13 @@ class Chebyshev(BatchDetector):
             capped=capped,
         )
         seen = np.where(exclusion.out, np.nan, residual)
-        return (seen, deviation, exceeded, *exclusion, *taken.core), decision
+        return ChebyshevMemory(seen, deviation, exceeded, exclusion, taken.memory), decision
 
     def _explained(
         self,
-        core: State,
+        memory: ChebyshevMemory,
         outlook: Outlook,
-        now: Moment,
+        now: TimeStep,
         u: Array,
         rows: Array,
         trusted: Array,
@@ -208,10 +217,11 @@ class Chebyshev(BatchDetector):
         flat = np.flatnonzero(rows)
         for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
             few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
-            earlier = Evidence(core[0][few], core[1][few], self.limits * core[1][few])
+            deviation_before = memory.deviation[few]
+            earlier = StepResiduals(memory.residual[few], deviation_before, self.limits * deviation_before)
             said = np.where(trusted[few], residual[few], np.nan)
-            present = Evidence(said, threshold[few] / self.limits, threshold[few])
-            found = explain(earlier, present, *self.diagnosis.effects(core[8:], outlook, now, u, few), trusted[few])
+            present = StepResiduals(said, threshold[few] / self.limits, threshold[few])
+            found = explain(earlier, present, *self.diagnoser.effects(memory.diagnoser, outlook, now, u, few), trusted[few])
             named[few] = found.named
             late = found.named & found.late
             absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)

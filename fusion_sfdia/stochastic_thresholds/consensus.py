@@ -47,6 +47,17 @@ class Prediction(NamedTuple):
     doubt_shared: Array
 
 
+class NetworkReadings(NamedTuple):
+    """What a step of the diagnosers takes: own (B, N, n) and shared (B, 2E) readings, NaN where missing; reference and load
+    (B, N), which acted since the last readings. Of a part of the network those of its areas and sides.
+    """
+
+    own: Array
+    shared: Array
+    reference: Array
+    load: Array
+
+
 def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
     """Diagnosers of a batch of runs that know nothing: each copy starts from its first reading, judged from the second on."""
     count, n, sides = areas.size

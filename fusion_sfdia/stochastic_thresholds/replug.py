@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.core.detector import State
+from fusion_sfdia.core.exclusion import Exclusion
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State
 from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
-from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev, ChebyshevMemory
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 
@@ -47,12 +48,17 @@ def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, 
             raise ValueError(f"one of the plants {now.name!r} and {plant.name!r} says no areas; give both with areas, or none")
         return after, state
     opened = opened_sides(now.areas, plant.areas)
-    assert isinstance(after.diagnosis, AreaDiagnosers)
-    gone = after.diagnosis.at_sides(opened)
-    head, memory, exclusion, inner = state[:4], state[4:7], state[7:12], state[12:]
-    memory = tuple(np.where(gone, fresh, a) for a, fresh in zip(memory, (np.nan, np.inf, 0.0), strict=True))
-    exclusion = tuple(np.where(gone, np.zeros((), a.dtype), a) for a in exclusion)
-    return after, (*head, *memory, *exclusion, *forgotten(Diagnosers(*inner), opened))
+    assert isinstance(after.diagnoser, AreaDiagnosers)
+    gone = after.diagnoser.at_sides(opened)
+    memory: ChebyshevMemory = state.memory
+    kept = ChebyshevMemory(
+        residual=np.where(gone, np.nan, memory.residual),
+        deviation=np.where(gone, np.inf, memory.deviation),
+        exceeded=np.where(gone, 0.0, memory.exceeded),
+        exclusion=Exclusion(*(np.where(gone, np.zeros((), a.dtype), a) for a in memory.exclusion)),
+        diagnoser=forgotten(memory.diagnoser, opened),
+    )
+    return after, state._replace(memory=kept)
 
 
 def opened_sides(before: Areas, after: Areas) -> Array:

@@ -11,10 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from toy_plants import readings, tanks
 
-from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, adapt, adaptive_rate
+from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, Rates, adapt, adaptive_rate
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
-from fusion_sfdia.core.detector import Decision, State, run
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.state import State
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.models.marine_engine.plant import marine_engine
@@ -106,7 +107,7 @@ def test_reconstructed_readings_keep_the_neighbours_silent() -> None:
     np.testing.assert_array_equal(fed.isolated.any(axis=0), np.broadcast_to(np.arange(10) == TORQUE, (10, 10)))
     neighbours = np.delete(fed.scores, TORQUE, axis=-1)
     assert neighbours.max() <= 1
-    error = np.abs(fed.measured - recording.signal)[100:, :, TORQUE]
+    error = np.abs(fed.reconstruction - recording.signal)[100:, :, TORQUE]
     assert error.max() < 0.6 * 3.8e4  # what is left of the interval and the noise; see the scenario for the usual error
 
 
@@ -116,7 +117,7 @@ def test_healthy_readings_accuse_nobody() -> None:
         _, decision, interval = watch(detector, recording, recording.y)
         assert not decision.isolated.any() and np.isnan(decision.fault_size).all() and decision.scores.max() <= 1
         assert np.isinf(interval.lo).all() and np.isinf(interval.hi).all()
-        np.testing.assert_array_equal(decision.measured, recording.y)
+        np.testing.assert_array_equal(decision.reconstruction, recording.y)
 
 
 def test_an_empty_intersection_is_no_constant_offset_and_the_sensor_counts_as_missing() -> None:
@@ -135,7 +136,7 @@ def test_an_empty_intersection_is_no_constant_offset_and_the_sensor_counts_as_mi
     # the algebraic modules have no memory: those of states still know what they read before
     algebraic = [i for i in others if ENGINE.sensors[i].measures not in ENGINE.modules.states]  # type: ignore[union-attr]
     np.testing.assert_array_equal(drifting.threshold[-1][:, algebraic], missing.threshold[-1][:, algebraic])
-    np.testing.assert_array_equal(drifting.measured[-1, :, CHARGE], missing.measured[-1, :, CHARGE])
+    np.testing.assert_array_equal(drifting.reconstruction[-1, :, CHARGE], missing.reconstruction[-1, :, CHARGE])
     np.testing.assert_array_equal(drifting.fault_size[-1, :, CHARGE], drifting.residual[-1, :, CHARGE])
 
 
@@ -166,7 +167,7 @@ def test_a_single_run_is_stepped_without_a_batch() -> None:
     found = DETECTOR.fault_interval(state)
     assert found.shape == (10,) and decision.isolated[TORQUE]
     np.testing.assert_array_equal([found.lo, found.hi], [held.lo[-1, 1], held.hi[-1, 1]])
-    np.testing.assert_array_equal(decision.measured, whole.measured[-1, 1])
+    np.testing.assert_array_equal(decision.reconstruction, whole.reconstruction[-1, 1])
 
 
 def test_without_compiled_modules_it_is_the_same() -> None:
@@ -178,7 +179,7 @@ def test_without_compiled_modules_it_is_the_same() -> None:
     np.testing.assert_array_equal(one.isolated, other.isolated)
     # a hundred operations' rounding a step, as between the two drivers
     np.testing.assert_allclose(a.hi, b.hi, rtol=1e-10)
-    np.testing.assert_allclose(one.measured, other.measured, rtol=1e-10)
+    np.testing.assert_allclose(one.reconstruction, other.reconstruction, rtol=1e-10)
 
 
 def test_missing_readings_widen_and_are_replaced() -> None:
@@ -192,7 +193,7 @@ def test_missing_readings_widen_and_are_replaced() -> None:
     width = (interval.hi - interval.lo)[..., TORQUE]
     named = decision.isolated[-1] == (np.arange(10) == TORQUE)
     right = named.all(axis=-1)
-    assert right.any() and np.isfinite(decision.measured).all()
+    assert right.any() and np.isfinite(decision.reconstruction).all()
     assert np.all(width[60:70, right].min(axis=0) > width[50:60, right].max(axis=0))
     np.testing.assert_array_equal(interval.lo[70:75, :, TORQUE], np.broadcast_to(interval.lo[69, :, TORQUE], (5, 5)))
     _, kept, held = watch(DETECTOR, recording, y)
@@ -202,26 +203,27 @@ def test_missing_readings_widen_and_are_replaced() -> None:
 
 def test_the_adaptive_law_converges_with_its_rate() -> None:
     """With f~ = f - f^, the law's own transform x~ + Omega f~ decays at rate + gain: then f~ alone by 1 - dt times the rate."""
-    rate, gain, learning, dt, x, f = 100.0, 445.0, 8.7, 0.01, 3.95e5, 5e4
+    rates = Rates(rate := 100.0, gain=445.0, learning=8.7)
+    dt, x, f = 0.01, 3.95e5, 5e4
     now = Estimates(*(np.array([v]) for v in (x, 0.0, 0.0)))
     left = []
     for _ in range(400):
         reading = np.array([x + f])
-        now = adapt(now, np.array([rate * x]), reading, reading, np.array([True]), dt, rate, gain, learning)
+        now = adapt(now, np.array([rate * x]), reading, reading, np.array([True]), dt, rates)
         left.append(float((f - now.fault)[0]))
-    expected = adaptive_rate(rate, gain, learning)
+    expected = adaptive_rate(rates)
     assert expected == pytest.approx(0.2929, abs=1e-4)  # V22: "within approximately 10 s"
     # e^(-5.45 k) of the start is left after k steps, nothing after twenty; readings of 4e5 are rounded to 6e-11, f~ is 2e4
     ratio = np.array(left[20:]) / np.array(left[19:-1])
     np.testing.assert_allclose(ratio, 1 - dt * expected, rtol=1e-12)
     # the printed gain of M(4,1): 1e5 s and more
-    assert adaptive_rate(0.2, 319.98, 5.0) == pytest.approx(1.95e-6, rel=1e-2)
+    assert adaptive_rate(Rates(0.2, 319.98, 5.0)) == pytest.approx(1.95e-6, rel=1e-2)
 
 
 def test_an_adaptive_observer_is_idle_until_its_module_fires_and_where_readings_are_missing() -> None:
     start = Estimates(np.array([1.0, 1.0]), np.zeros(2), np.zeros(2))
     reading, h = np.array([3.0, np.nan]), np.array([1.0, 1.0])
-    after = adapt(start, h, reading, reading, np.array([False, True]), 0.1, 1.0, 2.0, 1.0)
+    after = adapt(start, h, reading, reading, np.array([False, True]), 0.1, Rates(1.0, 2.0, 1.0))
     assert after.fault.tolist() == [0.0, 0.0] and after.omega[1] == 0.0
     assert after.state[1] == pytest.approx(1.0, rel=1e-15) and after.state[0] > 1.0
 
@@ -274,4 +276,4 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="envelope names nothing"):
         VirtualSensors(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="no state of VirtualSensors"):
-        DETECTOR.fault_interval(DETECTOR.init()[:-1])
+        DETECTOR.fault_interval(DETECTOR.init()._replace(memory=()))

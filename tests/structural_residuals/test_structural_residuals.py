@@ -236,7 +236,7 @@ def test_a_bias_has_a_name_where_the_structure_tells_it_from_all_others(name: st
         assert np.diagonal(named).all()
         size = np.diagonal(d.fault_size[20]) / plant.sensor_sigma
         np.testing.assert_allclose(size, 30, atol=4)  # the bound of the noise of a reading; the computed value has none
-        error = (d.measured[-1] - recording.signal[-1, 0]) / plant.sensor_sigma
+        error = (d.reconstruction[-1] - recording.signal[-1, 0]) / plant.sensor_sigma
         assert np.all(np.abs(error) <= 4) and np.all(np.abs(np.diagonal(error)) < 1e-9)
 
 
@@ -273,7 +273,7 @@ def test_a_missing_reading_leaves_out_what_reads_it() -> None:
     np.testing.assert_array_equal(np.isnan(trace[-1]), reads(plant, detector.residuals)[:, 3])
     assert np.all(np.isfinite(trace[:4]))
     _, d = run(detector, detector.init(), recording.t, y, recording.u)
-    np.testing.assert_array_equal(d.measured[4:, 3], np.full(6, y[3, 3]))  # only its own reading computes it
+    np.testing.assert_array_equal(d.reconstruction[4:, 3], np.full(6, y[3, 3]))  # only its own reading computes it
 
 
 def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
