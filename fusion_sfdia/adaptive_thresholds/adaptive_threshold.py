@@ -10,12 +10,12 @@ do: the state's error e obeys
 
     |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d) + moved,   |y - x| <= |e| + d
 
-where `moved` is what the state may move within a step, see monitoring. The supremum, as the interval of an algebraic residual,
-comes from the corners of the equation over the box that the readings leave to the truth (`corner_bounds`). No false alarm is
-possible while the plant obeys its equations, readings are within their bounds, variables within the envelope and, over one
-step, monotone (h is taken at the middle of the two readings of a step, its box holds both), and states move no more than
-their `drift`. A missing reading leaves the whole envelope; those at which an equation has no value are moved into it for that
-equation.
+where `moved` bounds the change of the state within a step, see monitoring. The supremum, as the interval of an algebraic
+residual, comes from the corners of the equation over the box of true values that are possible with the readings
+(`corner_bounds`). No false alarm is possible while the plant obeys its equations, readings are within their bounds, variables
+within the envelope and, over one step, monotone (h is evaluated at the middle of the two readings of a step, its box contains
+both), and states move by no more than their `drift`. For a missing reading the box is the whole envelope; readings at which an
+equation has no value are moved into the envelope for that equation.
 
 With `observer_bounds` the thresholds of the observers are (10) with given constants instead, as published. The Lipschitz
 constant of (10) is the slope at the nominal point there: a law with an infinite slope within the box has none.
@@ -44,7 +44,7 @@ from fusion_sfdia.core.state import mapped
 
 Array = NDArray[Any]
 
-ENVELOPE = 0.05  # of the nominal values, beyond twice the noise, in which healthy readings are taken to lie
+ENVELOPE = 0.05  # of the nominal values, beyond twice the noise, which is assumed to contain healthy readings
 
 
 class MonitoringMemory(NamedTuple):
@@ -63,18 +63,18 @@ class MonitoringMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class AdaptiveThreshold(BatchDetector):
-    """Monitoring modules of a plant whose `modules` say its equations; hypotheses are the sensors.
+    """Monitoring modules of a plant whose `modules` state its equations; hypotheses are the sensors.
 
     envelope: the range of healthy readings: half its width as a share of the nominal values, or {variable: (least, most)} in
-    SI for those that the load moves, with room for twice the noise bound on either side; otherwise twice the largest noise
-    bound, and 5 %. A load that moves needs one as wide as its transients, or else alarms are no proof of a fault.
+    SI for those that change with the load, including twice the noise bound on either side; otherwise twice the largest
+    noise bound plus 5 %. A varying load needs an envelope as wide as its transients, or else alarms are no proof of a fault.
     drift: {state: share of its nominal value by which it moves at most in one plant.dt}, for which the plant's modules have
-    values at a steady load: while the load moves, even within the envelope, give one (for loads of the engine within 3 %
-    marine_engine.receiver_drift); of other states what the model and the readings allow.
+    values at a steady load. Give one for a load that varies, even within the envelope (for loads of the engine within 3 %
+    marine_engine.receiver_drift). For other states the model and the readings bound it.
     bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
     inversion, K24 (11), or "codac", the same by that library. These are wider and slow.
     margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired stays fired, (16).
-    agents: whether the silence of all modules of a block clears its own sensors, (17), (18).
+    agents: whether an agent of which no module fires exonerates its own sensors, (17), (18).
 
     isolated are the members of all diagnoses: suspects, perhaps most sensors, whose readings stay as they are in the
     reconstruction; none where no set of faults explains the modules that fire. The fault size is the residual, which of an
@@ -119,7 +119,7 @@ class AdaptiveThreshold(BatchDetector):
     def _modules(self) -> Modules:
         if self.plant.modules is None:
             raise NotApplicableError(
-                f"plant {self.plant.name!r} does not say its scalar equations; give Plant(modules=Modules(...)) or take "
+                f"plant {self.plant.name!r} does not state its scalar equations; give Plant(modules=Modules(...)) or take "
                 "another detector"
             )
         return self.plant.modules

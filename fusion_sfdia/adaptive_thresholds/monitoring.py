@@ -4,8 +4,8 @@ The true error of an observer, x^ - x, over a step in which its correction L (y 
 
     e+ = lam e + int_0^dt exp(-a (dt - s)) [h^ - h(s) + L (y - x(0)) - L (x(s) - x(0))] ds.
 
-The last term is what the state moves within the step, at most min(drift, s sup|h - rate x(0)|).
-A plant may bring the same compiled (`Modules.monitor`).
+The last term is the change of the state within the step, at most min(drift, s sup|h - rate x(0)|).
+A plant may have the same compiled (`Modules.monitor`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fusion_sfdia.core.modules import Modules
 
 Array = NDArray[Any]
 
-ROUNDING = 1e-12  # relative, by which bounds are widened: some thousand times what a hundred operations round
+ROUNDING = 1e-12  # relative, by which bounds are widened: some thousand times the rounding of a hundred operations
 
 
 class Settings(NamedTuple):
@@ -92,7 +92,7 @@ def monitor(
 
 
 def box(low: Array, high: Array, u: Array, s: Settings) -> tuple[Array, Array]:
-    """Ends (B, V) of where the truth is, from the least and largest reading; the envelope where one is missing."""
+    """Ends (B, V) of the box of true values, from the least and largest reading; the envelope where one is missing."""
     missing = np.isnan(low) | np.isnan(high)
     low, high = (
         np.where(missing, s.nominal - s.half_width, low - s.bound),

@@ -1,23 +1,24 @@
-"""Detector: virtual sensors, which size the fault of a sensor and give its neighbours the reading without it (V22).
+"""Detector: virtual sensors, which estimate the fault of a sensor and pass the reading without it to the other modules (V22).
 
 V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines", IFAC-PapersOnLine 55-31, 333-338.
-Thresholds are those of `adaptive_threshold`. Once the own module of a sensor fires, V22's D = 1, the sensor is held to have
+Thresholds are those of `adaptive_threshold`. Once the own module of a sensor fires, V22's D = 1, the sensor is assumed to have
 a constant offset f from then on. Its equation at the other readings, of a state without its correction by that sensor,
-bounds what it should read, z in [lower, upper], so that with noise within d
+bounds the healthy value, z in [lower, upper], so that with noise within d
 
     f  in  y - [lower, upper] + [-d, d]                                                     (16), see below
 
 at each step, and in the intersection of these over time. The middle is the estimate (17), y_H = y - f^ the reconstructed
-reading (11), which the other modules get with the interval that is left as its noise bound: they stay guaranteed. An empty
-intersection is an answer: the sensor has no constant offset, or another one is faulty too. It then counts as missing.
+reading (11), which the other modules receive with the remaining interval as its noise bound, so that their thresholds stay
+guaranteed. An empty intersection means that the sensor has no constant offset, or that another sensor is faulty, too. Its
+reading then counts as missing.
 
 As printed, (16) adds d where it must be subtracted; the middle is the same. V22 prints no intersection over time, but shows
-an interval that narrows (its Fig. 4(d)), which readings of one instant alone do not do.
+an interval that narrows (its Fig. 4(d)), as readings of single instants do not.
 
-Where several modules fire at once, the sensor is taken whose loss leaves the fewest firing (ours; V22 tells nothing of it):
-the others may fire only because they read it. What was computed from it goes: observers restart from the envelope, and the
-intervals of sensors accused before, as far as they rest on it, begin anew. A fault that the module of a neighbour shows
-before its own does accuses the neighbour: intervals are guaranteed where every faulty sensor is accused.
+Where several modules fire at once, the sensor is isolated without which the fewest modules fire (ours; V22 does not treat this
+case): the others may fire only because they read it. What was computed from its readings is reset: observers restart from the
+envelope, and the intervals of sensors isolated before, as far as they depend on it, begin again. If a fault shows first in the
+module of another sensor, that sensor is isolated falsely: intervals are guaranteed only where every faulty sensor is isolated.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ INVERSIONS = ("corners", "sivia")
 
 
 class ModuleBounds(NamedTuple):
-    """Observers after the step (B, S), what each sensor should have read and whether its module fires, by variable (B, E)."""
+    """Observers after the step (B, S), bounds of each sensor's healthy value and whether its module fires, by variable (B,
+    E).
+    """
 
     x: Array
     error: Array
@@ -62,16 +65,16 @@ class ModuleBounds(NamedTuple):
 
 @dataclass(frozen=True)
 class VirtualSensors(BatchDetector):
-    """Fault sizes and reconstructed readings on a plant whose `modules` say its equations; hypotheses are the sensors.
+    """Fault sizes and reconstructed readings on a plant whose `modules` state its equations; hypotheses are the sensors.
 
     isolated: sensors whose own module has fired, given the reconstructed readings of the others; from then on.
     fault_size: the middle of the fault's interval, or the adaptive observer's; the residual where no constant offset fits.
     reconstruction: the readings without the faults; the equation's value where there is no reading or no constant offset.
 
-    envelope, drift: as of AdaptiveThreshold. learning_rates: {state: Gamma, 1/s} of those that are sized by an adaptive
-    observer (12) with the gain of their module; its estimate has no guarantee, the interval has. intersect: False for the
-    interval of each instant alone, as (14) and (17) are printed. inversion: "corners", or "sivia" for the algebraic equations
-    of accused sensors by set inversion (15), slow.
+    envelope, drift: as of AdaptiveThreshold. learning_rates: {state: Gamma, 1/s} of those whose fault is estimated by an
+    adaptive observer (12) with the gain of their module; its estimate has no guarantee, the interval has. intersect: False for
+    the interval of each instant alone, as (14) and (17) are printed. inversion: "corners", or "sivia" for the algebraic
+    equations of isolated sensors by set inversion (15), slow.
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None
@@ -93,7 +96,7 @@ class VirtualSensors(BatchDetector):
     def fault_interval(self, state: State) -> Interval:
         """Return the intervals (*batch, N) of the sensors' constant offsets in their units, after the step that gave `state`.
 
-        -inf to inf for a sensor that is not accused, empty where no constant offset fits.
+        -inf to inf for a sensor that is not isolated, empty where no constant offset fits.
         """
         self._batch_of(state)
         m, of = state.memory, self.thresholds
@@ -115,7 +118,7 @@ class VirtualSensors(BatchDetector):
 
     @cached_property
     def _rests_on(self) -> Array:
-        """Whether what equation e says rests on the reading of variable j (E, E), directly or through others."""
+        """Whether the value of equation e depends on the reading of variable j (E, E), directly or through others."""
         m = self._modules
         reads = np.array([[v == w or w in named(m, v) for w in m.equations] for v in m.equations])
         return np.linalg.matrix_power(reads.astype(float), len(reads)) > 0
@@ -130,17 +133,17 @@ class VirtualSensors(BatchDetector):
         reading = np.ascontiguousarray((y / scale)[..., of._sensor].reshape(len(m.x), -1))
         u = np.ascontiguousarray(u.reshape(len(m.x), -1))
         judged = self._look(m, reading, u, now.dt)
-        while np.any(fresh := judged.firing & ~m.accused):
-            m, judged = self._accuse(m, judged, fresh, reading, u, now.dt)
+        while np.any(fresh := judged.firing & ~m.isolated):
+            m, judged = self._isolate(m, judged, fresh, reading, u, now.dt)
         m = self._after(m, judged, reading, u, now.dt)
         middle, radius = (judged.low + judged.high) / 2, (judged.high - judged.low) / 2
         residual, threshold = reading - middle, self.threshold_scale * (radius + self._settings.bound)
         size = np.where(np.isfinite(m.size), m.size, residual)
-        usable = np.isfinite(reading) & ~(m.accused & np.isnan(m.size))
-        healthy = np.where(usable, reading - np.where(m.accused, size, 0.0), middle)
-        of_sensors = (a[:, of._variable] for a in (healthy, residual, np.where(m.accused, size, np.nan)))
+        usable = np.isfinite(reading) & ~(m.isolated & np.isnan(m.size))
+        healthy = np.where(usable, reading - np.where(m.isolated, size, 0.0), middle)
+        of_sensors = (a[:, of._variable] for a in (healthy, residual, np.where(m.isolated, size, np.nan)))
         healthy, residual, size = ((a * scale).reshape(y.shape) for a in of_sensors)
-        isolated = m.accused[:, of._variable].reshape(y.shape)
+        isolated = m.isolated[:, of._variable].reshape(y.shape)
         decision = Decision(
             estimate=judged.x.reshape(*shape, -1),
             reconstruction=np.where(np.isfinite(y) & ~isolated, y, healthy),
@@ -155,10 +158,10 @@ class VirtualSensors(BatchDetector):
         return FaultMemory(*(a.reshape(*shape, -1) for a in m)), decision
 
     def _look(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
-        """A step of the modules on reconstructed readings, observers of accused sensors uncorrected."""
+        """A step of the modules on reconstructed readings, observers of isolated sensors uncorrected."""
         s, states = self._settings, len(self._settings.gains)
         (before, _), (healthy, bound) = (m.reconstructed(a, s.bound) for a in (m.before, reading))
-        gains = np.where(m.accused[:, :states], 0.0, s.gains)
+        gains = np.where(m.isolated[:, :states], 0.0, s.gains)
         x, error, lower, upper = self._monitor(m, before, healthy, bound, gains, u, dt)
         if self.inversion == "sivia":
             lower, upper = self._inverted(m, healthy, bound, u, lower, upper)
@@ -184,12 +187,12 @@ class VirtualSensors(BatchDetector):
     def _inverted(
         self, m: FaultMemory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array
     ) -> tuple[Array, Array]:
-        """The bounds (B, E - S) with those of accused sensors by set inversion, where it finds some."""
+        """The bounds (B, E - S) with those of isolated sensors by set inversion, where it finds some."""
         s, states = self._settings, len(self._settings.gains)
         low, high = box(healthy, healthy, u, s._replace(bound=bound))
         lower, upper = lower.copy(), upper.copy()
         for e, variable in enumerate(self._modules.equations):
-            rows = np.flatnonzero(m.accused[:, e]) if e >= states else np.empty(0, int)
+            rows = np.flatnonzero(m.isolated[:, e]) if e >= states else np.empty(0, int)
             if rows.size:
                 found = enclosure("sivia", self._modules, variable, low[rows], high[rows], s)
                 slack = s.rounding * np.maximum(np.abs(found.lo), np.abs(found.hi))
@@ -198,16 +201,16 @@ class VirtualSensors(BatchDetector):
                 upper[rows, e - states] = np.where(known, found.hi + slack, upper[rows, e - states])
         return lower, upper
 
-    def _accuse(
+    def _isolate(
         self, m: FaultMemory, judged: ModuleBounds, fresh: Array, reading: Array, u: Array, dt: float
     ) -> tuple[FaultMemory, ModuleBounds]:
-        """Accuse one of the sensors whose modules fire (B, E) in each run: the one whose loss leaves the fewest firing."""
+        """Isolate one of the sensors whose modules fire (B, E) in each run: the one without which the fewest modules fire."""
         s, best = self._settings, m
         fewest = np.full(len(fresh), np.iinfo(int).max)
         for e in np.flatnonzero(fresh.any(axis=0)):
             tried = m.without(int(e), self._rests_on[:, e], s.nominal, s.half_width)
             seen = self._look(tried, reading, u, dt)
-            left = np.where(fresh[:, e], (seen.firing & ~tried.accused).sum(axis=-1), np.iinfo(int).max)
+            left = np.where(fresh[:, e], (seen.firing & ~tried.isolated).sum(axis=-1), np.iinfo(int).max)
             better = left < fewest
             best, judged, fewest = tried.where(better, best), seen.where(better, judged), np.where(better, left, fewest)
         return best, judged
@@ -221,7 +224,7 @@ class VirtualSensors(BatchDetector):
         for e, variable in enumerate(self._modules.states):
             if variable in self.learning_rates:
                 size[:, e] = np.where(np.isfinite(size[:, e]), adaptive.fault[:, e], np.nan)
-        return FaultMemory(judged.x, judged.error, reading, m.accused, low, high, size, *adaptive)
+        return FaultMemory(judged.x, judged.error, reading, m.isolated, low, high, size, *adaptive)
 
     def _adapted(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> Estimates:
         """The adaptive observers after the step, fed with the mean of the reconstructed readings before and after it."""
@@ -235,7 +238,7 @@ class VirtualSensors(BatchDetector):
             values = dict(zip(modules.variables, at.T, strict=True)) | {variable: m.state[:, e]}
             h = modules.equations[variable](*(values[a] for a in named(modules, variable)), modules.parameters)
             own, gamma = Estimates(m.state[:, e], m.omega[:, e], m.fault[:, e]), self.learning_rates[variable]
-            after = adapt(own, h, m.before[:, e], reading[:, e], m.accused[:, e], dt, Rates(rate, s.gains[e], gamma))
+            after = adapt(own, h, m.before[:, e], reading[:, e], m.isolated[:, e], dt, Rates(rate, s.gains[e], gamma))
             for column, value in zip(new, after, strict=True):
                 column[:, e] = value
         return Estimates(*new)

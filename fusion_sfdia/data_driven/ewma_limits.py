@@ -1,4 +1,4 @@
-"""Detector: combined Shewhart and EWMA charts of each reading, learnt from healthy data, and a limit on its change."""
+"""Detector: combined Shewhart and EWMA charts of each reading, learned from healthy data, and a limit on its change."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class EwmaLimits(BatchDetector):
         z_n = (1 - weight) z_(n-1) + weight e_n    z_0 = 0    |z_n| <= average sqrt(1 - (1 - weight)^(2n))
 
     n counts the readings of the sensor; missing ones leave z as it was. The last factor is the growth of the deviation of z
-    when noise is white; of levels that move slowly it is on the safe side. A level beyond its limit enters the average as that
-    limit: its own check finds it, and the average forgets it as soon as it is over.
+    for white noise; for levels that vary slowly it is conservative. A level beyond its limit enters the average as that
+    limit: the check of the level detects it, and the average returns quickly after it ends.
 
     centre, level, change, average: (N,) in sensor units. The residual is that of the check with the largest ratio to its limit,
     with its sign. Every sensor beyond a limit is isolated. reconstruction: the last reading within the limits, at first the

@@ -1,4 +1,4 @@
-"""What detectors share that judge whole windows by one statistic and isolate by reconstruction of single sensors."""
+"""Common to detectors that test whole windows with one statistic and isolate by reconstruction of single sensors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ReconstructionDetector(BatchDetector):
     """A detector with a statistic of windows of present and lagged readings; an alarm is an `excess` above 1.
 
     After an alarm the sensors of the largest contribution are reconstructed one by one, at most max_faults, until the statistic
-    is within its limit: then these are isolated, and none where that does not come about. All readings of a sensor in the
+    is within its limit: then these are isolated; none is isolated where it stays beyond. All readings of a sensor in the
     window are reconstructed, so that with lags it stays isolated until a fault that is over has left the window.
 
     reconstruction: isolated and missing readings from all others. fault_size: reading less reconstruction. residual: each

@@ -1,4 +1,4 @@
-"""Detector: one Kalman filter on all sensors with a test of each innovation; the usual choice, and the banks' yardstick."""
+"""Detector: one Kalman filter on all sensors with a test of each innovation; the usual choice and reference."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 @dataclass(frozen=True)
 class CentralFilter(BatchDetector):
     """A single filter of any kind: residual y - E[y], threshold from its variance at a false-alarm budget per step over
-    all sensors (Bonferroni); names the sensor with the largest ratio; nothing is accommodated.
+    all sensors (Bonferroni). The sensor with the largest ratio above 1 is isolated; nothing is accommodated.
     """
 
     estimator: Estimator = field(default_factory=Extended)

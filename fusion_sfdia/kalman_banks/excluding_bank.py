@@ -1,4 +1,4 @@
-"""What banks on one central filter share that leave named sensors out: their settings, and how a step ends."""
+"""What is common to banks on one central filter that leave out isolated sensors: their settings, and the end of a step."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Update(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Of the sensors (..., N): in use before the step, named in it, residual, threshold and size of fault; capped (...).
+    """Of the sensors (..., N): in use before the step, isolated in it, residual, threshold and size of fault; capped (...).
 
     limit: chi-square limit on the readings of sensors that are out, compared with their expected values.
     """
@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
 
 
 class ExcludingBank(BatchDetector):
-    """A bank whose settings, declared by each with its defaults, include these; see them for what they mean."""
+    """A bank with these settings; each bank declares and documents them with its defaults."""
 
     estimator: Estimator
     false_alarm: float
@@ -68,12 +68,15 @@ class ExcludingBank(BatchDetector):
     def _conclude(
         self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
     ) -> tuple[Exclusion, Decision]:
-        """Leave the named sensors out, readmit those that are healthy again, and say so; without `accommodate` only say."""
+        """Leave out the isolated sensors and readmit those that are healthy again; without `accommodate` only report them.
+
+        Return the exclusions and the Decision.
+        """
         plant, (x, p, prior, joint, found) = self.plant, update
         expected = plant.output(now.t, x, u)
         h = plant.output_jacobian_at(now.t, x, u)
         variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
-        error = y - expected  # of the sensors that are out: they have no part in `expected`
+        error = y - expected  # of sensors that are out, which do not enter `expected`
         if self.accommodate:
             exclusion = readmit(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
             exclusion = exclude(exclusion, verdict.named, error)

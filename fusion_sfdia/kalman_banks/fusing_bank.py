@@ -1,8 +1,8 @@
 """Detector: the fusing filters of Shaheen 2024, a bank of N leave-one-out filters with an information mixture.
 
-As printed, but for what cannot run as printed: the process noise is reset each step (fed back as Q_i = beta_i Q_m it
-falls as N^(-2k) and the gain dies), the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify,
-gives each local ensemble the mixture's mean and covariance.
+As printed, except for what does not work as printed: the process noise is reset in each step (fed back as Q_i = beta_i Q_m
+it decreases as N^(-2k) and the gain vanishes), the ensemble uses S = H P H' + R, and its feedback, which the paper does not
+specify, gives each local ensemble the mixture's mean and covariance.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ class FusingBank(BatchDetector):
 
     plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum
     to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
-    gives the same numbers for the price of one (equal beta only: unequal beta always runs literally).
+    gives the same numbers at the cost of one (equal beta only: unequal beta always runs literally).
     thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units: the paper gives none, so set them
-    with `calibration.calibrate`. Without, no alarm is ever raised, of which `init` warns; (inf,) * N says that it is meant so.
-    residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds unlike units; None for the
-    plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
+    with `calibration.calibrate`. Without them no alarm is ever raised, and `init` warns; (inf,) * N states that this is
+    intended. residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds different units; None
+    for the plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
     """
 
     estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
@@ -124,7 +124,7 @@ class FusingBank(BatchDetector):
             else:
                 founds = [eliminate(founds[0], suspect, np.any(isolated, axis=-1))]
             mixed = self._mix(prior, joints, founds, local, now, y, u)
-        without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
+        without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not use y_i, expects of it
         expected = plant.output(now.t, mixed.x, u)
         decision = Decision(
             estimate=mixed.x,
@@ -174,7 +174,7 @@ class FusingBank(BatchDetector):
         reading = Reading(now.t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
         if self.runs_literally:
             p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
-            # LAPACK's eigenvalues give up on the whole batch where one has no numbers; its local estimates have none either
+            # LAPACK's eigenvalues fail for the whole batch where one run is not finite; its local estimates are not either
             sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
             x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
         elif est.consistent:

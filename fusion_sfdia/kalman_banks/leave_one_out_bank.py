@@ -3,11 +3,12 @@
 The statistically consistent form of the bank: every sensor is judged against all others, at a stated false-alarm budget.
 
 - One sample: the leave-one-out chi-square u_i^2 / w_i (see `leave_one_out`); the worst sensor above the threshold is
-  eliminated and the statistics of the rest follow by one rank, until none is left above: simultaneous faults are told apart.
-- A window of onsets: generalised likelihood ratios (see `likelihood_window`) that remember what the filter has absorbed.
-- Accommodation: a sensor held faulty is left out of the update (after a window's alarm the estimate is freed from what it
-  had absorbed of the fault), its reading replaced by the estimate, and it is readmitted by a likelihood ratio of
-  "healthy" against "as large as estimated".
+  eliminated and the statistics of the rest follow by a downdate of rank one, until none exceeds it: this separates
+  simultaneous faults.
+- A window of onsets: generalised likelihood ratios (see `likelihood_window`) that account for what the filter has absorbed.
+- Accommodation: an isolated sensor is left out of the update (after an alarm of a window, what the estimate had absorbed of
+  the fault is removed), its reading is replaced by the estimate, and it is readmitted by a likelihood ratio of "healthy"
+  against "as large as estimated".
 """
 
 from __future__ import annotations
@@ -55,9 +56,9 @@ class LeaveOneOutBank(ExcludingBank):
     window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
     false_alarm: probability that a healthy set of sensors begins an alarm in one step (with accommodation an alarm then lasts
     until its sensor is readmitted, without until its samples have left the window), shared equally by the sensors and,
-    with a window, by the one-sample test (half) and the onsets (half): Bonferroni, so a bound, for a model that is true.
-    max_faults: sensors that may be out at once (None: what the plant's redundancy allows). accommodate: leave faulty sensors
-    out; without, the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.
+    with a window, by the one-sample test (half) and the onsets (half): Bonferroni, therefore a bound, for a true model.
+    max_faults: sensors that may be out at once (None: what the plant's redundancy allows). accommodate: leave out faulty
+    sensors; without, the statistics are those of the undisturbed filter, over which a threshold may be swept.
     """
 
     estimator: Estimator = field(default_factory=Extended)
@@ -149,7 +150,7 @@ def _only(sensor: Array, like: Array) -> Array:
 
 
 def _freed(prior: Prior, onsets: OnsetStatistics, best: Best, sensor: Array, chosen: Array) -> Prior:
-    """The prior without what the filter had absorbed of the fault of `sensor` since its onset, and with the doubt about it."""
+    """The prior without what the filter had absorbed of the fault of `sensor` since its onset, with the uncertainty of that."""
     x, p = prior.core
     moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(onsets, best, sensor), 0.0)
     size, information = (np.take_along_axis(v, sensor[..., None], axis=-1) for v in (best.size, best.information))

@@ -4,7 +4,7 @@ A unit bias on sensor i that begins at step j changes the innovation at step k b
 
     M = I - H eta,    eta <- F (eta + K M),    eta = 0 at the onset
 
-with F, H, K those of the filter as it ran; what is kept is eta before the update, whose recursion costs one product an onset:
+with F, H, K those of the filter as it ran. The window keeps eta before the update, whose recursion costs one product an onset:
 eta <- F (I - K H) eta + F K. Over the steps since the onset a = sum M' S^-1 d and b = sum diag(M' S^-1 M)
 give the statistic a^2 / b (chi-square with 1 degree of freedom when healthy) and the size of the bias a / b with variance
 1 / b. At the onset itself they are u and w of `leave_one_out`: an exact extension of the leave-one-out chi-square.
@@ -21,7 +21,7 @@ from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
 Array = NDArray[Any]
 
-LEAST_INFORMATION = 1e-3  # b in units of 1 / R_ii below which an onset tells nothing of a fault of any likely size
+LEAST_INFORMATION = 1e-3  # b in units of 1 / R_ii below which an onset has no information on a fault of any likely size
 
 
 class Window(NamedTuple):
@@ -56,7 +56,7 @@ class Best(NamedTuple):
 
 
 def empty(batch: tuple[int, ...], lags: int, states: int, sensors: int) -> Window:
-    """Return a window that has seen nothing."""
+    """Return the window before the first readings."""
     sums = (*batch, lags, sensors)
     eta, gain = np.zeros((*batch, lags, states, sensors)), np.zeros((*batch, states, sensors))
     return Window(eta, np.zeros(sums), np.zeros(sums), np.zeros((*batch, states, states)), gain)
@@ -73,7 +73,7 @@ def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOn
 
 
 def best_onset(onsets: OnsetStatistics, usable: Array, sensor_cov: Array) -> Best:
-    """Maximise over the onsets, for the sensors in use (..., N); a statistic of 0 where nothing is known."""
+    """Maximise over the onsets, for the sensors in use (..., N); a statistic of 0 where there is no information."""
     known = usable[..., None, :] & (onsets.b * sensor_cov > LEAST_INFORMATION)
     information = np.where(known, onsets.b, 1.0)
     size = np.where(known, onsets.a, 0.0) / information
@@ -94,7 +94,7 @@ def absorbed(onsets: OnsetStatistics, best: Best, sensor: Array) -> Array:
 def advance(onsets: OnsetStatistics, gain: Array, found: LeaveOneOut, restart: Array) -> Window:
     """Return the window after the update with gain K (..., n, N): every onset one step older, the present one added.
 
-    restart (...): forget, since the readings in use have changed.
+    restart (...): runs whose window begins again, because the readings in use have changed.
     """
     eta = np.concatenate([np.zeros_like(onsets.eta[..., :1, :, :]), onsets.eta[..., :-1, :, :]], axis=-3)
     a = np.concatenate([found.whitened[..., None, :], onsets.a[..., :-1, :]], axis=-2)

@@ -1,11 +1,11 @@
 """Detector: moving-horizon estimation of the state with sparse sensor faults (L1), see `moving_horizon`.
 
 The sums of a horizon depend on where it begins, so that sliding it sample by sample would cost as many recursions as it has
-samples. Here a horizon is begun every L // 2 samples and dropped after twice as many: there is always one of up to half the
-length and one longer than half. With that of the present reading alone, for large faults at once, these are the problems of a
-step. They share the false-alarm budget; the one with the largest |g_i| / s_i is solved, where that exceeds lambda.
-Sensors with a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`;
-the state is that of the moving-horizon problem with these faults free, and the horizons begin anew.
+samples. Instead a horizon begins every L // 2 samples and ends after twice as many: there is always one of up to half the
+length and one that is longer. A third horizon is the present reading alone, which finds large faults immediately. The three
+problems share the false-alarm budget. The one with the largest |g_i| / s_i is solved where this exceeds lambda. Sensors with
+a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`. The state is
+that of the moving-horizon problem with these faults free, and all horizons begin again.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ class MovingHorizon(LeaveOneOutBank):
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Solve, in each run with a ratio above 1 and room for a fault, the horizon with the largest.
 
-        Return estimate and covariance with the faults found free, the sensors named (..., N), the sizes of their faults
-        (..., N), and whether more would be named if there were room (...).
+        Return estimate and covariance with the faults found free, the sensors isolated (..., N), the sizes of their
+        faults (..., N), and whether more would be isolated without max_faults (...).
         """
         x, p = x.copy(), p.copy()
         shape = (*x.shape[:-1], ratio.shape[-1])
@@ -113,7 +113,7 @@ class MovingHorizon(LeaveOneOutBank):
             j, worst = divmod(int(np.argmax(ratio[run])), ratio.shape[-1])
             effect, g, G = (a[run][max(j - 1, 0)] for a in problems[min(j, 1)])
             f = moving_horizon.sparse_faults(g, G, known[run][j], self.penalty)
-            f[worst] = f[worst] or g[worst]  # it enters first; at the threshold itself f is 0 to rounding
+            f[worst] = f[worst] or g[worst]  # it enters first; exactly at the threshold f is 0 up to rounding
             fit = moving_horizon.refitted(g, G, np.flatnonzero(f), self.penalty, int(room[run]))
             named[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
             moved = effect[:, fit.sensors]

@@ -1,13 +1,13 @@
-"""Detector: one bootstrap particle filter, which judges each sensor by the same particles weighed without it.
+"""Detector: one bootstrap particle filter that tests each sensor with the same particles, weighted without its reading.
 
-The readings' noises are independent, so the weights without sensor i are those with all sensors over its likelihood: every
-leave-one-out filter for the price of one, as `leave_one_out` does for Kalman filters, and for any model and cloud.
+The readings' noises are independent, so the weights without sensor i are those with all sensors over its likelihood: all
+leave-one-out filters at the cost of one, as `leave_one_out` does for Kalman filters, and for any model and distribution.
 
-It is no `Estimator` of the Kalman banks: they update by the covariance of state and readings and hand the mean and covariance
-of the result back to the filter; particles bent to that are an ensemble Kalman filter again. The number of particles that it
-takes grows exponentially with the number of readings (Snyder et al. 2008): it is for plants of a few sensors. Of a thousand on
-the 63 sensors of the gas pipeline one has all the weight after the first reading; their estimate errs 2.4 times as much as a
-Kalman filter's and 3.5 times as much as it claims.
+It is not an `Estimator` of the Kalman banks: these update by the covariance of state and readings and return mean and
+covariance of the result to the filter; particles transformed to these moments would be an ensemble Kalman filter. The number of
+particles needed grows exponentially with the number of readings (Snyder et al. 2008): the filter is for plants with a few
+sensors. Of a thousand particles on the 63 sensors of the gas pipeline one has all the weight after the first reading. The error
+of their estimate is 2.4 times that of a Kalman filter, and 3.5 times its own standard deviation.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ Array = NDArray[Any]
 
 
 class LeaveOneOutResiduals(NamedTuple):
-    """Readings less what the others make of them (..., N), NaN where not used, and its standard deviation (..., N)."""
+    """Readings less their expectation from the other readings (..., N), NaN where not used, and its standard deviation (...,
+    N).
+    """
 
     residual: Array
     sigma: Array
@@ -42,12 +44,12 @@ class LeaveOneOutResiduals(NamedTuple):
 
 @dataclass(frozen=True)
 class ParticleFilter(BatchDetector):
-    """Residual: a reading less its mean by the particles weighed by all other readings; threshold: normal quantiles of its
-    spread at a false-alarm budget per step over all sensors (Bonferroni), nominal where its law is far from normal. Names the
-    sensor with the largest ratio and goes on without it until no ratio exceeds 1.
+    """Residual: a reading less its mean over the particles weighted by all other readings. Threshold: normal quantiles of its
+    standard deviation at a false-alarm budget per step over all sensors (Bonferroni), nominal where its distribution is far
+    from normal. The sensor with the largest ratio is isolated and left out, until no ratio exceeds 1.
 
-    size: particles. max_faults: sensors that may be named in a step (None: what the plant's redundancy allows). accommodate:
-    weigh the particles without the sensors named in this step. The state's estimate and covariance are the weighted moments.
+    size: particles. max_faults: sensors that may be isolated in a step (None: what the plant's redundancy allows). accommodate:
+    weigh the particles without the sensors isolated in this step. The state's estimate and covariance are the weighted moments.
     """
 
     size: int = 1000
@@ -98,12 +100,12 @@ class ParticleFilter(BatchDetector):
 
     @cached_property
     def most_faults(self) -> int:
-        """How many sensors may be named in a step."""
+        """How many sensors may be isolated in a step."""
         return self.max_faults or most_faults(self.plant)
 
     def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[LeaveOneOutResiduals, Array, Array]:
-        """The leave-one-out residuals of all readings, the sensors that elimination names (..., N), and whether there is one
-        more (...).
+        """The leave-one-out residuals of all readings, the sensors that elimination isolates (..., N), and whether there is
+        one more (...).
         """
         first = without_each(cloud, predicted, y, self.plant.sensor_cov)
         judged, named = first, np.zeros(y.shape, bool)

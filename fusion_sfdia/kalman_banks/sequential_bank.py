@@ -1,17 +1,17 @@
 """Detector: one central filter whose standardised innovations, or leave-one-out innovations, go through sequential tests.
 
-The textbook's ways to remember a weak fault (see `memory_rules`), on
+The textbook tests for weak faults, which accumulate over time (see `memory_rules`), on
 
     innovation       z_i = d_i / sqrt(S_ii)    reading less what the model predicts
     leave-one-out    z_i = u_i / sqrt(w_i)     reading less what the model and all other readings predict (see leave_one_out)
 
-Both are N(0, 1) when healthy; innovations are white in time for a model that is true, leave-one-out innovations (each a linear
-form of one step's innovation) with them. Tests may be combined, as a cumulative sum for small faults with a limit on the
-present sample for large ones (Lucas 1982), and then share the budget. The sensor with the largest ratio of statistic to limit
-is named. Leave-one-out statistics of the rest follow without it, until none is above its limit; an innovation does not depend
-on the other readings of its step, so that only the largest is named in a step. As in `leave_one_out_bank` a named sensor is
-left out, replaced and readmitted by a likelihood ratio, and what the others remember starts anew, since the filter has spread
-the fault over them.
+Both are N(0, 1) when healthy; innovations are white in time for a true model, and so are leave-one-out innovations, each a
+linear form of the innovation of one step. Tests may be combined, such as a cumulative sum for small faults and a limit on the
+present sample for large ones (Lucas 1982); they then share the budget. The sensor with the largest ratio of statistic to limit
+is isolated. Leave-one-out statistics of the rest follow without it, until none exceeds its limit. An innovation does not depend
+on the other readings of its step, so that only the sensor with the largest ratio is isolated in a step. As in
+`leave_one_out_bank` an isolated sensor is left out, replaced and readmitted by a likelihood ratio, and the memories of all
+sensors begin again, because the filter has spread the fault over them.
 """
 
 from __future__ import annotations
@@ -59,11 +59,12 @@ class SequentialMemory(NamedTuple):
 class SequentialBank(ExcludingBank):
     """Sequential tests of every sensor on one central filter (extended or unscented with redraw).
 
-    rules: what is remembered of z; alarm of any. leave_one_out: z from the other readings, too; otherwise from the model alone.
+    rules: the tests of z; an alarm of any is an alarm. leave_one_out: z from the other readings, too; otherwise from the model
+    alone.
     false_alarm: probability that a healthy set of sensors begins an alarm in one step, shared equally by the sensors
-    and rules (Bonferroni); a bound for a model that is true as far as the rules' limits are exact.
-    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be.
-    accommodate: leave faulty sensors out; without, statistics stay those of the undisturbed filter and no memory starts anew.
+    and rules (Bonferroni); a bound for a true model as far as the limits of the rules are exact.
+    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be out.
+    accommodate: leave out faulty sensors; without, statistics are those of the undisturbed filter and no memory begins again.
     """
 
     rules: tuple[Rule, ...] = (Shewhart(),)
@@ -132,7 +133,8 @@ class SequentialBank(ExcludingBank):
     ) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out.
 
-        Return the statistics of the rest, the sensors eliminated (..., N), and whether one above stays for want of room (...).
+        Return the statistics of the rest, the sensors eliminated (..., N), and whether one that exceeds its limit stays because
+        of max_faults (...).
         """
         named = np.zeros(found.used.shape, bool)
         while True:

@@ -1,15 +1,16 @@
-"""Detector: a filter decoupled from errors of the plant's inputs, whose leave-one-out innovations name faulty sensors.
+"""Detector: a filter decoupled from errors of the plant's inputs, whose leave-one-out innovations isolate faulty sensors.
 
-The input may err by any d, anew in each step: x = step(x_before, u + d) + w. With G = d x / d u, F = d y / d u, and the joint
-Gaussian of state and readings (P, S, C) for d = 0, the minimum-variance estimate that no d can bias (Kitanidis 1987; Gillijns
-and De Moor 2007, with the input estimate d = (F' S^-1 F)^-1 F' S^-1 (y - E y)) is the limit, for a variance V of d without
-bound, of
+The input may have any error d, another in each step: x = step(x_before, u + d) + w. With G = d x / d u, F = d y / d u, and the
+joint Gaussian of state and readings (P, S, C) for d = 0, the minimum-variance estimate that is unbiased for every d (Kitanidis
+1987; Gillijns and De Moor 2007, with the input estimate d = (F' S^-1 F)^-1 F' S^-1 (y - E y)) is the limit, for a variance V of
+d without bound, of
 
     P + G V G',    S + F V F',    C + G V F'.
 
 V is diagonal here, so large that an input would move the readings by DECOUPLED standard deviations of their noise in a step: of
-its error 1 / DECOUPLED^2 remains, about as much as rounding. An input that moves no reading within a step cannot be decoupled,
-nor one whose effect the present readings show with less than the share SEEN of the information of all: it counts as known then.
+its error the share 1 / DECOUPLED^2 remains, about as much as rounding. An input that moves no reading within a step cannot be
+decoupled. The same holds for one of which the present readings have less than the share SEEN of the information of all
+readings. Such inputs count as known.
 """
 
 from __future__ import annotations
@@ -31,13 +32,14 @@ from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
 
 Array = NDArray[Any]
 
-DECOUPLED = 1e4  # the square, 1e8, lies midway between 1 and 1 / eps: what remains of d and what rounding does are alike
+DECOUPLED = 1e4  # the square, 1e8, lies midway between 1 and 1 / eps: what remains of d is about as large as rounding
 SEEN = 0.01  # an input that fewer readings show would have to be estimated ten times less accurately than by all
 
 
 @dataclass(frozen=True)
 class UnknownInputFilter(SequentialBank):
-    """Leave-one-out tests on what no error of an input can move, see SequentialBank; one sample unless it has a rule.
+    """Leave-one-out tests of what is independent of errors of the inputs, see SequentialBank; of one sample unless it has a
+    rule.
 
     NotApplicableError for a plant without an input that moves a reading within a step from x0.
     """
@@ -100,7 +102,7 @@ def input_scale(plant: Plant) -> Array:
 
 
 def complex_step_in_inputs(plant: Plant) -> bool:
-    """Whether the complex step differentiates step and output by the inputs: not so for abs, sign, interp and the like of them.
+    """Whether the complex step differentiates step and output by the inputs: not for abs, sign, interp and similar functions.
 
     At points within a tenth of `input_scale` about the usual input, under which a step from x0 is one of the operation's.
     """

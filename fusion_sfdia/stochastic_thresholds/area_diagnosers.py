@@ -1,4 +1,4 @@
-"""The diagnosers of a plant's areas behind the face of one: readings (B, N) go to those who own the sensors."""
+"""The diagnosers of a plant's areas with the interface of one: each reading (B, N) goes to the area that owns its sensor."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class AreaDiagnosers:
         return chosen
 
     def start(self, batch: tuple[int, ...], seed: int) -> Diagnosers:
-        """At the plant's x0 and initial covariance; copies at open ties know nothing."""
+        """At the plant's x0 and initial covariance; copies at open ties are unknown."""
         count, n, _ = self.areas.size
         neighbour, closed = self.areas.network.topology.neighbour, self.areas.network.closed
         x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
@@ -96,7 +96,7 @@ class AreaDiagnosers:
         return found[0], -found[1]
 
     def freed(self, memory: Diagnosers, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook:
-        """As of PresentReadings; states that nobody reads stay as they are."""
+        """As of PresentReadings; states that no sensor reads stay as they are."""
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape, size.shape[-1]))
         absorbed[rows] = self.effects(memory, outlook, now, u, rows)[0]

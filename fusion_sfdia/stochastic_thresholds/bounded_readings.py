@@ -1,11 +1,11 @@
-"""What errors within bounds can do to the readings predicted from the present ones: the adaptive thresholds of any plant.
+"""The effect of bounded errors on the readings predicted from the present ones: adaptive thresholds for any plant.
 
-Kougiatsos and Reppa 2024 bound residuals module by module, where a plant says its scalar equations (adaptive_threshold). Here
-the prediction of `present_readings` has a bound e of the error of each state in the place of its variance,
+Kougiatsos and Reppa 2024 bound residuals module by module, where a plant states its scalar equations (adaptive_threshold). Here
+the prediction of `present_readings` has a bound e of the error of each state instead of its variance,
 
     e+ = |F| e + w,   |y - y_hat| <= |H| e+ + d,   e = |1 - W H| e+ + |W| d        with W the gain, d and w the bounds of noise
 
-which is exact where the physics is linear, and of first order in the errors elsewhere: there it is no proof.
+which is exact where the physics is linear, and of first order in the errors elsewhere, where it is not a proof.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, Present
 
 Array = NDArray[Any]
 
-ROUNDING = 1e-12  # relative, by which bounds are widened: far more than a step rounds
-WITHIN = 3.0  # standard deviations: the bound of what states no bound; ours
+ROUNDING = 1e-12  # relative, by which bounds are widened: far more than the rounding of a step
+WITHIN = 3.0  # standard deviations: the bound where none is stated; ours
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """Detector: residuals of present readings with stochastic thresholds alpha s (Boem et al. 2018, "B18", sec. III).
 
-A plant that says its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
-other has one (present_readings). Sensors are isolated by the sizes of a constant fault that explain every residual that it
-reaches (bias_hypotheses), left out, and readmitted when healthy again (exclusion). B18 isolates no sensors: there a diagnoser
-needs nothing of others but brackets and drives; who names a sensor reads the residuals of its area and of those who share.
+A plant that states its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
+other plant has one diagnoser (present_readings). Sensors are isolated by the sizes of a constant fault that explain all
+residuals that it affects (bias_hypotheses), left out, and readmitted when they are healthy again (exclusion). B18 isolates no
+sensors: there a diagnoser needs only brackets and drives of others. Isolation of a sensor needs the residuals of its area and
+of the areas that share its variable.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ Array = NDArray[Any]
 CUBATURE = SigmaPoints(alpha=1.0, beta=0.0)
 PAPER_ALPHA, PAPER_LAMBDA = 2.0, 0.3  # B18, sec. VIII
 AT_ONCE = 32  # runs whose alarms are explained together
-READMISSION = 1e-3  # probability with which a sensor that is still faulty comes back: exp(-level) of the evidence
+READMISSION = 1e-3  # probability with which a sensor that is still faulty is readmitted: exp(-level) of the evidence
 
 
 class Diagnoser(Protocol):
@@ -72,20 +73,20 @@ class ChebyshevMemory(NamedTuple):
 class Chebyshev(BatchDetector):
     """Stochastic thresholds; hypotheses are the sensors.
 
-    lam: filter parameter, 0 <= lam < 1: how much of a residual stays in the next; with 0 thresholds are as tight as can be.
+    lam: filter parameter, 0 <= lam < 1: the share of a residual that stays in the next; with 0 thresholds are tightest.
     mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
-    alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability with which
-    a diagnoser alarms falsely in a step, shared by its sensors. None of both: alpha = 2 of B18, 1 with the rule "bound", by
-    which thresholds are what noise within its bounds can do (bounded_readings, one diagnoser for the whole plant). The rule
-    "conformal" needs alpha, from `calibrated`.
+    alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability of
+    a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with the rule
+    "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole plant). The
+    rule "conformal" needs alpha, from `calibrated`.
     moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
     cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
-    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is named.
-    max_faults: sensors that may be out at once (None: what the plant's redundancy allows); where more would be, none more is
-    named.
-    accommodate: leave named sensors out; without, nothing is isolated.
+    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
+    max_faults: sensors that may be out at once (None: what the plant's redundancy allows); no further sensor is isolated where
+    more would be out.
+    accommodate: leave out isolated sensors; without, nothing is isolated.
 
-    residual - threshold pairs are those of (13), y - y_hat with its mean taken out of the estimate, not of the thresholds.
+    residual and threshold are those of (13), y - y_hat with its mean subtracted from the estimate, not from the thresholds.
     ValueError for settings that do not fit.
     """
 
@@ -209,8 +210,8 @@ class Chebyshev(BatchDetector):
         residual: Array,
         threshold: Array,
     ) -> tuple[Array, Array, Array]:
-        """Which sensors explain the runs chosen by `rows`; of those whose fault began before now the least that explains, by
-        which their last readings erred too, and by how much it may be more (B, N).
+        """The sensors that explain the runs chosen by `rows`; of those whose fault began before now, which also affects their
+        last readings, the smallest fault that explains them, and by how much it may be larger (B, N).
         """
         named = np.zeros(trusted.shape, bool)
         absorbed, doubt = np.zeros(trusted.shape), np.zeros(trusted.shape)
@@ -219,11 +220,11 @@ class Chebyshev(BatchDetector):
             few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
             deviation_before = memory.deviation[few]
             earlier = StepResiduals(memory.residual[few], deviation_before, self.limits * deviation_before)
-            said = np.where(trusted[few], residual[few], np.nan)
-            present = StepResiduals(said, threshold[few] / self.limits, threshold[few])
+            judged = np.where(trusted[few], residual[few], np.nan)
+            present = StepResiduals(judged, threshold[few] / self.limits, threshold[few])
             found = explain(earlier, present, *self.diagnoser.effects(memory.diagnoser, outlook, now, u, few), trusted[few])
-            named[few] = found.named
-            late = found.named & found.late
+            named[few] = found.isolated
+            late = found.isolated & found.late
             absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
             doubt[few] = np.where(late, found.high - found.low, 0.0)
         return named, absorbed, doubt
@@ -232,8 +233,8 @@ class Chebyshev(BatchDetector):
 def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> Chebyshev:
     """Return the detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
 
-    t (K,), y (K, ..., N), u (K, ..., m). Each sensor has its share of what its diagnoser may alarm falsely in a step; the
-    first `warm_up` samples are left out. ValueError where there are too few of them.
+    t (K,), y (K, ..., N), u (K, ..., m). Each sensor has its share of the false-alarm probability of its diagnoser in a step;
+    the first `warm_up` samples are left out. ValueError where there are too few of them.
     """
     plain = replace(detector, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
     whole("warm_up", warm_up, least=0)

@@ -1,7 +1,7 @@
 """The diagnosers of all areas of a network, one step at a time (Boem et al. 2018, sec. III; see consensus_equations).
 
-One loop stands for all diagnosers, but each number of an area is made of its own readings and of what its neighbours
-tell it: the drive of a state that they share, and the brackets of (6) and (15).
+One loop computes all diagnosers, but each number of an area depends only on its own readings and on what its neighbours
+send: the drive of a state that they share, and the brackets of (6) and (15).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MODES = ("corrected", "paper")
 
 
 class Diagnosers(NamedTuple):
-    """What the diagnosers keep: own (B, N, n) of each, then shared (B, 2E), of the copies at the sides.
+    """The memory of the diagnosers: own (B, N, n) of each, then shared (B, 2E), of the copies at the sides.
 
     held: the last readings, or the estimates where there were none. doubt: 0, or then a bound of the standard deviation of
     their errors. residual: y - x_hat, 0 where there was no reading. deviation: s, a bound of its standard deviation.
@@ -59,7 +59,9 @@ class NetworkReadings(NamedTuple):
 
 
 def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
-    """Diagnosers of a batch of runs that know nothing: each copy starts from its first reading, judged from the second on."""
+    """Diagnosers of a batch of runs without information: each copy starts from its first reading and is tested from the second
+    on.
+    """
     count, n, sides = areas.size
     own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
     unknown = np.full_like(own, UNKNOWN), np.full_like(shared, UNKNOWN)

@@ -1,4 +1,4 @@
-"""Moments of a nonlinear model by random draws, where B18 would have them (Assumption 4: "Monte Carlo methods")."""
+"""Moments of a nonlinear model by random draws, as B18 suggests (Assumption 4: "Monte Carlo methods")."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fusion_sfdia.filters.gaussian import Joint
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """Mean and covariance of `draws` Gaussian points; a standard deviation errs by about 1 / sqrt(2 draws) of itself.
+    """Mean and covariance of `draws` Gaussian points; a standard deviation has a relative error of about 1 / sqrt(2 draws).
 
     The draws of a step are those of its seed and time, the same for all runs of a batch.
     """

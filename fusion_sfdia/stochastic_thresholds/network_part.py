@@ -1,8 +1,9 @@
 """A part of a large network: a contiguous block of areas with its diagnosers, and what crosses its border at each step.
 
-A part treats the states of its areas with all their copies, also those that areas elsewhere read: it is given these readings
-too, and tells the others what became of the copies. So each step of a part needs one message from each neighbouring part, of
-four numbers for every copy at the border, and gives the bits that the whole network gives in one process on a like processor.
+A part computes the states of its areas with all their copies, also those that areas in other parts read: it receives these
+readings too, and sends the results for the copies to the other parts. Each step of a part needs one message from each
+neighbouring part, of four numbers for every copy at the border, and gives the same bits as the whole network in one process on
+a processor of the same kind.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ Array = NDArray[Any]
 
 
 class PartLayout(NamedTuple):
-    """What a part knows of the network, which it keeps for life; all positions but the last three lines' are its own.
+    """The network as a part has it, constant over time. All positions are its own, except those of `areas` and `sides`.
 
     matrices to opposite: as of consensus_equations.predict_areas, for M areas and their sides, then the copies read elsewhere.
-    border: its sides at which the neighbour is elsewhere; it is told of these. near: the first of the copies read elsewhere.
-    areas: first and past last area of the network. sides: the network's sides, in the order of the part's.
+    border: its sides at which the neighbour is in another part, from which it receives these. near: the first of the copies
+    read elsewhere. areas: first and past last area of the network. sides: the network's sides, in the order of the part's.
     """
 
     matrices: Array
@@ -67,10 +68,10 @@ def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
 
 
 def routes(parts: Sequence[PartLayout]) -> list[Array]:
-    """For each part: where what it has to be told stands among the copies of all parts that are read elsewhere."""
-    told = np.concatenate([p.sides[p.near :] for p in parts])
-    order = np.argsort(told)
-    return [order[np.searchsorted(told, p.sides[p.border], sorter=order)] for p in parts]
+    """For each part: the positions of what it receives among the copies of all parts that are read elsewhere."""
+    sent = np.concatenate([p.sides[p.near :] for p in parts])
+    order = np.argsort(sent)
+    return [order[np.searchsorted(sent, p.sides[p.border], sorter=order)] for p in parts]
 
 
 def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
@@ -80,7 +81,7 @@ def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
 
 
 def at_borders(parts: Sequence[PartLayout], state: Diagnosers) -> Array:
-    """(4, B, K): held, doubt, residual, deviation of the copies read elsewhere, one part's after the other's."""
+    """(4, B, K): held, doubt, residual, deviation of the copies read elsewhere, part after part."""
     return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state[1::2]]) for p in parts], axis=-1)
 
 
@@ -92,7 +93,7 @@ class Part:
         self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
 
     def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
-        """One step: alarms of its areas (B, M), of the copies read elsewhere (B, K), and what became of these (4, B, K).
+        """One step: alarms of its areas (B, M), of the copies read elsewhere (B, K), and the results for these (4, B, K).
 
         received (4, B, border): held, doubt, residual, deviation, from other parts after the step before. given: of its M
         areas; shared readings at its sides, then of the copies read elsewhere.
@@ -105,7 +106,7 @@ class Part:
             *state, given.reference, given.load, self.lam, self.printed, b.matrices, b.slope, b.closed, b.process_variance,
             b.noise, b.shared_noise, b.start, b.opposite, given.own, given.shared, *after,
         )  # fmt: skip
-        after.residual_shared[:, b.border] = 0.0  # until they are told
+        after.residual_shared[:, b.border] = 0.0  # until they are received
         self._now, self._before = after, state
         alarm = consensus_equations.find_alarms(
             after.residual, after.residual_shared, after.deviation, after.deviation_shared, self.alpha, b.start
@@ -114,5 +115,5 @@ class Part:
         return alarm, np.abs(copies[2]) > self.alpha * copies[3], copies
 
     def kept(self) -> Diagnosers:
-        """What it keeps; of its border sides only once it is told."""
+        """Its memory; complete at the border sides only after the next `received`."""
         return self._now

@@ -1,6 +1,7 @@
 """A whole step of the diagnosers of all areas, compiled: estimates, thresholds, weights, what is kept, and alarms.
 
-The equations are those of consensus.predict and consensus.take. One core; every area costs the same whatever their number.
+The equations are those of consensus.predict and consensus.take. On one processor core; the cost of an area does not depend on
+their number.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ def network_step(
 ) -> tuple[Diagnosers, Array]:  # fmt: skip
     """The diagnosers of B runs after the next readings, and (B, N) which areas have a residual beyond alpha deviations.
 
-    out: diagnosers to be overwritten, such as those before `state`; without them a large network waits for fresh memory.
+    out: diagnosers to be overwritten, such as those before `state`; without them a large network spends its time on memory
+    allocation.
     ValueError for other shapes, an unknown mode, or an `out` that is the state itself.
     """
     at, (count, n, sides) = areas.network.topology, areas.size

@@ -1,8 +1,8 @@
 """A network too large for one process, on the workers of a dask cluster: a part of its areas on each.
 
-Each worker keeps its areas and their diagnosers and takes their readings itself; a step is one call of every part, whose
-answer, the alarms and the copies at its borders, goes on to the neighbours with the next call. Workers of one kind of processor
-give the bits of one process.
+Each worker keeps its areas and their diagnosers and takes their readings itself. A step is one call of every part; its result,
+the alarms and the copies at its borders, is passed to the neighbours with the next call. Workers on processors of one kind give
+the bits of one process.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class PartitionedNetwork:
     workers read at step k = 0, 1, ...: the NetworkReadings of the areas from first to past and the sides (K,); it is sent to
     the workers once. workers: their addresses, a part each; None for all.
     ValueError for an unknown mode, no worker, or more parts than areas. A lost worker ends it with
-    OSError or RuntimeError: go on from what `state` gave.
+    OSError or RuntimeError: continue from the result of `state`.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class PartitionedNetwork:
         return alarm
 
     def state(self) -> Diagnosers:
-        """What all diagnosers keep, fetched from the workers."""
+        """The memory of all diagnosers, fetched from the workers."""
         kept = self._answers("kept", [()] * len(self._parts))
         count, n, sides = self._size
         batch = len(kept[0].held)
@@ -84,14 +84,14 @@ class PartitionedNetwork:
         return whole
 
     def _answers(self, method: str, arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """What all parts answer to a call, at the same time."""
+        """The results of one call of all parts, which run at the same time."""
         with self._client.as_current():
             waiting = [getattr(actor, method)(*given) for actor, given in zip(self._actors, arguments, strict=True)]
             return [answer.result() for answer in waiting]
 
 
 class ReadingPart:
-    """A part where it lives, with the source of its readings."""
+    """A part on its worker, with the source of its readings."""
 
     def __init__(self, given: tuple[PartLayout, Diagnosers, Source], alpha: float, lam: float, printed: bool) -> None:
         layout, state, self._source = given

@@ -1,10 +1,10 @@
-"""One diagnoser of a whole plant: what the readings will be, predicted from the present readings alone.
+"""One diagnoser of a whole plant: the next readings, predicted from the present readings alone.
 
-Boem et al. 2018 ("B18") predict x+ = f(y, u) with y in the place of the state, so an old reading has no part in it. Here so
-for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). A state that
-is not read now, for its sensor is missing, left out or does not exist, is estimated from its own past by the Kalman gain.
-The moments E and Var of f(x) - f(y) come with the covariance of what stands for the state, which for directly read states is
-that of their sensors' noise. With W the gain and R the noise:
+Boem et al. 2018 ("B18") predict x+ = f(y, u) with y instead of the state, so that old readings do not enter. The same is done
+here for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). A state
+that is not read now, because its sensor is missing, left out or does not exist, is estimated from its past by the Kalman gain.
+The moments E and Var of f(x) - f(y) follow from the covariance of the state or of the readings in its place, which for directly
+read states is that of their sensors' noise. With W the gain and R the noise:
 
     x_bar = x + W (y - E[y]),   P_bar = (1 - W H) P (1 - W H)' + W R W'      for any gain, Joseph's form
     y_hat = E[y+] - lam (y - y_hat),   s+ = lam s + sqrt(Var[y+])             (5), (14)
@@ -67,7 +67,7 @@ class _Inner(NamedTuple):
     prior: Prior
     joint: Joint
     readout: Array
-    error: Array | None = None  # bounds of the states' errors, for those who keep them
+    error: Array | None = None  # bounds of the states' errors, where they are kept
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class PresentReadings:
         return Taken(PresentMemory(estimate, P, W, residual, deviation, error), estimate, P)
 
     def freed(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook:
-        """The outlook without what the last readings of some sensors put into it, faults of that size and doubt (B, N) or 0."""
+        """The outlook without the effect of faults in the last readings: their size and uncertainty `doubt` (B, N), or 0."""
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape[:-1], *memory.gain.shape[-2:]))
         absorbed[rows] = self._tangent(memory, outlook, now, u, rows) @ memory.gain[rows]

@@ -1,12 +1,12 @@
-"""A network that changes between two steps: the same detector on the changed plant, with all it knew that is still so.
+"""A network that changes between two steps: the same detector on the changed plant, with the memory that is still valid.
 
 Boem et al. 2018, sec. VI. Call it after the step at which areas join or leave, before the next: the last transition was still
-that of the old network. Models, weights and thresholds change of the states of those areas and of their neighbours, of these
-wherever they are shared; all other numbers keep their bits.
+that of the old network. Models, weights and thresholds change for the states of those areas and of their neighbours, wherever
+they are shared; all other numbers keep their bits.
 
-    a tie that opens    its two copies are forgotten: they no longer count, and nothing is held against their sensors
-    a tie that closes   its two copies start as any do, from their first reading, and are judged from the next on
-    an area alone       goes on with its own readings
+    a tie that opens    its two copies are reset: they no longer count, and their sensors are no longer isolated
+    a tie that closes   its two copies start from their first reading, as at the beginning, and are tested from the next on
+    an area alone       continues with its own readings
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ Array = NDArray[Any]
 def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, State]:
     """Return the detector on the changed plant, and its state; the given ones stay as they are, also where this fails.
 
-    ValueError where the plant has other states or sensors (an area that is away has them still, unread), or other areas than
-    the same in another network, and for a state of another detector.
+    ValueError where the plant has other states or sensors (an area that is unplugged still has them, without readings), or
+    other areas than the same in another network, and for a state of another detector.
     """
     now = detector.plant
     if plant.sensor_names != now.sensor_names or [s.name for s in plant.states] != [s.name for s in now.states]:
@@ -45,7 +45,9 @@ def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, 
     after = replace(detector, plant=plant)
     if now.areas is None or plant.areas is None:
         if now.areas is not plant.areas:
-            raise ValueError(f"one of the plants {now.name!r} and {plant.name!r} says no areas; give both with areas, or none")
+            raise ValueError(
+                f"one of the plants {now.name!r} and {plant.name!r} states no areas; give both with areas, or none"
+            )
         return after, state
     opened = opened_sides(now.areas, plant.areas)
     assert isinstance(after.diagnoser, AreaDiagnosers)
@@ -71,7 +73,7 @@ def opened_sides(before: Areas, after: Areas) -> Array:
 
 
 def forgotten(now: Diagnosers, sides: Array) -> Diagnosers:
-    """The diagnosers without what they knew at some sides (2E,); held values stay where they were, in doubt."""
+    """The diagnosers without their information at some sides (2E,); held values stay, with unknown error."""
     return now._replace(
         doubt_shared=np.where(sides, UNKNOWN, now.doubt_shared),
         residual_shared=np.where(sides, 0.0, now.residual_shared),

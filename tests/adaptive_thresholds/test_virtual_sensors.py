@@ -111,7 +111,7 @@ def test_reconstructed_readings_keep_the_neighbours_silent() -> None:
     assert error.max() < 0.6 * 3.8e4  # what is left of the interval and the noise; see the scenario for the usual error
 
 
-def test_healthy_readings_accuse_nobody() -> None:
+def test_healthy_readings_isolate_no_sensor() -> None:
     recording = healthy(500, 20)
     for detector in (DETECTOR, replace(DETECTOR, learning_rates=RATES, intersect=False)):
         _, decision, interval = watch(detector, recording, recording.y)

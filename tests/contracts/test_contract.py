@@ -185,7 +185,7 @@ def test_step_by_step_a_run_and_a_batch_of_one_are_the_same_bits(pair: tuple[str
             if value is not None:
                 np.testing.assert_array_equal(getattr(whole, f.name)[k], value, err_msg=f.name)
                 np.testing.assert_array_equal(getattr(batch_of_one, f.name)[k, 0], value, err_msg=f.name)
-    for alone, one in zip(state, batch, strict=True):
+    for alone, one in zip(leaves(state), leaves(batch), strict=True):
         np.testing.assert_array_equal(np.ravel(alone), np.ravel(one))
 
 

@@ -257,7 +257,7 @@ def test_a_fault_that_began_before_now_is_late(before: float, now: float, late: 
     """A residual with the part M = 0.5 of the last reading and L = 0.2 of the last residual, thresholds of 3."""
     said = (StepResiduals(np.array([[z]]), np.ones((1, 1)), np.full((1, 1), 3.0)) for z in (before, now))
     found = explain(*said, np.array([[[0.5]]]), np.array([[[0.2]]]), np.array([[True]]))
-    assert found.named.all() and bool(found.late[0, 0]) is late
+    assert found.isolated.all() and bool(found.late[0, 0]) is late
     assert (found.low[0, 0], found.high[0, 0]) == pytest.approx((low, high))
     assert found.size[0, 0] == pytest.approx({0.0: 7.0}.get(before, 10.0))
 
@@ -270,12 +270,12 @@ def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:
     now = StepResiduals(np.array([[1.0, 20.0]]), one, 3 * one)
     found = explain(before, now, M, np.zeros((1, 2, 2)), np.array([[True, True]]))
     # as the fault of sensor 2, fresh, 20 would be left unexplained nowhere; of sensor 1 a step ago it fits every residual
-    np.testing.assert_array_equal(found.named, [[True, False]])
+    np.testing.assert_array_equal(found.isolated, [[True, False]])
     assert found.size[0, 0] == pytest.approx(2.0, abs=0.1) and 1.7 <= found.low[0, 0] <= found.high[0, 0] <= 2.3
     healthy, both = StepResiduals(quiet, one, 3 * one), StepResiduals(9 * one, one, 3 * one)
-    assert not explain(healthy, both, M, np.zeros((1, 2, 2)), one > 0).named[0, 0], "it would not have moved the other yet"
+    assert not explain(healthy, both, M, np.zeros((1, 2, 2)), one > 0).isolated[0, 0], "it would not have moved the other yet"
     apart = explain(healthy, both, 0 * M, np.zeros((1, 2, 2)), one > 0)
-    np.testing.assert_array_equal(apart.named, [[True, True]])  # neither reaches the other: two faults
+    np.testing.assert_array_equal(apart.isolated, [[True, True]])  # neither reaches the other: two faults
     np.testing.assert_array_equal(apart.size, [[9.0, 9.0]])
 
 

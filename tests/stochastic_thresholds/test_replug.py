@@ -154,7 +154,7 @@ def test_a_change_that_fails_leaves_all_as_it_was() -> None:
     for wrong, message in (
         (smaller, "has other states or sensors than"),
         (other, "has other states or sensors than"),
-        (replace(plant(), areas=None), "says no areas"),
+        (replace(plant(), areas=None), "states no areas"),
         (replace(plant(), inputs=plant().inputs[:-1], **idle), "30 inputs, references then loads"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -20,6 +20,7 @@ from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.detectors import FALSE_ALARM, build, healthy_data
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.two_tanks.plant import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
@@ -248,7 +249,7 @@ def test_readings_at_which_the_equations_have_no_value_contradict_them() -> None
     y[10:, torque] *= -2
     state, d = run(detector, detector.init(), recording.t, y, recording.u)
     assert d.isolated[10:, torque].all() and d.isolated.sum() == 10 and np.all(np.isfinite(d.residual))
-    assert all(np.all(np.isfinite(a)) for a in state)
+    assert all(np.all(np.isfinite(a)) for a in leaves(state))
 
 
 def test_the_diagnosis_is_the_only_smallest_hitting_set() -> None:
