@@ -19,7 +19,7 @@ from toy_plants import Array, chain
 from fusion_sfdia import registry
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.state import State, leaves, names
+from fusion_sfdia.core.state import State, leaves, mapped, names
 from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
@@ -160,7 +160,7 @@ def test_the_same_seed_gives_the_same_bits_and_a_state_is_left_as_it_was(pair: t
     detector = detector_of(*pair)
     t, y, u = healthy(pair[0], 8, 2)
     first = detector.init((2,), seed=11)
-    before = tuple(np.array(a) for a in first)
+    before = mapped(np.array, first)
     end, decisions = run(detector, first, t, y, u)
     assert_same_state(first, before)
     again, repeated = run(detector, detector.init((2,), seed=11), t, y, u)
