@@ -35,6 +35,14 @@ class Diagnosers(NamedTuple):
     deviation: Array
     deviation_shared: Array
 
+    @property
+    def own(self) -> tuple[Array, Array, Array, Array]:
+        return self.held, self.doubt, self.residual, self.deviation
+
+    @property
+    def shared(self) -> tuple[Array, Array, Array, Array]:
+        return self.held_shared, self.doubt_shared, self.residual_shared, self.deviation_shared
+
 
 class Prediction(NamedTuple):
     """For the next reading: estimate (6), deviation s of its residual (14, 15), doubt of the estimate itself."""
@@ -73,7 +81,7 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
     count, n, sides = areas.size
-    of_areas, of_sides, inputs = now[::2], now[1::2], (reference, load)
+    of_areas, of_sides, inputs = now.own, now.shared, (reference, load)
     batch = np.broadcast_shapes(*{a.shape[:-2] for a in of_areas}, *{a.shape[:-1] for a in (*of_sides, *inputs)})
     own = [_flat(a, batch, (count, n)) for a in of_areas]
     shared = [_flat(a, batch, (sides,)) for a in of_sides]
@@ -90,7 +98,11 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
 def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
     kept = []
-    for y, estimate, deviation, doubt in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
+    own_and_shared = (
+        (own, predicted.estimate, predicted.deviation, predicted.doubt),
+        (shared, predicted.estimate_shared, predicted.deviation_shared, predicted.doubt_shared),
+    )
+    for y, estimate, deviation, doubt in own_and_shared:
         held, unsure, s = (
             np.array(a if a.shape == y.shape else np.broadcast_to(a, y.shape), order="C") for a in (estimate, doubt, deviation)
         )

@@ -82,7 +82,7 @@ def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
 
 def at_borders(parts: Sequence[PartLayout], state: Diagnosers) -> Array:
     """(4, B, K): held, doubt, residual, deviation of the copies read elsewhere, part after part."""
-    return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state[1::2]]) for p in parts], axis=-1)
+    return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state.shared]) for p in parts], axis=-1)
 
 
 class Part:
@@ -99,7 +99,7 @@ class Part:
         areas; shared readings at its sides, then of the copies read elsewhere.
         """
         b, state = self.layout, self._now
-        for a, new in zip(state[1::2], received, strict=True):
+        for a, new in zip(state.shared, received, strict=True):
             a[:, b.border] = new
         after = self._before
         consensus_equations.step_areas(
@@ -111,7 +111,7 @@ class Part:
         alarm = consensus_equations.find_alarms(
             after.residual, after.residual_shared, after.deviation, after.deviation_shared, self.alpha, b.start
         )
-        copies = np.stack([a[:, b.near :] for a in after[1::2]])
+        copies = np.stack([a[:, b.near :] for a in after.shared])
         return alarm, np.abs(copies[2]) > self.alpha * copies[3], copies
 
     def kept(self) -> Diagnosers:

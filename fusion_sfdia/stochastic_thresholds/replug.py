@@ -43,13 +43,13 @@ def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, 
         )
     detector._batch_of(state)
     after = replace(detector, plant=plant)
-    if now.areas is None or plant.areas is None:
-        if now.areas is not plant.areas:
+    if now.structure.areas is None or plant.structure.areas is None:
+        if now.structure.areas is not plant.structure.areas:
             raise ValueError(
                 f"one of the plants {now.name!r} and {plant.name!r} states no areas; give both with areas, or none"
             )
         return after, state
-    opened = opened_sides(now.areas, plant.areas)
+    opened = opened_sides(now.structure.areas, plant.structure.areas)
     assert isinstance(after.diagnoser, AreaDiagnosers)
     gone = after.diagnoser.at_sides(opened)
     memory: ChebyshevMemory = state.memory
