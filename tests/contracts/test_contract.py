@@ -222,10 +222,10 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
     assert begun <= law.ppf(0.999)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.skip] if n in WITHOUT else []) for n in registry.detectors()]
-)
+@pytest.mark.parametrize("name", registry.detectors())
 def test_a_state_has_named_and_documented_fields_and_the_time_of_the_last_reading(name: str, tmp_path: Path) -> None:
+    if name in WITHOUT:
+        pytest.skip("needs faultdiagnosistoolbox")
     detector = detector_of("two-tanks", name)
     t, y, u = healthy("two-tanks", 4, 2)
     state = detector.init((2,), t=float(t[0]) - detector.plant.dt)
