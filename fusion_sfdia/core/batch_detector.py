@@ -7,7 +7,7 @@ of vectors.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -19,8 +19,6 @@ from fusion_sfdia.core.detector import Decision, check_reading
 from fusion_sfdia.core.health import keep_broken_out, without_broken
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, leaves, mapped
-
-FIELDS = tuple(f.name for f in fields(Decision))
 
 
 class TimeStep(NamedTuple):
@@ -97,17 +95,15 @@ class BatchDetector(ABC):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             after, decision = self._judge(memory, now, y, u)
         capped = np.broadcast_to(decision.capped, diverged.shape)
-        decision = replace(decision, capped=capped, absurd=absurd, absurd_input=absurd_input)
+        found = {**vars(decision), "capped": capped, "absurd": absurd, "absurd_input": absurd_input}
         diverged = diverged | decision.diverged
         if diverged.any():
             after = keep_broken_out(diverged, after, self._start(diverged.shape, now.seed))
-            decision = without_broken(decision, diverged)
+            found = vars(without_broken(Decision(**found), diverged))
         if single:
             diverged, after = diverged[0, ...], mapped(_as_single, after)
-            batched = (getattr(decision, name) for name in FIELDS)
-            only: list[Any] = [None if a is None else a[0, ...] for a in batched]
-            decision = Decision(*only)
-        return State(state.seed, np.array(now.k), np.array(now.t), diverged, after), decision
+            found = {name: None if a is None else a[0, ...] for name, a in found.items()}
+        return State(state.seed, np.array(now.k), np.array(now.t), diverged, after), Decision(**found)
 
     @cached_property
     def _input_limits(self) -> InputLimits:
@@ -129,8 +125,8 @@ class BatchDetector(ABC):
         kind, expected = self._layout
         if isinstance(state, State) and isinstance(state.memory, kind):
             batch = np.shape(state.diverged)
-            found = [a.shape if isinstance(a, np.ndarray) else None for a in leaves(state)]
-            if found == [(), (), (), batch, *((*batch, *s) for s in expected)]:
+            found = [getattr(a, "shape", None) for a in leaves(state)]
+            if found == [(), (), (), batch, *([(*batch, *s) for s in expected] if batch else expected)]:
                 return batch
         raise ValueError(
             f"this is no state of {type(self).__name__} on plant {self.plant.name!r} with these settings; take it from "
@@ -143,4 +139,5 @@ def _as_batch(a: Array) -> Array:
 
 
 def _as_single(a: Array) -> Array:
-    return np.asarray(a[0, ...])  # of one number too an array
+    first: Array = a[0, ...]  # of one number too an array
+    return first

@@ -58,7 +58,10 @@ def mapped(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
 
     ValueError where the others have fewer or more arrays.
     """
-    return rebuilt(tree, [function(*each) for each in zip(leaves(tree), *map(leaves, others), strict=True)])
+    if others:
+        return rebuilt(tree, [function(*each) for each in zip(leaves(tree), *map(leaves, others), strict=True)])
+    parts = [mapped(function, value) if isinstance(value, tuple) else function(value) for value in tree]  # twice in each step
+    return tree._make(parts) if hasattr(tree, "_make") else tuple(parts)
 
 
 def names(tree: Any, prefix: str = "") -> list[str]:
