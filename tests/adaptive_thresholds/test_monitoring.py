@@ -24,13 +24,17 @@ def z_alone(x: Array, c: Any) -> Array:
     return 0.5 * x
 
 
+def modules(equations: dict[str, Any]) -> Modules:
+    return Modules(
+        equations=equations, rates=SETTINGS.rates, nominal={"x": 10.0, "z": 5.0}, parameters=0.1, inputs=("v",),
+        names={"x": "M1", "z": "M2"}, gains={"x": 0.5},
+    )  # fmt: skip
+
+
 def step(before: list[float], settings: Settings = SETTINGS, x: float = 10.5) -> list[float]:
     equations = {"x": EQUATIONS["x"], "z": z_alone}
     reading, u = np.array([[10.2, 5.1]]), np.array([[1.0]])
-    m = Modules(
-        equations=equations, rates=settings.rates, nominal={"x": 10.0, "z": 5.0}, parameters=0.1, inputs=("v",),
-        names={"x": "M1", "z": "M2"}, gains={"x": 0.5},
-    )  # fmt: skip
+    m = modules(equations)
     found = monitor(m, np.array([[x]]), np.array([[0.4]]), np.array([before]), reading, u, DT, settings)
     return [float(a[0, 0]) for a in found]
 
@@ -134,7 +138,7 @@ def test_an_equation_without_a_value_is_evaluated_in_the_envelope() -> None:
     z, x = -3.0, -2.8
     given = np.array([[10.5]]), np.array([[0.4]]), np.array([[10.0, z]]), np.array([[x, z]]), np.array([[1.0]])
     with np.errstate(invalid="ignore"):
-        found = monitor(equations, ("x", "z", "v"), 0.1, *given, DT, settings)
+        found = monitor(modules(equations), *given, DT, settings)
     lam = np.exp(-0.7 * DT)
     held = (1 - lam) / 0.7
     ahead, root = lam * 10.5 + held * (np.sqrt(3.0) + 0.5 * 10.0), np.sqrt(8.0)
