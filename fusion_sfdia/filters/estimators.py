@@ -200,7 +200,7 @@ class Unscented(_Moments):
 
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         start, moved = plant.guard(core.x)
-        points = ukf.draw(self.points, start, core.P)
+        points = ukf.sigma_points(self.points, start, core.P)
         _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, points, u, dt)
         x, p = ukf.moments(self.points, ahead, plant.process_cov_over(dt))
         return Prior(GaussianState(x, p), moved | any_moved | stuck, lost, propagated=None if self.redraw else ahead)
