@@ -58,7 +58,7 @@ def test_the_residual_is_the_printed_variance_of_what_the_local_filters_expect(s
     h = plant.output_jacobian_at(0.0, plant.x0, u[0, 0])
     state = bank.init()
     for k in range(12):
-        x, p = state[-2:]
+        x, p = state.memory
         x, p = f @ x, f @ p @ f.T + np.diag(plant.process_cov)
         expected = []
         for i in range(sensors):

@@ -98,7 +98,7 @@ def test_what_is_named_is_left_out_replaced_and_readmitted() -> None:
     _, d = run(bank, bank.init((30,)), t, faulty, u)
     assert d.isolated[65:90, :, 4].all() and not d.isolated[100:, :, 4].any()
     assert abs(d.fault_size[75:90, :, 4].mean() - 8.0) < 4 * d.fault_size[75:90, :, 4].mean(axis=0).std() / np.sqrt(30)
-    off = np.mean((d.measured - clean.estimate)[65:90, :, 4])
+    off = np.mean((d.reconstruction - clean.estimate)[65:90, :, 4])
     assert abs(off) < 1.0  # of a bias of 8
 
 
