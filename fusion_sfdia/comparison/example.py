@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Detector, State
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.state import State
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.scenario import Arrays
 
@@ -41,7 +42,7 @@ def example(detector: Detector, recording: Recording, state: State, first: int, 
         faulty = active[k] & (np.arange(isolated.size) == sensor)
         right = active[k] and bool(np.array_equal(isolated, faulty))
         wrong = bool(np.any(isolated & ~faulty))
-        found["reconstruction"].append(decision.measured[0, sensor])
+        found["reconstruction"].append(decision.reconstruction[0, sensor])
         found["score"].append(decision.score[0])
         found["verdict"].append(RIGHT if right else WRONG if wrong else ALARM if decision.alarm[0] else NOTHING)
     kept = {"t": t - t[0], "y": y[:, 0, sensor], "signal": recording.signal[first:last, 0, sensor], "active": active}

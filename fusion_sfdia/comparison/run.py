@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, pick, silent_walk
+from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, silent_walk
 from fusion_sfdia.comparison.calibration import Calibrated, calibrated, deployed, silent
 from fusion_sfdia.comparison.example import example
 from fusion_sfdia.comparison.protocol import (
@@ -40,8 +40,9 @@ from fusion_sfdia.comparison.protocol import (
 from fusion_sfdia.comparison.recordings import healthy, mismatched
 from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, join, record
 from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, cases_of, plant_of
-from fusion_sfdia.core.detector import Detector, NotApplicableError, State
+from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State, chosen_runs, leaves
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.scenario import Arrays, Task
 
@@ -115,7 +116,7 @@ def work(task: Task, plant: ComparedPlant, detector: ComparedDetector) -> Arrays
         "deployed_alarms": alarms[settle:].sum(axis=0),
         "batch_seconds": np.array(seconds),
         **cost(calibration.detector, recording),
-        **example(deployed(calibration), recording, pick(quiet.states[settle], np.arange(1)), settle, task["window"]),
+        **example(deployed(calibration), recording, chosen_runs(quiet.states[settle], np.arange(1)), settle, task["window"]),
     }
 
 
@@ -228,6 +229,6 @@ def cost(detector: Detector, recording: Recording) -> Arrays:
     tracemalloc.stop()
     return {
         "step_seconds": np.array(best),
-        "state_bytes": np.array(sum(a.nbytes for a in state)),
+        "state_bytes": np.array(sum(a.nbytes for a in leaves(state))),
         "step_bytes": np.array(peak - held),
     }
