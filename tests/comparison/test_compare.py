@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
-from fusion_sfdia import compare
+from fusion_sfdia import compare, registry
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.comparison.recordings import failing
 from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, compared_detector, compared_plant
@@ -78,6 +78,14 @@ def test_a_plant_and_a_detector_of_ones_own_with_any_number_of_workers(tmp_path:
     assert "Six tanks in a row" in page and "more of what moves them" in page and "A filter that alarms rarely" in page
     one = compare([my_chain], [Cautious, "limits"], workers=1, cases={"my_chain": CASES}, **TINY)
     assert numbers(one.rows) == numbers(two.rows)
+
+
+def test_what_is_registered_meanwhile_is_compared_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = {"my-chain": NamedPlant("my-chain", "tanks in a row", my_chain, source=f"{__name__}:my_chain")}
+    monkeypatch.setattr(registry, "plants", lambda: mine)
+    monkeypatch.setattr(registry, "find_plant", lambda what: mine[what] if isinstance(what, str) else what)
+    found = compare(detectors=Cautious, workers=1, **TINY)
+    assert not found.failures and {r.plant for r in found.rows} == {"my-chain"}
 
 
 def test_a_plant_without_cases_is_compared_with_generic_faults() -> None:
