@@ -172,10 +172,9 @@ def compare(
     of_detectors = [compared_detector(what) for what in _each(detectors, registry.detectors())]
     subjects = Subjects(_named("plant", found), _named("detector", of_detectors))
     given: dict[str, Setting] = dict(settings)
-    if plants is not None:
-        given["plants"] = tuple(subjects.plants)
-    if detectors is not None:
-        given["detectors"] = tuple(subjects.detectors)
+    for kind, names in (("plants", tuple(subjects.plants)), ("detectors", tuple(subjects.detectors))):
+        if names != SETTINGS[kind]:  # else the command of the folder has them as its defaults
+            given[kind] = names
     if faults is not None:
         given["faults"] = faults if isinstance(faults, str) else tuple(faults)
     changes = {name: setting_text(value) for name, value in given.items()}

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
-from fusion_sfdia import compare
+from fusion_sfdia import compare, registry
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.comparison.recordings import failing
 from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, compared_detector, compared_plant
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.plant import Plant
@@ -79,6 +80,14 @@ def test_a_plant_and_a_detector_of_ones_own_with_any_number_of_workers(tmp_path:
     assert numbers(one.rows) == numbers(two.rows)
 
 
+def test_what_is_registered_meanwhile_is_compared_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = {"my-chain": NamedPlant("my-chain", "tanks in a row", my_chain, source=f"{__name__}:my_chain")}
+    monkeypatch.setattr(registry, "plants", lambda: mine)
+    monkeypatch.setattr(registry, "find_plant", lambda what: mine[what] if isinstance(what, str) else what)
+    found = compare(detectors=Cautious, workers=1, **TINY)
+    assert not found.failures and {r.plant for r in found.rows} == {"my-chain"}
+
+
 def test_a_plant_without_cases_is_compared_with_generic_faults() -> None:
     found = compare(chain(4), [Cautious], workers=1, **TINY)
     assert not found.failures and {r.plant for r in found.rows} == {"chain"}
@@ -135,7 +144,7 @@ def test_a_changed_plant_never_takes_up_old_parts(tmp_path: Path, monkeypatch: p
     assert compared_plant("tank.py:tank") != before  # what it imports counts, too
 
 
-def test_objects_are_told_apart_by_what_they_are() -> None:
+def test_objects_that_differ_have_other_digests() -> None:
     assert compared_plant(chain(4)) == compared_plant(chain(4))
     assert compared_plant(chain(4)) != compared_plant(chain(5))
     assert compared_plant(my_chain) == compared_plant(my_chain) != compared_plant(louder_chain)
@@ -155,6 +164,14 @@ def test_cases_stand_beside_the_registered_plants_only() -> None:
     case = MismatchCase("louder", "why", louder_chain)
     with pytest.raises(ValueError, match="louder stand twice"):
         ComparisonCases(mismatch=(case, case))
+
+
+def test_process_faults_that_cannot_be_made_are_refused() -> None:
+    with pytest.raises(ValueError, match="'nothing' of my_chain: expected either a truth or what is lost"):
+        failing(compared_plant(my_chain), ProcessFaultCase("nothing", "no fault"), 5, (0,), 1.0)
+    closed = ProcessFaultCase("lost", "half of all inputs", lost=(0.5,) * 30)
+    with pytest.raises(ValueError, match="'power-network' has controllers, which would act on what is lost"):
+        failing(compared_plant("power-network"), closed, 5, (0,), 1.0)
 
 
 def test_the_comparison_knows_no_plant(root: Path) -> None:

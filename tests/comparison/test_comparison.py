@@ -570,6 +570,6 @@ def test_memory_of_a_step_is_what_it_holds_at_most_and_that_of_a_state_its_array
 def test_without_faults_of_a_size_nothing_is_said_of_them() -> None:
     settings = tiny(faults="dropout", mismatch_cases="no", process_faults="no")
     found = summarise(settings, results(settings, seeds=2))
-    told = [*found.highlights, *found.remarks, *(line for chapter in found.chapters for line in chapter.text)]
-    assert not [line for line in (*told, *(figure.caption for figure in found.every_figure)) if "nan" in line.lower()]
+    lines = [*found.highlights, *found.remarks, *(line for chapter in found.chapters for line in chapter.text)]
+    assert not [line for line in (*lines, *(figure.caption for figure in found.every_figure)) if "nan" in line.lower()]
     assert [table.title for table in found.tables] == []
