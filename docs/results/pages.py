@@ -33,7 +33,11 @@ CHOICES = (
     ("no model; recordings of every healthy operation", "dynamic-pca", "recordings"),
     ("no model; the plant stays at rest", "limits-ewma", "recordings"),
     ("the model errs by more than the noise; large faults", "chebyshev", "model"),
-    ("noise has known bounds, and no alarm may be false", "adaptive-threshold", "model, noise bounds"),
+    (
+        "noise has known bounds, and no alarm may be false (its own thresholds, steady load)",
+        "adaptive-threshold",
+        "model, noise bounds",
+    ),
 )
 
 
