@@ -38,10 +38,10 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: 
         return ""
     cell, (_, large) = cells[name], sizes(settings)
     others = [d for d in best if d != name]
-    named = f" ({', '.join(others)}: no difference shown)" if 0 < len(others) <= MOST_EQUALS else ""
+    named = f" (nor {', '.join(others)})" if 0 < len(others) <= MOST_EQUALS else ""
     told = [
-        f"{cell.plant}: take {name}{named}; under a fault of {large:g} sigma it isolates exactly the faulty sensor in "
-        f"{percent(exact[name].value)} of the samples."
+        f"{cell.plant}: take {name}, which none exceeds in isolation{named}; under a fault of {large:g} sigma it isolates "
+        f"exactly the faulty sensor in {percent(exact[name].value)} of the samples."
     ]
     mismatch, process = under_mismatch(cell), under_process_faults(cell)
     if mismatch.share.value > RARELY:

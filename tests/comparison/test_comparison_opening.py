@@ -23,13 +23,13 @@ def test_the_advice_names_the_detector_its_faults_and_the_more_robust_one() -> N
     fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
     cells = {"first": cell(), "second": cell(exact=fewer, falsely_isolated=NONE)}
     assert advised(SETTINGS_HERE, cells, standings(first=1, second=2)) == (
-        "two-tanks: take first; under a fault of 10 sigma it isolates exactly the faulty sensor in 44 % of the samples. "
+        "two-tanks: take first, which none exceeds in isolation; under a fault of 10 sigma it isolates exactly the faulty sensor in 44 % of the samples. "
         "If the model errs (inflow), it isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one in "
         "31 %. It takes a process fault (leak) for a sensor's in 12 %."
     )
     alone = advised(SETTINGS_HERE, {"second": cells["second"]}, {})
     assert alone == (
-        "two-tanks: take second; under a fault of 10 sigma it isolates exactly the faulty sensor in 31 % of the samples."
+        "two-tanks: take second, which none exceeds in isolation; under a fault of 10 sigma it isolates exactly the faulty sensor in 31 % of the samples."
     )
 
 
@@ -37,10 +37,12 @@ def test_only_what_nothing_beats_is_advised_and_its_equals_are_named() -> None:
     fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
     cells = {"most": cell(), "fewer": cell(exact=fewer), "equal": cell(exact=fewer)}
     assert advised(SETTINGS_HERE, cells, standings(most=2, fewer=1, equal=1)).startswith(
-        "two-tanks: take fewer (equal: no difference shown); "
+        "two-tanks: take fewer, which none exceeds in isolation (nor equal); "
     )
     many = {f"d{k}": cell() for k in range(6)}
-    assert advised(SETTINGS_HERE, many, standings(**dict.fromkeys(many, 1))).startswith("two-tanks: take d0; ")
+    assert advised(SETTINGS_HERE, many, standings(**dict.fromkeys(many, 1))).startswith(
+        "two-tanks: take d0, which none exceeds in isolation; "
+    )
 
 
 def test_where_nothing_isolates_nothing_is_advised() -> None:
