@@ -23,13 +23,15 @@ def test_the_advice_names_the_detector_its_faults_and_the_more_robust_one() -> N
     fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
     cells = {"first": cell(), "second": cell(exact=fewer, falsely_isolated=NONE)}
     assert advised(SETTINGS_HERE, cells, standings(first=1, second=2)) == (
-        "two-tanks: take first, which none exceeds in isolation; under a fault of 10 sigma it isolates exactly the faulty sensor in 44 % of the samples. "
+        "two-tanks: take first, which none exceeds in isolation; under a fault of 10 sigma it isolates "
+        "exactly the faulty sensor in 44 % of the samples. "
         "If the model errs (inflow), it isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one in "
         "31 %. It takes a process fault (leak) for a sensor's in 12 %."
     )
     alone = advised(SETTINGS_HERE, {"second": cells["second"]}, {})
     assert alone == (
-        "two-tanks: take second, which none exceeds in isolation; under a fault of 10 sigma it isolates exactly the faulty sensor in 31 % of the samples."
+        "two-tanks: take second, which none exceeds in isolation; under a fault of 10 sigma it isolates "
+        "exactly the faulty sensor in 31 % of the samples."
     )
 
 
