@@ -15,6 +15,9 @@ from fusion_sfdia.core.linear import linear_plant as linear_plant
 from fusion_sfdia.core.modules import Modules as Modules
 from fusion_sfdia.core.physics import Physics as Physics
 from fusion_sfdia.core.plant import Plant as Plant
+from fusion_sfdia.core.plant_groups import Numerics as Numerics
+from fusion_sfdia.core.plant_groups import Structure as Structure
+from fusion_sfdia.core.plant_groups import Truth as Truth
 from fusion_sfdia.core.signals import Sensor as Sensor
 from fusion_sfdia.core.signals import Signal as Signal
 from fusion_sfdia.core.storage import load_state as load_state

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.core.plant import Plant, diagonal
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
@@ -66,7 +67,7 @@ def calibrated(bank: FusingBank) -> FusingBank:
     """The bank with thresholds from healthy simulated runs of its own plant, more of them for more quantities."""
     expected = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
     steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * expected)))
-    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=bank.plant.disturbed)
+    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=bank.plant.truth.disturbed)
     return calibrate(bank, healthy.t, healthy.y, healthy.u_of_runs, FALSE_ALARM, WARM_UP)
 
 
@@ -79,7 +80,7 @@ def healthy_data(plant: Plant, checks: int = 2) -> Recording:
     expected = 1.5 * 2 * checks * len(plant.quantities) / FALSE_ALARM  # each check of each is set on every other sample
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(expected / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
-    return simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.disturbed)
+    return simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.truth.disturbed)
 
 
 def settled_readings(plant: Plant) -> Array:
@@ -90,7 +91,7 @@ def settled_readings(plant: Plant) -> Array:
     begins at their operating point, and is learnt from there. Runs as for four checks: these detectors set three limits for all
     sensors, on the better part of half the windows.
     """
-    return healthy_data(plant, checks=4).y[WARM_UP if plant.disturbed else 0 :]
+    return healthy_data(plant, checks=4).y[WARM_UP if plant.truth.disturbed else 0 :]
 
 
 def structural_residuals(plant: Plant) -> StructuralResiduals:
@@ -102,7 +103,7 @@ def structural_residuals(plant: Plant) -> StructuralResiduals:
 
 def bounded(plant: Plant) -> Detector:
     """Thresholds that bounded noise cannot cross: of a plant's monitoring modules, or else of predicted readings."""
-    if plant.modules is None:
+    if plant.structure.modules is None:
         return Chebyshev(plant, lam=0.0, rule="bound", moments=Extended())
     return adaptive_threshold(plant, "valid")
 
@@ -110,10 +111,10 @@ def bounded(plant: Plant) -> Detector:
 def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
     """Monitoring modules with thresholds as the mode says; NotApplicableError for a plant without modules."""
     detector = AdaptiveThreshold(plant)  # refuses a plant without modules
-    assert plant.modules is not None
+    assert plant.structure.modules is not None
     if mode == "paper":
-        return replace(detector, observer_bounds=plant.modules.observer_bounds)
-    return replace(detector, margins=plant.modules.margins) if mode == "calibrated" else detector
+        return replace(detector, observer_bounds=plant.structure.modules.observer_bounds)
+    return replace(detector, margins=plant.structure.modules.margins) if mode == "calibrated" else detector
 
 
 def sequential(plant: Plant, rule: str, *, leave_one_out: bool = False) -> SequentialBank:
