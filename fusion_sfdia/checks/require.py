@@ -11,6 +11,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import Decision, Detector, State, run
 
 Array = NDArray[Any]
@@ -19,7 +20,7 @@ Array = NDArray[Any]
 def require(holds: Any, expected: str, found: object) -> None:
     """Raise AssertionError with what was expected and found unless it holds."""
     if not holds:
-        raise AssertionError(f"expected: {expected}; found {found}")
+        raise AssertionError(f"expected: {expected}; found {shown(found)}")
 
 
 def require_refused(what: str, function: Callable[..., Any], *arguments: Any) -> None:
