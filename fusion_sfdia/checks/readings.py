@@ -51,7 +51,7 @@ def missing_readings_are_no_evidence(detector: Detector, healthy: Healthy) -> No
     require(np.all(np.isnan(d.residual[gone])), "the residual of a missing reading is NaN", d.residual[gone])
     require(not d.alarm[np.all(gone, axis=-1)].any(), "there is no alarm where nothing is read", d.alarm)
     kept = ~gone & ~isolated
-    assert_array_equal(d.measured[kept], y[kept], "readings that are neither missing nor isolated are kept")
+    assert_array_equal(d.reconstruction[kept], y[kept], "readings that are neither missing nor isolated are kept")
 
 
 def absurd_values_are_replaced(detector: Detector, healthy: Healthy) -> None:
@@ -84,7 +84,7 @@ def a_silent_sensor_is_used_again(detector: Detector, healthy: Healthy) -> None:
     require_numbers(d, "a silent sensor")
     require(not d.isolated[SETTLED:, :, i].any(), "a sensor that was silent is not isolated", d.isolated[SETTLED:, :, i])
     require(np.all(np.isfinite(d.residual[40:, :, i])), "it has residuals again", d.residual[40:, :, i])
-    assert_array_equal(d.measured[40:, :, i], y[40:, :, i], "its readings are kept")
+    assert_array_equal(d.reconstruction[40:, :, i], y[40:, :, i], "its readings are kept")
 
 
 def what_does_not_fit_is_refused(detector: Detector, healthy: Healthy) -> None:

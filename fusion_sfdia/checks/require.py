@@ -12,7 +12,8 @@ from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.detector import Decision, Detector, State, run
+from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.state import State, leaves, names
 
 Array = NDArray[Any]
 
@@ -36,7 +37,7 @@ def require_numbers(d: Decision, what: str) -> None:
     """Raise AssertionError where a run has diverged or has no numbers."""
     require(not d.diverged.any(), f"{what} do not make it diverge", d.diverged)
     require(np.all(np.isfinite(d.estimate)), f"the estimate is finite with {what}", d.estimate)
-    require(np.all(np.isfinite(d.measured)), f"every reading is replaced with {what}", d.measured)
+    require(np.all(np.isfinite(d.reconstruction)), f"every reading is replaced with {what}", d.reconstruction)
 
 
 def require_same(a: Decision, b: Decision, what: str) -> None:
@@ -47,7 +48,8 @@ def require_same(a: Decision, b: Decision, what: str) -> None:
 
 def require_same_state(a: State, b: State, what: str) -> None:
     """Raise AssertionError unless two states have the same bits and types."""
-    for one, other in zip(a, b, strict=True):
+    require(names(a) == names(b), f"{what}: {names(b)}", names(a))
+    for one, other in zip(leaves(a), leaves(b), strict=True):
         assert_array_equal(one, other, what)
         require(np.asarray(one).dtype == np.asarray(other).dtype, f"{what}: {other.dtype}", one.dtype)
 

@@ -11,7 +11,7 @@ import pytest
 from toy_plants import Array, chain, changed
 
 from fusion_sfdia import CentralFilter, Decision, Plant, check_detector, check_plant
-from fusion_sfdia.core.detector import State
+from fusion_sfdia.core.state import State, leaves
 
 CHAIN = chain(3)
 LOW_STATES = tuple(replace(state, low=-0.5, high=0.5) for state in CHAIN.states)
@@ -61,7 +61,7 @@ class Broken(CentralFilter):
         given = state
         if self.way == "takes anything":
             y = np.where(np.isinf(y), np.nan, y)
-            y = y if y.shape == (*state[3].shape, 3) else np.resize(y, (*state[3].shape, 3))
+            y = y if y.shape == (*state.diverged.shape, 3) else np.resize(y, (*state.diverged.shape, 3))
         state, decision = super().step(state, t, y, u)
         changes: dict[str, Any] = {
             "lists": {"isolated": decision.isolated.astype(float)},
@@ -70,7 +70,7 @@ class Broken(CentralFilter):
             "random": {"residual": decision.residual + np.random.default_rng().standard_normal(decision.residual.shape)},
         }.get(self.way, {})
         if self.way == "overwrites":
-            given[4][...] = 7.0
+            leaves(given.memory)[0][...] = 7.0
         return state, replace(decision, **changes)
 
 

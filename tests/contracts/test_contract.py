@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +21,11 @@ from fusion_sfdia.builders import CALIBRATION_SEEDS, CALIBRATION_STEPS, WARM_UP
 from fusion_sfdia.checks.detectors import DETECTOR_CHECKS
 from fusion_sfdia.checks.plants import PLANT_CHECKS
 from fusion_sfdia.checks.readings import Healthy, healthy_readings
+from fusion_sfdia.checks.require import require_same_state
 from fusion_sfdia.core.detector import Detector, run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State
+from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
@@ -149,6 +156,34 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
     assert begun <= law.ppf(0.999)
 
 
+@pytest.mark.parametrize("name", registry.detectors())
+def test_a_state_has_named_and_documented_fields_and_the_time_of_the_last_reading(name: str, tmp_path: Path) -> None:
+    if name in WITHOUT:
+        pytest.skip("needs faultdiagnosistoolbox")
+    detector = detector_of("two-tanks", name)
+    t, y, u = healthy("two-tanks", 4, 2)
+    state = detector.init((2,), t=float(t[0]) - detector.plant.dt)
+    assert state.t == float(t[0]) - detector.plant.dt and state.steps == 0
+    for k in range(4):
+        state, _ = detector.step(state, float(t[k]), y[k], u[k])
+        assert isinstance(state, State) and state.t == t[k] and state.steps == k + 1
+    for nested in tuples(state):
+        documented = nested.__doc__ or ""
+        assert not documented.startswith(f"{type(nested).__name__}("), f"{type(nested).__name__} has no docstring of its own"
+        assert not any(re.fullmatch(r"_\d+", field) for field in nested._fields)
+    save_state(tmp_path / "state.npz", detector, state)
+    loaded = load_state(tmp_path / "state.npz", detector)
+    require_same_state(loaded, state, "a loaded state")
+    assert [type(a) for a in tuples(loaded)] == [type(a) for a in tuples(state)]
+    require_same_state(pickle.loads(pickle.dumps(state)), state, "a pickled state")
+
+
+def tuples(state: Any) -> list[Any]:
+    """The named tuples in a state, itself first."""
+    own = [state] if hasattr(state, "_fields") else []
+    return own + [found for value in state if isinstance(value, tuple) for found in tuples(value)]
+
+
 @every_pair
 def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[str, str]) -> None:
     """Of the sensors. The paper's residual (20) depends on the units of the states: test_fusing_bank holds that."""
@@ -173,7 +208,7 @@ def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[st
     np.testing.assert_array_equal(a.alarm, b.alarm)
     # 50 roundings of values of 100 sigma, which sigma points with alpha = 1e-3 magnify by 1e6
     tolerance = 50 * np.finfo(float).eps * 1e2 * 1e6
-    for name in ("measured", "residual", "threshold", "fault_size"):
+    for name in ("reconstruction", "residual", "threshold", "fault_size"):
         one, two = getattr(a, name) / plant.sensor_sigma, getattr(b, name) / factor / plant.sensor_sigma
         np.testing.assert_allclose(one, two, rtol=tolerance, atol=tolerance, err_msg=name)
 
