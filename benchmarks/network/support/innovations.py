@@ -1,4 +1,4 @@
-"""Innovations of one Kalman filter on the whole power network in its steady state: the yardstick of local residuals."""
+"""Innovations of one steady-state Kalman filter on the whole power network: the reference for local residuals."""
 
 from __future__ import annotations
 
