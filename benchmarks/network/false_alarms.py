@@ -79,7 +79,7 @@ def false_alarm_tasks(settings: Settings, seeds: int) -> list[Task]:
 
 
 def false_alarm_work(task: Task) -> Arrays:
-    """Counts by run (B, ...), see `counts`; with white shocks alone at the sizes that break Proposition 5, see `one_shock`."""
+    """Counts by run (B, ...), see `counts`; with white shocks alone, see `one_shock`."""
     if task["noise"] == "none":
         return one_shock(task["seeds"], task["steps"])
     model = network_model(noise=task["noise"])
@@ -108,8 +108,8 @@ def counts(z: Array, kinds: Array, owner: Array) -> Arrays:
 
     samples (B,): of all components. beyond (B, G, A): |z| > alpha by group (G, C) and alpha of ALPHAS; rules (B, R, P): by
     rule and level, of all. consecutive (B, A, Q): samples that are at least the q-th consecutive alarm; chances (B, Q):
-    samples that could be. confirmed (B, 2): whether within RUN s some component, and some area by any of its components, has three
-    consecutive alarms at alpha = 2.
+    samples that could be. confirmed (B, 2): whether within RUN s some component, and some area by any of its components, has
+    three consecutive alarms at alpha = 2.
     """
     size = np.abs(z)
     over = np.stack([size > a for a in ALPHAS], axis=-1)  # (K, B, C, A)
@@ -144,8 +144,8 @@ def _beyond(z: Array, rule: str, level: float) -> Array:
 def one_shock(seeds: list[int], steps: int) -> Arrays:
     """e+ = lam e + chi with white three-point chi, s = 1 / (1 - lam): samples that end q consecutive alarms, (B, A, Q).
 
-    chi has the smallest size with which one shock gives q alarms: alpha s lam^(1 - q). Its probability is the size to the -2, that
-    is (1 - lam)^2 lam^(2 q - 2) / alpha^2, which falls with alpha^2 where Proposition 5 has alpha^(2 q). Of two shocks close
+    chi has the smallest size with which one shock gives q alarms: alpha s lam^(1 - q). Its probability is the size to the -2,
+    that is (1 - lam)^2 lam^(2 q - 2) / alpha^2, which falls with alpha^2 where Proposition 5 has alpha^(2 q). Of two shocks close
     to each other with opposite signs the second may give none.
     """
     lam = PAPER.lam
