@@ -22,8 +22,8 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     NAMES,
     Array,
     Results,
+    by_detector,
     engine_detector,
-    gather,
     recording,
     row,
     tasks,
@@ -95,7 +95,7 @@ def fires(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, sizes: Arra
 
 def minimum_summary(settings: Settings, results: Results) -> Summary:
     """Both sizes of each module beside Table V."""
-    found = gather(results)
+    found = by_detector(results)
     rows: list[Row] = []
     for detector, arrays in found.items():
         for j, name in enumerate(NAMES):

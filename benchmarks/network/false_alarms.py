@@ -145,8 +145,8 @@ def one_shock(seeds: list[int], steps: int) -> Arrays:
     """e+ = lam e + chi with white three-point chi, s = 1 / (1 - lam): samples that end q consecutive alarms, (B, A, Q).
 
     chi has the smallest size with which one shock gives q alarms: alpha s lam^(1 - q). Its probability is the size to the -2,
-    that is (1 - lam)^2 lam^(2 q - 2) / alpha^2, which falls with alpha^2 where Proposition 5 has alpha^(2 q). Of two shocks close
-    to each other with opposite signs the second may give none.
+    that is (1 - lam)^2 lam^(2 q - 2) / alpha^2, which falls with alpha^2 where Proposition 5 has alpha^(2 q).
+    Of two shocks close to each other with opposite signs the second may give none.
     """
     lam = PAPER.lam
     found = np.zeros((len(seeds), len(ALPHAS), len(CONSECUTIVE_ALARMS)), int)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from textwrap import fill
 from typing import Any
 
 from matplotlib.figure import Figure as Drawing
@@ -11,7 +12,7 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
     COMMON,
     Results,
     bar_series,
-    gather,
+    judged_runs,
     row,
     tasks,
     trial,
@@ -74,7 +75,7 @@ def units_summary(settings: Settings, results: Results) -> Summary:
     """Share of faulty samples at which the largest residual is that of the faulty sensor."""
     rows: list[Row] = []
     shown: dict[tuple[Any, ...], Estimate] = {}
-    for (detector, quantity), cell in gather(results, "detector", "quantity").items():
+    for (detector, quantity), cell in judged_runs(results, "detector", "quantity").items():
         estimate = isolation_recall(cell.isolated, cell.active)
         rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "isolation_recall", estimate))
         rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "diverged", cell.divergence))
@@ -83,8 +84,8 @@ def units_summary(settings: Settings, results: Results) -> Summary:
     def draw() -> Drawing:
         figure, (axis,) = panels(["is the largest residual (20) that of the faulty sensor?"], columns=1, width=13.0, height=3.2)
         names = [d for d in (*VARIANTS, "loo-chi2") if (QUANTITIES[0], d) in shown]
-        bars(axis, names, bar_series(shown, QUANTITIES, names), ylabel="faulty sensor named")
-        axis.set_xticks(range(len(names)), [n.replace(", ", "\n") for n in names])
+        bars(axis, names, bar_series(shown, QUANTITIES, names), ylabel="faulty sensor isolated")
+        axis.set_xticks(range(len(names)), [fill(n, 16) for n in names])
         axis.set_ylim(0, 1.05)
         legend_above(figure)
         return figure
@@ -102,21 +103,21 @@ def units_summary(settings: Settings, results: Results) -> Summary:
         "(20) is a length in a space whose axes are MPa, kg/s and K: a pressure error of 2.5 MPa is as long as a flow error "
         "of 2.5 kg/s, which is one standard deviation of the flow's noise at moderate SNR. It is seen where the filter spreads "
         "it to the flow, or, by a filter that trusts its model, where states are divided by their sensors' sigma.",
-        *(f"Faulty samples at which the {q} sensor is named: {_named(rows, q)}." for q in QUANTITIES),
+        *(f"Faulty samples at which the {q} sensor is isolated: {_isolated(rows, q)}." for q in QUANTITIES),
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
 
-def _named(rows: list[Row], quantity: str) -> str:
+def _isolated(rows: list[Row], quantity: str) -> str:
     return listed(pick(rows, metric="isolation_recall", quantity=quantity))
 
 
 SCENARIO = Scenario(
     name="pipeline/units",
     title="The units of the published residual",
-    about="A bias of 30 % of the reading, detection taken for granted: does the largest residual (20) name the sensor? With "
-    "states in the paper's units, and in units of the sensors' noise, for the extended filter and the unscented one with and "
-    "without redrawn sigma points.",
+    about="A bias of 30 % of the reading, detection taken for granted: is the largest residual (20) that of the faulty sensor? "
+    "With states in the paper's units, and in units of the sensors' noise, for the extended filter and the unscented one "
+    "with and without redrawn sigma points.",
     settings=COMMON,
     seeds=2,
     full_seeds=30,

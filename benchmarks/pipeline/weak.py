@@ -13,7 +13,7 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
     Results,
     bar_series,
     detection_rows,
-    gather,
+    judged_runs,
     row,
     tasks,
     trial,
@@ -46,9 +46,9 @@ def weak_tasks(settings: Settings, seeds: int) -> list[Task]:
 
 
 def weak_summary(settings: Settings, results: Results) -> Summary:
-    """Areas near the noise, and sets named exactly when three sensors fail at once."""
-    single = gather([r for r in results if r[0]["fault"] != "three-8-sigma"], "detector", "fault", "quantity")
-    three = gather([r for r in results if r[0]["fault"] == "three-8-sigma"], "detector")
+    """Areas near the noise, and exact isolation when three sensors fail at once."""
+    single = judged_runs([r for r in results if r[0]["fault"] != "three-8-sigma"], "detector", "fault", "quantity")
+    three = judged_runs([r for r in results if r[0]["fault"] == "three-8-sigma"], "detector")
     rows = detection_rows("pipeline/weak", single)
     for (detector,), cell in three.items():
         at = partial(row, "pipeline/weak", detector, "three-8-sigma", "all")
@@ -82,8 +82,8 @@ def weak_summary(settings: Settings, results: Results) -> Summary:
         "A filter that trusts its sensors absorbs a small bias after its first samples, and statistics of one sample then lose "
         "it; a window keeps the evidence, and the fusing bank follows its readings little. "
         + " ".join(f"Areas, {f.replace('-', ' ')}: {listed(pick(rows, metric='auc', fault=f))}." for f in WEAK_FAULTS),
-        "Three sensors that fail at once: the leave-one-out banks eliminate one after the other, the paper's rule names one. "
-        f"Exact set named: {listed(pick(rows, metric='exact_isolation'))} of the faulty samples.",
+        "Three sensors that fail at once: the leave-one-out banks eliminate one after the other, the paper's rule isolates "
+        f"one. Exact isolation: {listed(pick(rows, metric='exact_isolation'))} of the faulty samples.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
@@ -92,7 +92,7 @@ SCENARIO = Scenario(
     name="pipeline/weak",
     title="Faults near the noise, slow drifts, three at once",
     about="Biases of 3 and 5 standard deviations of the reading and drifts to 3, for 10 to 20 samples, and three simultaneous "
-    "biases of 8: the faults that the published sizes leave out. Readings come from a grid four times finer than the filter's.",
+    "biases of 8: faults smaller than the published ones. Readings come from a grid four times finer than the filter's.",
     settings={**COMMON, "truth": "finer"},
     seeds=3,
     full_seeds=50,

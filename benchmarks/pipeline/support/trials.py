@@ -1,4 +1,4 @@
-"""What the pipeline scenarios share: their tasks, the work of a task, and its arrays gathered by cell."""
+"""What the pipeline scenarios share: their tasks, the work of a task, and its arrays joined by case."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fusion_sfdia.detectors import build, fusing_bank, watching
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion
-from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.evaluation.results import Published, Row, row_of
 from fusion_sfdia.evaluation.trials import faulted, join, outcome, unpack
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
@@ -34,12 +34,13 @@ SENSORS = 63
 SETTLE = 30  # samples that are not judged: the filters forget their initial covariance
 AFTERMATH = 40  # samples after a fault in which a filter that trusted it recovers: left out where thresholds are swept
 CHUNK = 25  # runs in one task
+row = partial(row_of, PLANT)  # of scenario, detector, fault, quantity, metric, estimate, published; condition
 # truth: the paper's readings come from the filter's own model ("model"), others may come from a finer grid ("finer")
 # process_noise: of the paper's filters, as printed ("nine-tenths" of the sensors' sigma) or the other reading; ours have OWN
 COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "nine-tenths", "truth": "model"}
 OWN = "tenth"  # the plant's own process noise
 
-KNOWN = {  # what the settings that name something may name
+KNOWN = {  # values of the settings that are names
     "snr": tuple(SIGMA),
     "levels": tuple(SIGMA),
     "process_noise": tuple(PROCESS_NOISE),
@@ -126,8 +127,8 @@ def trial(task: Task, detector: Detector | None = None, truth: Plant | None = No
     return outcome(detector, data, seed=task["seeds"][0])
 
 
-class Cell:
-    """The joined arrays of one cell without its diverged runs, after the settling time, unpacked where asked."""
+class JudgedRuns:
+    """The joined arrays of the runs of one case without the diverged ones, after the settling time, unpacked where needed."""
 
     def __init__(self, arrays: Arrays) -> None:
         sound = ~arrays["diverged"]
@@ -139,7 +140,7 @@ class Cell:
 
     @property
     def divergence(self) -> Estimate:
-        """Share of runs that diverged: every other number of the cell is of those that did not."""
+        """Share of runs that diverged: every other number is of those that did not."""
         return proportion(self.diverged, self.runs)
 
     def __getitem__(self, name: str) -> Array:
@@ -154,23 +155,15 @@ def aftermath(faulty: Array, samples: int = AFTERMATH) -> Array:
     return recent & ~faulty
 
 
-def gather(results: Sequence[tuple[Task, Arrays]], *keys: str) -> dict[tuple[Any, ...], Cell]:
+def judged_runs(results: Sequence[tuple[Task, Arrays]], *keys: str) -> dict[tuple[Any, ...], JudgedRuns]:
     """Join the results of the tasks that agree on keys."""
     parts: dict[tuple[Any, ...], list[Arrays]] = {}
     for task, arrays in results:
         parts.setdefault(tuple(task[k] for k in keys), []).append(arrays)
-    return {key: Cell(join(found)) for key, found in parts.items()}
+    return {key: JudgedRuns(join(found)) for key, found in parts.items()}
 
 
-def row(
-    scenario: str, detector: str, fault: str, quantity: str, metric: str, estimate: Estimate, published: Published | None = None
-) -> Row:
-    """A row of metrics.csv on this plant."""
-    value, source = (None, "") if published is None else (published.value, published.source)
-    return Row(scenario, PLANT, detector, fault, quantity, metric, *estimate, published=value, source=source)
-
-
-def detection_rows(scenario: str, cells: Mapping[tuple[Any, ...], Cell]) -> list[Row]:
+def detection_rows(scenario: str, cells: Mapping[tuple[Any, ...], JudgedRuns]) -> list[Row]:
     """Area under the ROC of the faulty quantity's score, and both probabilities at the detector's own threshold.
 
     Of the samples that are judged; auc_all_samples: of those in the aftermath of a fault too.
