@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from textwrap import fill
 from typing import Any
 
@@ -29,22 +29,23 @@ from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.findings import left_out, span
 from fusion_sfdia.report.plots import bars, legend_above, panels
 
-VARIANTS: dict[str, tuple[Estimator, str]] = {  # filter, and what divides the states in (20)
-    "EKF, paper's units": (Extended(), "paper"),
-    "UKF printed, paper's units": (Unscented(redraw=False), "paper"),
-    "UKF redrawn, paper's units": (Unscented(), "paper"),
-    "EKF, sigma units": (Extended(), "sigma"),
-    "UKF redrawn, sigma units": (Unscented(), "sigma"),
+VARIANTS: dict[str, tuple[str, Estimator, str]] = {  # detector, its filter, and what divides the states in (20)
+    "EKF, paper's units": ("fusing-ekf", Extended(), "paper"),
+    "UKF printed, paper's units": ("fusing-ukf", Unscented(redraw=False), "paper"),
+    "UKF redrawn, paper's units": ("fusing-ukf", Unscented(), "paper"),
+    "EKF, sigma units": ("fusing-ekf", Extended(), "sigma"),
+    "UKF redrawn, sigma units": ("fusing-ukf", Unscented(), "sigma"),
 }
+BESIDE = "loo-chi2"
 
 
 @cache
 def _variant(name: str, snr: str, process_noise: str) -> FusingBank:
     plant = gas_pipeline(snr=snr, process_noise=process_noise, initial="identity")
-    estimator, units = VARIANTS[name]
+    _, estimator, units = VARIANTS[name]
     paper = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
     always = tuple((1e-12 * plant.sensor_sigma).tolist())  # the question is which sensor, not whether
     scale = paper if units == "paper" else tuple(plant.sensor_sigma.tolist())
@@ -57,7 +58,7 @@ def units_tasks(settings: Settings, seeds: int) -> list[Task]:
         settings,
         (
             {"detector": d, "fault": "bias-30-percent", "quantity": q, "accommodate": True}
-            for d in (*VARIANTS, "loo-chi2")
+            for d in (*VARIANTS, BESIDE)
             for q in QUANTITIES
         ),
         seeds,
@@ -75,15 +76,16 @@ def units_summary(settings: Settings, results: Results) -> Summary:
     """Share of faulty samples at which the largest residual is that of the faulty sensor."""
     rows: list[Row] = []
     shown: dict[tuple[Any, ...], Estimate] = {}
-    for (detector, quantity), cell in judged_runs(results, "detector", "quantity").items():
+    for (name, quantity), cell in judged_runs(results, "detector", "quantity").items():
         estimate = isolation_recall(cell.isolated, cell.active)
-        rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "isolation_recall", estimate))
-        rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "diverged", cell.divergence))
-        shown[quantity, detector] = estimate
+        detector, condition = (VARIANTS[name][0], name) if name in VARIANTS else (name, "")
+        at = partial(row, "pipeline/units", detector, "bias-30-percent", quantity, condition=condition)
+        rows += [at("isolation_recall", estimate), at("diverged", cell.divergence)]
+        shown[quantity, name] = estimate
 
     def draw() -> Drawing:
         figure, (axis,) = panels(["is the largest residual (20) that of the faulty sensor?"], columns=1, width=13.0, height=3.2)
-        names = [d for d in (*VARIANTS, "loo-chi2") if (QUANTITIES[0], d) in shown]
+        names = [d for d in (*VARIANTS, BESIDE) if (QUANTITIES[0], d) in shown]
         bars(axis, names, bar_series(shown, QUANTITIES, names), ylabel="faulty sensor isolated")
         axis.set_xticks(range(len(names)), [fill(n, 16) for n in names])
         axis.set_ylim(0, 1.05)
@@ -103,13 +105,13 @@ def units_summary(settings: Settings, results: Results) -> Summary:
         "(20) is a length in a space whose axes are MPa, kg/s and K: a pressure error of 2.5 MPa is as long as a flow error "
         "of 2.5 kg/s, which is one standard deviation of the flow's noise at moderate SNR. It is seen where the filter spreads "
         "it to the flow, or, by a filter that trusts its model, where states are divided by their sensors' sigma.",
-        *(f"Faulty samples at which the {q} sensor is isolated: {_isolated(rows, q)}." for q in QUANTITIES),
+        *(f"Faulty samples at which the {q} sensor is isolated: {_isolated(shown, q)}." for q in QUANTITIES),
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
 
-def _isolated(rows: list[Row], quantity: str) -> str:
-    return listed(pick(rows, metric="isolation_recall", quantity=quantity))
+def _isolated(shown: dict[tuple[Any, ...], Estimate], quantity: str) -> str:
+    return "; ".join(f"{name} {span([e.value])}" for (of, name), e in shown.items() if of == quantity)
 
 
 SCENARIO = Scenario(
