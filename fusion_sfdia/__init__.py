@@ -26,9 +26,11 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.discretise import discretise as discretise
     from fusion_sfdia.core.equation import equation as equation
     from fusion_sfdia.core.linear import linear_plant as linear_plant
-    from fusion_sfdia.core.physics import Block as Block
     from fusion_sfdia.core.physics import Physics as Physics
     from fusion_sfdia.core.plant import Plant as Plant
+    from fusion_sfdia.core.plant_groups import Numerics as Numerics
+    from fusion_sfdia.core.plant_groups import Structure as Structure
+    from fusion_sfdia.core.plant_groups import Truth as Truth
     from fusion_sfdia.core.signals import Sensor as Sensor
     from fusion_sfdia.core.signals import Signal as Signal
     from fusion_sfdia.core.storage import load_state as load_state
@@ -41,9 +43,9 @@ if TYPE_CHECKING:
     from fusion_sfdia.evaluation.diagnose import Event as Event
     from fusion_sfdia.evaluation.diagnose import diagnose as diagnose
     from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
-    from fusion_sfdia.evaluation.fault_draws import draw as draw_faults  # noqa: F401
+    from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
+    from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
     from fusion_sfdia.evaluation.faults import Fault as Fault
-    from fusion_sfdia.evaluation.faults import apply as apply_faults  # noqa: F401
     from fusion_sfdia.evaluation.faults import load_faults as load_faults
     from fusion_sfdia.evaluation.logs import Log as Log
     from fusion_sfdia.evaluation.logs import read_log as read_log
@@ -91,9 +93,10 @@ _MODULES = {
     "core.equation": ("equation",),
     "core.linear": ("linear_plant",),
     "filters.estimators": ("Ensemble", "Extended", "Unscented"),
-    "evaluation.fault_draws": ("FaultRange", "draw_faults:draw"),
+    "evaluation.fault_draws": ("FaultRange", "draw_faults"),
+    "evaluation.fault_effects": ("apply_faults",),
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
-    "evaluation.faults": ("Fault", "apply_faults:apply", "load_faults"),
+    "evaluation.faults": ("Fault", "load_faults"),
     "filters.filterpy_adapter": ("plant_from_filterpy",),
     "data_driven.ewma_limits": ("EwmaLimits",),
     "data_driven.fixed_limits": ("FixedLimits",),
@@ -114,8 +117,9 @@ _MODULES = {
     "stochastic_thresholds.monte_carlo": ("MonteCarlo",),
     "kalman_banks.particle_filter": ("ParticleFilter",),
     "data_driven.pca": ("PrincipalComponents",),
-    "core.physics": ("Block", "Physics"),
+    "core.physics": ("Physics",),
     "core.plant": ("Plant",),
+    "core.plant_groups": ("Numerics", "Structure", "Truth"),
     "stochastic_thresholds.replug": ("replug",),
     "core.signals": ("Sensor", "Signal"),
     "adaptive_thresholds.signatures": (

@@ -39,7 +39,8 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
     severity_text,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
-from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.fault_effects import apply_faults
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
@@ -79,7 +80,7 @@ def process_work(task: Task) -> Arrays:
         lists = [attack(*case, sizes(steady, task["size"]), healthy[0], task) for case in attack_cases()]
         everyone = np.repeat((healthy[:, None] + draws)[:, None], len(lists), axis=1)
         runs = [faults for faults in lists for _ in task["seeds"]]
-        y = apply(detector.plant, t, everyone, runs).y
+        y = apply_faults(detector.plant, t, everyone, runs).y
     shown = _drawn(task["severities"]) if task["what"] == PROCESS else 0
     _, found = first_firings(detector, t, u, y, shown=(shown, 0))
     return {k: found[k] for k in ("first", "diverged", "trace")}
@@ -118,7 +119,7 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
         cases = process_cases(list(settings["severities"])) if what == PROCESS else attack_cases()
         for case, times, lost in zip(cases, first, diverged, strict=True):
             kind, of = case
-            quantity, condition = ("all", severity_text(float(of))) if what == PROCESS else (str(of), drive)
+            quantity, condition = ("all", severity_text(float(str(of)))) if what == PROCESS else (str(of), drive)
             at = partial(row, "engine/process", settings["detector"], kind, quantity, condition=condition)
             faulty = list(SENSORS).index(str(of)) if of in SENSORS else None
             answer = response(times, settings["onset"], range(len(NAMES)))

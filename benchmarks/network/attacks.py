@@ -28,7 +28,7 @@ from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_mo
 from fusion_sfdia.models.power_network.operation import AreaFault
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.published import ATTACKS, SIGN_FLIP
-from fusion_sfdia.models.power_network.simulation import Moment
+from fusion_sfdia.models.power_network.simulation import NetworkSample
 from fusion_sfdia.registry import detector
 from fusion_sfdia.report.content import Summary, Table
 from fusion_sfdia.report.findings import span
@@ -72,7 +72,7 @@ def attack_work(task: Task) -> Arrays:
     fault, steps = replace(FAULTS[task["fault"]], onset=ONSET), round(task["duration"] / model.dt)
     moments: list[tuple[Array, Array]] = []
 
-    def keep(moment: Moment) -> None:
+    def keep(moment: NetworkSample) -> None:
         moments.append((moment.y, moment.u))
 
     found: Arrays = {}

@@ -33,7 +33,7 @@ from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
-from fusion_sfdia.models.power_network.simulation import Moment, run_network
+from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.stochastic_thresholds.consensus_equations import precision_printed, precision_read, shared_term
 
@@ -82,13 +82,13 @@ def consensus_work(task: Task) -> Arrays:
     return found
 
 
-def worsened(now: Moment, areas: Areas, ratio: float) -> Moment:
+def worsened(now: NetworkSample, areas: Areas, ratio: float) -> NetworkSample:
     """The moment with the noise of the neighbours' readings times the root of the ratio of variances."""
     truth = now.x[..., areas.network.topology.neighbour, 0]
     return now._replace(shared=truth + np.sqrt(ratio) * (now.shared - truth))
 
 
-def alone(areas: Areas, moments: Iterable[Moment], lam: float) -> Iterable[Array]:
+def alone(areas: Areas, moments: Iterable[NetworkSample], lam: float) -> Iterable[Array]:
     """Residuals (B, N + 2E) of the copies of the angles where each area that shares one uses its own reading alone, W_ii = 1.
 
     The drive still comes from the area whose angle it is.
@@ -97,7 +97,7 @@ def alone(areas: Areas, moments: Iterable[Moment], lam: float) -> Iterable[Array
     whose = np.concatenate([np.arange(len(at.names)), at.neighbour])
     a, n = F[whose, 0, 0], F.shape[1]
 
-    def angles(now: Moment) -> Array:
+    def angles(now: NetworkSample) -> Array:
         return np.concatenate([now.own[..., 0], now.shared], axis=-1)
 
     residual = None

@@ -33,7 +33,7 @@ from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, NetworkModel, network_model
 from fusion_sfdia.models.power_network.operation import Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
-from fusion_sfdia.models.power_network.simulation import Moment, run_network
+from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
@@ -75,7 +75,7 @@ def plug_work(task: Task) -> Arrays:
     return found
 
 
-def replugged(model: NetworkModel, moments: Iterable[Moment], manner: str) -> Iterator[Diagnosers]:
+def replugged(model: NetworkModel, moments: Iterable[NetworkSample], manner: str) -> Iterator[Diagnosers]:
     """The diagnosers after each moment, replugged after the step at which the network switches, in a manner of MANNERS."""
     areas, state = network_areas(model, named=False), None
     for now in moments:
@@ -168,7 +168,7 @@ def _alarm_estimates(noise: str, manner: str, alarm: Array, names: tuple[str, ..
             rate = rate_over_runs(some.sum(axis=(0, 2)), np.full(some.shape[1], some.shape[0] * some.shape[2]))
             found[Alarm(place, phase, manner, noise)] = rate
             run = (some[2:] & some[1:-1] & some[:-2]).any(axis=(0, 2))
-            found[Alarm(place, phase, manner, noise, "false_confirmation_share")] = share(run)
+            found[Alarm(place, phase, manner, noise, "false_confirmation_share")] = share(np.asarray(run))
     return found
 
 

@@ -143,7 +143,9 @@ def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
     """Rows, the figure, and what the times come to for each area."""
     rows: list[Row] = []
 
-    def add(quantity: str, metric: str, value: float, n: float, condition: str = "", stated: Published | None = None) -> None:
+    def add(
+        quantity: str, metric: str, value: float, n: float, *, condition: str = "", stated: Published | None = None
+    ) -> None:
         estimate = NOTHING._replace(value=value, n=int(n))
         rows.append(row(NAME, DETECTOR, "none", quantity, metric, estimate, stated, condition=condition))
 

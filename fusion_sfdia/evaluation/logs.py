@@ -97,7 +97,7 @@ def read_log(
     before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
     u = np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
     if assumed := [s.name for s in plant.inputs if s.name not in columns]:
-        source = "the nominal values" if plant.operation is None else "the usual operation"
+        source = "the nominal values" if plant.truth.operation is None else "the usual operation"
         warnings.warn(
             f"{path}: no column for the inputs {_some(assumed)}; {source} of plant {plant.name!r} stand for them", stacklevel=2
         )

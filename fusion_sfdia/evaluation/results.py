@@ -131,7 +131,7 @@ def read_rows(path: Path) -> list[Row]:
             names: dict[str, Any] = {c: cells[c] for c in NAMES}
             value, low, high = (float(cells[c] or "nan") for c in ("value", "low", "high"))
             published = float(cells["published"]) if cells["published"] else None
-            numbers = {"value": value, "low": low, "high": high, "n": int(cells["n"]), "published": published}
+            numbers: dict[str, Any] = {"value": value, "low": low, "high": high, "n": int(cells["n"]), "published": published}
             rows.append(Row(**names, **numbers, source=cells["source"]))
         except ValueError as error:
             raise ValueError(f"{path}, row {number}: {error}; write it with write_rows") from error

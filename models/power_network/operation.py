@@ -57,7 +57,7 @@ class Switch:
     unplug: tuple[str, ...] = ()
 
 
-class Condition(NamedTuple):
+class NetworkCondition(NamedTuple):
     """The network at a time: its model as all know it, the true one, and what acts on the true inputs, (N,) each."""
 
     known: NetworkModel
@@ -72,7 +72,7 @@ class Condition(NamedTuple):
 
 def conditions(
     model: NetworkModel, faults: Sequence[AreaFault] = (), switches: Sequence[Switch] = ()
-) -> Callable[[float], Condition]:
+) -> Callable[[float], NetworkCondition]:
     """The condition of a network as a function of time (s); each is made once.
 
     ValueError for an unknown area, a switch that does not fit what is plugged in by then, or faults of a kind that overlap
@@ -90,11 +90,11 @@ def conditions(
     return partial(_at, times, made)
 
 
-def _at(times: Sequence[float], made: Sequence[Condition], t: float) -> Condition:
+def _at(times: Sequence[float], made: Sequence[NetworkCondition], t: float) -> NetworkCondition:
     return made[bisect_right(times, t + 1e-9)]
 
 
-def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Sequence[Switch], t: float) -> Condition:
+def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Sequence[Switch], t: float) -> NetworkCondition:
     known = model
     for switch in switches:
         if switch.time <= t:
@@ -110,7 +110,7 @@ def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Seque
                     gain[i] = fault.value
                 case "load-loss":
                     lost[i] = fault.value
-    return Condition(known, true, gain, lost)
+    return NetworkCondition(known, true, gain, lost)
 
 
 def load_profile(model: NetworkModel, steps: Sequence[LoadStep]) -> Callable[[float], Array]:

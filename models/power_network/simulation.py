@@ -16,13 +16,13 @@ from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.models.power_network.control import Control, generation_control
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
-from fusion_sfdia.models.power_network.operation import AreaFault, Condition, Switch, conditions
+from fusion_sfdia.models.power_network.operation import AreaFault, NetworkCondition, Switch, conditions
 
 Array = NDArray[Any]
 Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]
 
 
-class Moment(NamedTuple):
+class NetworkSample(NamedTuple):
     """What there is at a time: B seeds, N areas, 2E sides of ties.
 
     t (s). x (B, N, 4) true states. own (B, N, 4) the areas' readings of their states, shared (B, 2E) their readings of their
@@ -36,7 +36,7 @@ class Moment(NamedTuple):
     shared: Array
     reference: Array
     load: Array
-    condition: Condition
+    condition: NetworkCondition
 
     @property
     def y(self) -> Array:
@@ -60,7 +60,7 @@ def run_network(
     switches: Sequence[Switch] = (),
     process_noise: bool = True,
     draw: Draw = np.random.Generator.standard_normal,
-) -> Iterator[Moment]:
+) -> Iterator[NetworkSample]:
     """Yield the moments 0, dt .. steps dt of runs from equilibrium at t = 0, where the first readings are taken.
 
     model: of the truth, at t = 0. loads: (N,) as a function of the time (s) from which they act. draw: all noise, from a
@@ -80,7 +80,7 @@ def run_network(
         now = at(t)
         own = x + sigma * np.stack([draw(g, (n, 4)) for g in read])
         theirs = x[..., model.network.topology.neighbour, 0] + shared_sigma * np.stack([draw(g, (sides,)) for g in read])
-        yield Moment(t, x, own, np.where(now.known.network.closed, theirs, np.nan), reference, load, now)
+        yield NetworkSample(t, x, own, np.where(now.known.network.closed, theirs, np.nan), reference, load, now)
         load = loads(t)
         reference = control(now.known, own, load)
         x = now.step(x, reference, load)

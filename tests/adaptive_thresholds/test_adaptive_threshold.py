@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from engine_runs import BOUND, DETECTOR, ENGINE, healthy, judge, recording_of
+from toy_plants import changed
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.adaptive_thresholds.algebraic_bounds import TOLERANCE
-from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.models.marine_engine.plant import OBSERVER_BOUNDS, marine_engine
-
-ENGINE = marine_engine()
-DETECTOR = AdaptiveThreshold(ENGINE)
-BOUND = np.array([s.noise_bound for s in ENGINE.sensors])
-BOUND_OF_VARIABLE = DETECTOR._bound
-
-
-@cache
-def healthy(steps: int, runs: int) -> Recording:
-    return simulate(ENGINE, steps, range(runs), truth="model")
-
-
-def judge(detector: AdaptiveThreshold, y: np.ndarray, recording: Recording) -> Decision:
-    u = np.broadcast_to(recording.u[:, None], (*y.shape[:2], recording.u.shape[-1]))
-    return run(detector, detector.init((y.shape[1],)), recording.t, y, u)[1]
+from fusion_sfdia.models.marine_engine.plant import OBSERVER_BOUNDS
 
 
 def load_step(steps: int, runs: int) -> Recording:
@@ -51,7 +35,7 @@ def for_load_steps() -> AdaptiveThreshold:
 def test_corners_enclose_the_engine_over_the_envelope() -> None:
     """Ten thousand points in boxes of the noise's size, anywhere in the envelope."""
     rng = np.random.default_rng(1)
-    m = ENGINE.modules
+    m = ENGINE.structure.modules
     assert m is not None
     settings = DETECTOR._settings
     centre = DETECTOR.nominal + (settings.half_width - settings.bound) * rng.uniform(-1, 1, (100, 10))
@@ -66,8 +50,8 @@ def test_corners_enclose_the_engine_over_the_envelope() -> None:
 
 
 def test_the_compiled_driver_is_the_same_source() -> None:
-    assert ENGINE.modules is not None
-    plain = AdaptiveThreshold(replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))
+    assert ENGINE.structure.modules is not None
+    plain = AdaptiveThreshold(changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))
     recording = healthy(60, 3)
     y = recording.y.copy()
     y[20:30, 1, ::3] = np.nan
@@ -119,10 +103,10 @@ def test_missing_readings_widen_and_never_alarm() -> None:
 
 
 def test_what_is_refused() -> None:
-    assert ENGINE.modules is not None
-    modules: Modules = ENGINE.modules
-    with pytest.raises(ValueError, match="does not say its scalar equations"):
-        AdaptiveThreshold(replace(ENGINE, modules=None))
+    assert ENGINE.structure.modules is not None
+    modules: Modules = ENGINE.structure.modules
+    with pytest.raises(ValueError, match="does not state its scalar equations"):
+        AdaptiveThreshold(changed(ENGINE, modules=None))
     with pytest.raises(ValueError, match="observer of fuel has the gain -100"):
         replace(modules, gains={**modules.gains, "fuel": -100.0})
     with pytest.raises(ValueError, match="margins names nothing"):
@@ -130,7 +114,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="have no noise bound"):
         sensors = tuple(replace(s, bound=None, sigma=s.noise_sigma) for s in ENGINE.sensors)
         AdaptiveThreshold(replace(ENGINE, sensors=sensors))
-    doubled = replace(
+    doubled = changed(
         ENGINE,
         sensors=(*ENGINE.sensors, replace(ENGINE.sensors[3], name="spare")),
         output=lambda t, x, u: (y := ENGINE.output(t, x, u))[..., [*range(y.shape[-1]), 3]],
@@ -146,7 +130,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="envelope names nothing"):
         AdaptiveThreshold(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="nominal value of torque is 0, no measure of a range; give envelope"):
-        _ = AdaptiveThreshold(replace(ENGINE, modules=replace(modules, nominal={**modules.nominal, "torque": 0.0}))).ends
+        _ = AdaptiveThreshold(changed(ENGINE, modules=replace(modules, nominal={**modules.nominal, "torque": 0.0}))).ends
     with pytest.raises(ValueError, match="envelope of torque is no finite range"):
         _ = AdaptiveThreshold(ENGINE, envelope={"torque": (5e4, 4e4)}).slopes
 
@@ -166,54 +150,11 @@ def test_a_load_step_raises_no_alarm_and_errors_keep_their_bounds() -> None:
         assert np.all(error <= (d.threshold - BOUND)[..., [0, 4, 7]] * (1 + 1e-9))
 
 
-def test_inclusion_and_set_inversion_enclose_the_corners() -> None:
-    """Inclusion is the widest; set inversion lies within it, to its tolerance, where an equation has not its own variable."""
-    recording = healthy(300, 5)
-    y = recording.y[:3].copy()
-    y[2, 0, 0] = np.nan
-    ends = {}
-    for bounds in ("corners", "inclusion", "sivia"):
-        d = judge(replace(DETECTOR, bounds=bounds), y, recording_of(recording, 3))
-        middle, radius = y - d.residual, d.threshold - BOUND
-        ends[bounds] = np.stack([middle - radius, middle + radius])[..., [1, 2, 3, 5, 6, 8, 9]] / BOUND[[1, 2, 3, 5, 6, 8, 9]]
-    known = ~np.isnan(ends["corners"][0])
-    # the slack of corners is that of the whole envelope: at most this much where a slope has no sign
-    slack = (DETECTOR._settings.unproved[3:, :10] @ BOUND_OF_VARIABLE / BOUND_OF_VARIABLE[3:]) + 1e-9
-    for bounds in ("inclusion", "sivia"):
-        assert np.all((ends[bounds][0] <= ends["corners"][0] + slack)[known])
-        assert np.all((ends[bounds][1] >= ends["corners"][1] - slack)[known])
-    others = [0, 1, 3, 4, 5, 6]  # all but the torque
-    beyond = (ends["sivia"] - ends["inclusion"])[..., others] * np.array([-1, 1])[:, None, None, None]
-    assert np.all(beyond[np.broadcast_to(known[..., others], beyond.shape)] <= 0.01 + 1e-9)
-    width = {bounds: np.nanmean(np.diff(e, axis=0)[0], axis=(0, 1)) for bounds, e in ends.items()}
-    assert np.all(width["inclusion"][[0, 1, 3]] > 1.05 * width["corners"][[0, 1, 3]])
-
-
-@pytest.mark.skipif(find_spec("codac") is None, reason="needs the optional package codac")
-def test_set_inversion_by_codac_lies_between() -> None:
-    """Ours contracts the readings' intervals with a narrow z too, which are constants to codac; inclusion is the widest."""
-    recording = healthy(300, 5)
-    y = recording.y[:1, :2].copy()
-    first = replace(recording_of(recording, 1), u=recording.u[:1])
-    ends = {}
-    for bounds in ("sivia", "codac", "inclusion"):
-        d = judge(replace(DETECTOR, bounds=bounds), y, first)
-        middle, radius = y - d.residual, d.threshold - BOUND
-        ends[bounds] = np.stack([-(middle - radius), middle + radius]) / BOUND
-    # a hull exceeds the solutions by a box that is not cut any more, TOLERANCE wide
-    assert np.all(ends["sivia"] <= ends["codac"] + TOLERANCE)
-    assert np.all(ends["codac"] <= ends["inclusion"] + TOLERANCE)
-
-
-def recording_of(recording: Recording, steps: int) -> Recording:
-    return replace(recording, t=recording.t[:steps], u=recording.u[:steps])
-
-
 @pytest.mark.parametrize("value", [0.0, -1e5, 1e10], ids=str)
 def test_a_broken_sensor_is_named_and_breaks_nothing_else(value: float) -> None:
     """Where an equation has no value at the readings, they are moved into the envelope, for that equation."""
     recording = healthy(300, 5)
-    plain = AdaptiveThreshold(replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))  # type: ignore[type-var]
+    plain = AdaptiveThreshold(changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))  # type: ignore[type-var]
     for i, steps in ((7, 300), (3, 200)):  # observers forget 1e10 in fewer steps
         y = recording.y[:steps].copy()
         y[100:120, :, i] = value

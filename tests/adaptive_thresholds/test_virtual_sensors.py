@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from toy_plants import readings, tanks
+from toy_plants import changed, readings, tanks
 
-from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, adapt, adaptive_rate
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
 from fusion_sfdia.core.detector import Decision, State, run
@@ -23,7 +22,7 @@ Array = NDArray[Any]
 
 ENGINE = marine_engine()
 DETECTOR = VirtualSensors(ENGINE)
-NOMINAL = np.array([ENGINE.modules.nominal[s.measures] for s in ENGINE.sensors])  # type: ignore[union-attr]
+NOMINAL = np.array([ENGINE.structure.modules.nominal[s.measures] for s in ENGINE.sensors])  # type: ignore[union-attr]
 TORQUE, RECEIVER, CHARGE = (ENGINE.sensor_index(name) for name in ("S(2){3}", "S(3){1}", "S(4){2}"))
 RATES = {"fuel": 0.5, "p_receiver": 8.7, "p_charge": 5.0}
 
@@ -133,7 +132,7 @@ def test_an_empty_intersection_is_no_constant_offset_and_the_sensor_counts_as_mi
     _, missing, _ = watch(DETECTOR, recording, gone)
     others = np.delete(np.arange(10), CHARGE)
     # the algebraic modules have no memory: those of states still know what they read before
-    algebraic = [i for i in others if ENGINE.sensors[i].measures not in ENGINE.modules.states]  # type: ignore[union-attr]
+    algebraic = [i for i in others if ENGINE.sensors[i].measures not in ENGINE.structure.modules.states]  # type: ignore[union-attr]
     np.testing.assert_array_equal(drifting.threshold[-1][:, algebraic], missing.threshold[-1][:, algebraic])
     np.testing.assert_array_equal(drifting.measured[-1, :, CHARGE], missing.measured[-1, :, CHARGE])
     np.testing.assert_array_equal(drifting.fault_size[-1, :, CHARGE], drifting.residual[-1, :, CHARGE])
@@ -170,8 +169,8 @@ def test_a_single_run_is_stepped_without_a_batch() -> None:
 
 
 def test_without_compiled_modules_it_is_the_same() -> None:
-    assert ENGINE.modules is not None
-    plain = replace(DETECTOR, plant=replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))
+    assert ENGINE.structure.modules is not None
+    plain = replace(DETECTOR, plant=changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))
     recording = healthy(60, 4)
     y = with_offsets(recording, 20, {TORQUE: -3.8e4, RECEIVER: 1.5e5})
     (_, one, a), (_, other, b) = (watch(d, recording, y) for d in (DETECTOR, plain))
@@ -198,32 +197,6 @@ def test_missing_readings_widen_and_are_replaced() -> None:
     _, kept, held = watch(DETECTOR, recording, y)
     low, high = held.lo[25:, right, TORQUE], held.hi[25:, right, TORQUE]
     assert np.all((low <= -3.8e4) & (-3.8e4 <= high)) and not kept.diverged.any()
-
-
-def test_the_adaptive_law_converges_with_its_rate() -> None:
-    """With f~ = f - f^, the law's own transform x~ + Omega f~ decays at rate + gain: then f~ alone by 1 - dt times the rate."""
-    rate, gain, learning, dt, x, f = 100.0, 445.0, 8.7, 0.01, 3.95e5, 5e4
-    now = Estimates(*(np.array([v]) for v in (x, 0.0, 0.0)))
-    left = []
-    for _ in range(400):
-        reading = np.array([x + f])
-        now = adapt(now, np.array([rate * x]), reading, reading, np.array([True]), dt, rate, gain, learning)
-        left.append(float((f - now.fault)[0]))
-    expected = adaptive_rate(rate, gain, learning)
-    assert expected == pytest.approx(0.2929, abs=1e-4)  # V22: "within approximately 10 s"
-    # e^(-5.45 k) of the start is left after k steps, nothing after twenty; readings of 4e5 are rounded to 6e-11, f~ is 2e4
-    ratio = np.array(left[20:]) / np.array(left[19:-1])
-    np.testing.assert_allclose(ratio, 1 - dt * expected, rtol=1e-12)
-    # the printed gain of M(4,1): 1e5 s and more
-    assert adaptive_rate(0.2, 319.98, 5.0) == pytest.approx(1.95e-6, rel=1e-2)
-
-
-def test_an_adaptive_observer_is_idle_until_its_module_fires_and_where_readings_are_missing() -> None:
-    start = Estimates(np.array([1.0, 1.0]), np.zeros(2), np.zeros(2))
-    reading, h = np.array([3.0, np.nan]), np.array([1.0, 1.0])
-    after = adapt(start, h, reading, reading, np.array([False, True]), 0.1, 1.0, 2.0, 1.0)
-    assert after.fault.tolist() == [0.0, 0.0] and after.omega[1] == 0.0
-    assert after.state[1] == pytest.approx(1.0, rel=1e-15) and after.state[0] > 1.0
 
 
 def test_an_adaptive_observer_sizes_the_fault_of_its_state() -> None:
@@ -270,7 +243,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match=r"learning rates fuel=-1.0; expected positive numbers in 1/s"):
         replace(DETECTOR, learning_rates={"fuel": -1.0})
     with pytest.raises(ValueError, match="does not say its scalar equations"):
-        VirtualSensors(replace(ENGINE, modules=None))
+        VirtualSensors(changed(ENGINE, modules=None))
     with pytest.raises(ValueError, match="envelope names nothing"):
         VirtualSensors(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="no state of VirtualSensors"):

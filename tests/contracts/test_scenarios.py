@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from smallest_scenarios import SMALLEST, smallest
 
-from fusion_sfdia.detectors import DETECTORS
 from fusion_sfdia.evaluation.results import read_rows, write_rows
 from fusion_sfdia.experiments.parts import read_part, write_part
 from fusion_sfdia.experiments.workers import Piece, work_off
-from fusion_sfdia.registry import GROUPS, SCENARIOS, scenario
+from fusion_sfdia.registry import GROUPS, SCENARIOS, detectors, scenario
 from fusion_sfdia.report.plots import style
 
 NAMES = [name for name in SCENARIOS if name != "comparison"]  # has tests of its own
@@ -36,7 +35,7 @@ def test_rows_have_the_vocabulary_of_the_columns(name: str, tmp_path: Path) -> N
     assert len(set(keys)) == len(keys)
     for r in rows:
         assert (r.scenario, r.plant) == (name, PLANTS[name.partition("/")[0]])
-        assert r.detector in {*DETECTORS, *VARIANTS} and r.fault and r.quantity, r
+        assert r.detector in {*detectors(), *VARIANTS} and r.fault and r.quantity, r
         assert re.fullmatch(r"[a-z0-9_]+", r.metric), r
         assert np.isnan(r.low) or r.low <= r.value <= r.high, r
         assert not r.metric.endswith("performance_percent") or np.isnan(r.value) or 0 <= r.value <= 100

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,18 @@ from fusion_sfdia.models.two_tanks.plant import tank_physics as tank_physics
 from fusion_sfdia.models.two_tanks.plant import two_tanks as tanks  # noqa: F401
 
 Array = NDArray[Any]
+
+
+def changed(plant: Plant, **changes: Any) -> Plant:
+    """The plant with some fields changed, its own or those of its groups."""
+    found = {name: value for name, value in changes.items() if name in {f.name for f in fields(plant)}}
+    for group in ("numerics", "truth", "structure"):
+        now = getattr(plant, group)
+        if inner := {name: changes[name] for name in changes if name in {f.name for f in fields(now)}}:
+            found[group] = replace(now, **inner)
+            changes = {name: value for name, value in changes.items() if name not in inner}
+    assert changes.keys() <= found.keys(), f"a plant has no {', '.join(changes.keys() - found.keys())}"
+    return replace(plant, **found)
 
 
 def chain(n: int = 12, sensors: int | None = None, sigma: float = 1.0, process: float = 0.1) -> Plant:
@@ -49,3 +62,13 @@ def readings(plant: Plant, steps: int, runs: int, seed: int) -> tuple[Array, Arr
         xs[k] = x
         ys[k] = plant.output((k + 1) * plant.dt, x, u) + plant.sensor_sigma * rng.standard_normal((runs, count))
     return np.arange(1, steps + 1) * plant.dt, xs, ys, np.broadcast_to(u, (steps, runs, len(plant.inputs)))
+
+
+BOUND = 0.3
+
+
+def bounded_chain() -> Plant:
+    """A linear plant, all states read, with noise of stated bounds and a disturbance of stated bound."""
+    plant = chain(6)
+    sensors = tuple(Sensor(s.name, s.measures, s.unit, bound=BOUND, owner=s.owner) for s in plant.sensors)
+    return replace(plant, sensors=sensors, process_bound=np.full(6, 0.05))

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia import registry
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import build
-from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.fault_effects import apply_faults
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.results import row_of
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
@@ -45,18 +46,18 @@ row = partial(row_of, PLANT)  # of scenario, detector, fault, quantity, metric, 
 def engine(noise: float, design: str) -> Plant:
     """The engine at full load with readings of that noise and modules as designed in K24 or K22."""
     plant = marine_engine(noise=noise)
-    assert plant.modules is not None
+    assert plant.structure.modules is not None
     gains, bounds = DESIGNS[design]
-    modules = replace(plant.modules, gains=gains, observer_bounds=bounds)
+    modules = replace(plant.structure.modules, gains=gains, observer_bounds=bounds)
     if design == AT_NOMINAL_SPEED:
         modules = replace(modules, equations=dict(modules.equations) | NOMINAL_SPEED, monitor=None)
-    return replace(plant, modules=modules)
+    return replace(plant, structure=replace(plant.structure, modules=modules))
 
 
 @cache
 def engine_detector(name: str, noise: float, design: str = "K24") -> AdaptiveThreshold:
     """A named detector on that engine, built once for all tasks of a process."""
-    detector = build(name, engine(noise, design))
+    detector = registry.detector(name, engine(noise, design))
     assert isinstance(detector, AdaptiveThreshold)
     alike = design if design == AT_NOMINAL_SPEED else "K24"
     vars(detector)["slopes"] = proof(noise, alike)  # the cached property: seconds, and the same for all modes, gains, bounds
@@ -78,7 +79,7 @@ def recording(noise: float, steps: int, seeds: tuple[int, ...]) -> Recording:
 def offsets(plant: Plant, t: Array, y: Array, faults: Iterable[Sequence[Any]]) -> Array:
     """The readings y (K, B, N) at t (K,) with permanent offsets (sensor, onset in s, magnitude)."""
     listed = [Fault(sensor, "bias", onset, magnitude=magnitude) for sensor, onset, magnitude in faults]
-    return apply(plant, t, y, listed).y if listed else y
+    return apply_faults(plant, t, y, listed).y if listed else y
 
 
 def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str = "K24") -> list[Task]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
-from fusion_sfdia.models.power_network.simulation import Draw, Moment
+from fusion_sfdia.models.power_network.simulation import Draw, NetworkSample
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 
@@ -62,7 +62,7 @@ def draw_of(law: str) -> Draw:
     return known[law]
 
 
-def diagnosed(areas: Areas, moments: Iterable[Moment], variant: Variant) -> Iterator[tuple[Moment, Diagnosers]]:
+def diagnosed(areas: Areas, moments: Iterable[NetworkSample], variant: Variant) -> Iterator[tuple[NetworkSample, Diagnosers]]:
     """Each moment of the runs of a network, with its diagnosers after the readings of that moment."""
     state = None
     for now in moments:
@@ -83,7 +83,7 @@ def normalised(state: Diagnosers) -> Array:
     return z
 
 
-def streams(model: NetworkModel, moments: Iterable[Moment], variants: Iterable[Variant]) -> dict[str, Array]:
+def streams(model: NetworkModel, moments: Iterable[NetworkSample], variants: Iterable[Variant]) -> dict[str, Array]:
     """Normalised residuals (K, B, 4N + 2E) by variant of the same runs, without the first SETTLE samples."""
     areas, recorded = network_areas(model, named=False), list(moments)
     return {v.name: np.stack([normalised(s) for _, s in diagnosed(areas, recorded, v)])[SETTLE:] for v in variants}

@@ -18,7 +18,7 @@ from fusion_sfdia.models.power_network.faults import fault_function
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
-from fusion_sfdia.models.power_network.simulation import Moment, run_network
+from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
 from fusion_sfdia.registry import require_known
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses
@@ -63,7 +63,7 @@ def trial(
     faults: Sequence[AreaFault],
     switches: Sequence[Switch] = (),
     controller: str = "generation",
-    each: Callable[[Moment], None] | None = None,
+    each: Callable[[NetworkSample], None] | None = None,
 ) -> Arrays:
     """Runs of B seeds over K = steps + 1 samples; loads: "1" or "2" of B18. Isolation where no area is switched.
 
@@ -177,7 +177,7 @@ class Answers:
         self.answer, self.gain = self.first_answer.copy(), np.ones(runs)
         self.excluded = np.full((runs, len(self.faults)), np.inf)
 
-    def step(self, before: Diagnosers, moment: Moment, load: Array) -> None:
+    def step(self, before: Diagnosers, moment: NetworkSample, load: Array) -> None:
         if self.observer is not None and self.state is not None:
             self.state = self.observer.step(self.state, before, moment.reference, load, moment.own, moment.shared)
 
