@@ -116,12 +116,13 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
     for (what, drive), parts in cells.items():
         first = firsts[what, drive] = np.concatenate([p["first"] for p in parts], axis=1)
         diverged = np.concatenate([p["diverged"] for p in parts], axis=1)
-        cases = process_cases(list(settings["severities"])) if what == PROCESS else attack_cases()
-        for case, times, lost in zip(cases, first, diverged, strict=True):
-            kind, of = case
-            quantity, condition = ("all", severity_text(float(str(of)))) if what == PROCESS else (str(of), drive)
+        if what == PROCESS:
+            cases = [(kind, "all", severity_text(severity)) for kind, severity in process_cases(list(settings["severities"]))]
+        else:
+            cases = [(kind, sensor, drive) for kind, sensor in attack_cases()]
+        for (kind, quantity, condition), times, lost in zip(cases, first, diverged, strict=True):
             at = partial(row, "engine/process", settings["detector"], kind, quantity, condition=condition)
-            faulty = list(SENSORS).index(str(of)) if of in SENSORS else None
+            faulty = list(SENSORS).index(quantity) if quantity in SENSORS else None
             answer = response(times, settings["onset"], range(len(NAMES)))
             early = Estimate(float((times < settings["onset"]).any(axis=-1).sum()), math.nan, math.nan, len(times))
             rows += [

@@ -16,7 +16,7 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.speed.against_filterpy import MEMBERS, Model, step_call
+from fusion_sfdia.benchmarks.speed.support.against_filterpy import MEMBERS, Model, step_call
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.physics import Physics
