@@ -9,16 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    PAPER,
-    Results,
-    bar_series,
-    judged_runs,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, PAPER, Results, tasks, trial
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row

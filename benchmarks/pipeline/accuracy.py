@@ -7,16 +7,8 @@ from functools import partial
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.readings import condition, nearer, readings, readings_table
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    PAPER,
-    Results,
-    bar_series,
-    judged_runs,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
@@ -127,7 +119,7 @@ SCENARIO = Scenario(
     about="Share of runs judged right as a whole, at three levels of noise, for strong and weak biases and drifts in each "
     "quantity, beside the published tables; at the moderate level for both "
     "readings of the paper's process noise. The small default has the moderate level only; `--full` has all three.",
-    settings={**{k: v for k, v in COMMON.items() if k != "snr"}, "levels": ("moderate",)},
+    settings={**common("snr"), "levels": ("moderate",)},
     seeds=2,
     full_seeds=50,
     tasks=accuracy_tasks,

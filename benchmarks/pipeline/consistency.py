@@ -10,17 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia import registry
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    PAPER,
-    SETTLE,
-    SINGLE,
-    Results,
-    bar_series,
-    row,
-    tasks,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, PAPER, SETTLE, SINGLE, Results, common, tasks
 from fusion_sfdia.builders import PAPER_FILTERS, watching
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.evaluation.results import Row
@@ -156,7 +147,7 @@ SCENARIO = Scenario(
     title="Consistency: covariances and false-alarm budgets",
     about="Is the claimed uncertainty correct? Normalised errors on truth with process noise, and the rate of false alarms of "
     "each budget, for the consistent banks, a single filter, and the covariances of the published banks.",
-    settings={k: v for k, v in COMMON.items() if k != "truth"},
+    settings=common("truth"),
     seeds=3,
     full_seeds=50,
     tasks=consistency_tasks,

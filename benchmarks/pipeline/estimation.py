@@ -9,17 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.readings import condition, nearer, readings, readings_table
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    PAPER,
-    Results,
-    bar_series,
-    initial,
-    judged_runs,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, grid, initial, tasks, trial
 from fusion_sfdia.builders import PAPER_FILTERS
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
@@ -40,16 +31,9 @@ NAME, LEVELS = "pipeline/estimation", ("high", "moderate", "low")
 
 def estimation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Table IV: banks and basic filters at three levels of noise, with both readings of the paper's process noise."""
-    return tasks(
-        settings,
-        (
-            {"detector": d, "snr": s, "process_noise": p, "fault": "none", "quantity": "all", "accommodate": True}
-            for p in readings(settings)
-            for s in LEVELS
-            for d in (*PAPER, *PAPER_FILTERS)
-        ),
-        seeds,
-    )
+    healthy = {"fault": ("none",), "quantity": ("all",), "accommodate": (True,)}
+    cells = grid(process_noise=readings(settings), snr=LEVELS, detector=(*PAPER, *PAPER_FILTERS), **healthy)
+    return tasks(settings, cells, seeds)
 
 
 @cache
@@ -136,7 +120,7 @@ SCENARIO = Scenario(
     about="Root mean square error over nodes and time of the three fusing filters and their basic counterparts at three noise "
     "levels; truth without process noise and with the filter's own model, as in the paper; the filters with process "
     "noise of 0.9 and 0.1 of the sensors' sigma.",
-    settings={k: v for k, v in COMMON.items() if k != "snr"},
+    settings=common("snr"),
     seeds=2,
     full_seeds=10,
     tasks=estimation_tasks,

@@ -9,17 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    PAPER,
-    SENSORS,
-    Results,
-    judged_runs,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, Results, grid, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
@@ -51,16 +42,7 @@ def isolation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on the paper's faults of every quantity; Fig. 6 has the weak bias."""
     faults = settings["faults"]
     assert isinstance(faults, tuple)
-    return tasks(
-        settings,
-        (
-            {"detector": d, "fault": f, "quantity": q, "accommodate": True}
-            for f in faults
-            for q in QUANTITIES
-            for d in (*PAPER, *OURS)
-        ),
-        seeds,
-    )
+    return tasks(settings, grid(fault=faults, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(True,)), seeds)
 
 
 def isolation_summary(settings: Settings, results: Results) -> Summary:

@@ -7,23 +7,12 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    Results,
-    bar_series,
-    judged_runs,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, Results, common, grid, tasks, trial
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
-from fusion_sfdia.evaluation.isolation_metrics import (
-    false_flag_rate,
-    isolation_recall,
-)
+from fusion_sfdia.evaluation.isolation_metrics import false_flag_rate, isolation_recall
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
@@ -57,16 +46,8 @@ def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
 
 def mismatch_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each truth, healthy and with a weak bias on any sensor."""
-    return tasks(
-        settings,
-        (
-            {"truth": t, "detector": d, "fault": f, "quantity": "all", "accommodate": True}
-            for t in TRUTHS
-            for d in NAMES
-            for f in ("none", "weak-bias", "bias-5-sigma")
-        ),
-        seeds,
-    )
+    faults = ("none", "weak-bias", "bias-5-sigma")
+    return tasks(settings, grid(truth=TRUTHS, detector=NAMES, fault=faults, quantity=("all",), accommodate=(True,)), seeds)
 
 
 def mismatch_work(task: Task) -> Arrays:
@@ -121,7 +102,7 @@ SCENARIO = Scenario(
     title="When the model is wrong",
     about="Readings from a finer grid (81 nodes), a rougher pipe, warmer or more conductive ground than in the filter's model: "
     "false alarms without a fault, and isolation with one.",
-    settings={k: v for k, v in COMMON.items() if k != "truth"},
+    settings=common("truth"),
     seeds=2,
     full_seeds=50,
     tasks=mismatch_tasks,

@@ -9,18 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    AFTERMATH,
-    COMMON,
-    OURS,
-    PAPER,
-    JudgedRuns,
-    Results,
-    detection_rows,
-    judged_runs,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import JudgedRuns, detection_rows, judged_runs
+from fusion_sfdia.benchmarks.pipeline.support.trials import AFTERMATH, COMMON, OURS, PAPER, Results, grid, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
@@ -33,16 +23,7 @@ from fusion_sfdia.report.plots import panels, roc_curves
 
 def roc_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on every fault of every quantity, watching only."""
-    return tasks(
-        settings,
-        (
-            {"detector": d, "fault": f, "quantity": q, "accommodate": False}
-            for f in FAULTS
-            for q in QUANTITIES
-            for d in (*PAPER, *OURS)
-        ),
-        seeds,
-    )
+    return tasks(settings, grid(fault=FAULTS, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(False,)), seeds)
 
 
 def draw_roc(cells: Mapping[tuple[Any, ...], JudgedRuns], fault: str) -> Drawing:

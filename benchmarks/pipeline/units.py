@@ -8,19 +8,10 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    Results,
-    bar_series,
-    judged_runs,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, Results, grid, tasks, trial
 from fusion_sfdia.builders import PAPER_UNITS
-from fusion_sfdia.evaluation.isolation_metrics import (
-    isolation_recall,
-)
+from fusion_sfdia.evaluation.isolation_metrics import isolation_recall
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
@@ -54,15 +45,8 @@ def _variant(name: str, snr: str, process_noise: str) -> FusingBank:
 
 def units_tasks(settings: Settings, seeds: int) -> list[Task]:
     """A bias of 30 % through each variant, and through the leave-one-out chi-square."""
-    return tasks(
-        settings,
-        (
-            {"detector": d, "fault": "bias-30-percent", "quantity": q, "accommodate": True}
-            for d in (*VARIANTS, BESIDE)
-            for q in QUANTITIES
-        ),
-        seeds,
-    )
+    cells = grid(detector=(*VARIANTS, BESIDE), quantity=QUANTITIES, fault=("bias-30-percent",), accommodate=(True,))
+    return tasks(settings, cells, seeds)
 
 
 def units_work(task: Task) -> Arrays:

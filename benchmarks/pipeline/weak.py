@@ -6,23 +6,9 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    PAPER,
-    Results,
-    bar_series,
-    detection_rows,
-    judged_runs,
-    row,
-    tasks,
-    trial,
-)
-from fusion_sfdia.evaluation.isolation_metrics import (
-    exact_isolation,
-    false_flag_rate,
-    isolation_recall,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, detection_rows, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, Results, grid, tasks, trial
+from fusion_sfdia.evaluation.isolation_metrics import exact_isolation, false_flag_rate, isolation_recall
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
@@ -35,13 +21,9 @@ WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 
 def weak_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Single faults near the noise, watching; three at once, accommodated."""
-    one = (
-        {"detector": d, "fault": f, "quantity": q, "accommodate": False}
-        for f in WEAK_FAULTS
-        for q in QUANTITIES
-        for d in ("fusing-ekf", *OURS)
-    )
-    three = ({"detector": d, "fault": "three-8-sigma", "quantity": "all", "accommodate": True} for d in (*PAPER[:1], *OURS))
+    names = (PAPER[0], *OURS)
+    one = grid(fault=WEAK_FAULTS, quantity=QUANTITIES, detector=names, accommodate=(False,))
+    three = grid(fault=("three-8-sigma",), quantity=("all",), detector=names, accommodate=(True,))
     return tasks(settings, (*one, *three), seeds)
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.accommodation import READING
-from fusion_sfdia.benchmarks.pipeline.support.trials import JudgedRuns, aftermath, detection_rows, judged_runs, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.rows import JudgedRuns, aftermath, detection_rows, judged_runs
+from fusion_sfdia.benchmarks.pipeline.support.trials import tasks, trial
 from fusion_sfdia.builders import as_printed
 from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
 from fusion_sfdia.evaluation.fault_draws import FaultRange
