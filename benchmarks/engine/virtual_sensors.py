@@ -132,7 +132,7 @@ def highlights(rows: list[Row]) -> list[str]:
 
 
 def remarks(rows: list[Row], settings: Settings) -> list[str]:
-    """What the numbers say beside the paper's."""
+    """Our numbers beside the paper's."""
     modules = engine(settings["noise"], "K22").structure.modules
     assert modules is not None
     rates = {r.quantity: r.value for r in pick(rows, metric="adaptive_rate")}

@@ -113,7 +113,7 @@ def in_one(areas: int, seconds: float) -> Arrays:
 def in_parts(areas: int, seconds: float) -> Arrays:
     """Two processes of one thread against this one, taking turns: seconds on the clock.
 
-    They speak TLS with a certificate made for this cluster alone: whoever can reach a dask scheduler without can run code.
+    They use TLS with a certificate made for this cluster alone: without it, anyone who reaches a dask scheduler can run code.
     """
     from distributed import Client, LocalCluster
 

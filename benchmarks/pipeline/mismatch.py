@@ -92,7 +92,7 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
         + " ".join(f"{t}: {listed(pick(rows, metric='false_alarm_probability', condition=t))}." for t in TRUTHS),
         "Fewer alarms may be due to fewer detections. Faulty samples with the sensor isolated, over all truths: "
         + " ".join(f"{f}: {listed(pick(rows, metric='isolation_recall', fault=f))}." for f in ("weak-bias", "bias-5-sigma")),
-        "Where the model is uncertain, give the filter the process noise that says so, or estimate the parameter as a state.",
+        "Where the model is uncertain, give the filter a process noise that covers it, or estimate the parameter as a state.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 

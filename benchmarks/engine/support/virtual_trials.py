@@ -117,12 +117,12 @@ def follow(
         state, decision = detector.step(state, float(now), y[k], u[k])
         held, size = detector.fault_interval(state), np.nan_to_num(decision.fault_size)
         first = np.where(decision.isolated, np.minimum(first, now), first)
-        accused = decision.isolated[:, own]
+        found = decision.isolated[:, own]
         error = np.abs(size[:, own] / true - 1)
-        risen = accused & (size[:, own] >= (1 - REMAINS) * true) & np.isnan(rise)
+        risen = found & (size[:, own] >= (1 - REMAINS) * true) & np.isnan(rise)
         rise = np.where(risen, now - first[:, own], rise)
-        inside += accused & (held.lo[:, own] <= true) & (true <= held.hi[:, own])
-        isolated += accused
+        inside += found & (held.lo[:, own] <= true) & (true <= held.hi[:, own])
+        isolated += found
         late = now >= since - detector.plant.dt / 2
         ape += np.where(late, 100 * error, 0.0)
         square += np.where(late, (decision.measured - signal[k])[:, own] ** 2, 0.0)

@@ -198,7 +198,7 @@ def remarks(rows: Rows) -> list[str]:
         + ", ".join(f"{span(100 * v for v in values)} % ('{n}')" for n, values in removed.items())
         + " of the variance of their residuals; (15) as printed states 50 to 75 %. It lowers the variance, but not by the "
         "number of sharers, and thresholds that are lowered by the root of that number alarm falsely.",
-        f"Theory, Var e = (Var drive + Var w + (a - lam)^2 Var r_bar) / (1 - lam^2) + sigma_i^2, lies within {inside} of "
+        f"Theory, Var e = (Var drive + Var w + (a - lam)^2 Var r_bar) / (1 - lam^2) + sigma_i^2, is within {inside} of "
         f"{inside + outside} intervals of 95 %.",
         "Where all areas read equally precisely, both weights are 1 / sharers. Where they do not, consensus can raise the "
         "variance over that alone: " + ("; ".join(f"{d} to {v} times" for d, v in worst.items()) or "nowhere here") + ".",
