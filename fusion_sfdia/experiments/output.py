@@ -45,8 +45,8 @@ class Command:
 def locked(out: Path) -> Iterator[None]:
     """Make the folder and hold it for this process; ValueError where another process does.
 
-    The system releases the lock of a process that ends, however it ends: a file that is left behind blocks no other process. Where
-    the disk or the system knows no such locks (some network disks, Windows) nothing is held.
+    The system releases the lock of a process that ends, however it ends: a file that is left behind blocks no other process.
+    Where the disk or the system has no such locks (some network disks, Windows) nothing is held.
     """
     require_free(out, force=True)
     with made_folder(out):
