@@ -192,7 +192,7 @@ def consensus_summary(settings: Settings, results: list[tuple[Task, Arrays]]) ->
     rows: dict[Variance, Row] = {}
 
     def add(key: Variance, estimate: Estimate, stated: Published | None = None) -> None:
-        detector = detector_name("corrected" if key.weights == ALONE else key.weights)
+        detector = detector_name("corrected" if key.of.weights == ALONE else key.of.weights)
         rows[key] = row(NAME, detector, "none", key.quantity, key.metric, estimate, stated, condition=key.condition)
 
     for (noise, kind), parts in cells.items():
@@ -206,15 +206,15 @@ def consensus_summary(settings: Settings, results: list[tuple[Task, Arrays]]) ->
                 for weights in square:
                     case = Case(noise, kind, lam, sharers, copy, weights)
                     runs = square[weights][:, mask].mean(axis=-1)
-                    add(Variance("residual_variance", *case), mean_over_runs(runs, np.ones_like(runs)))
+                    add(Variance("residual_variance", case), mean_over_runs(runs, np.ones_like(runs)))
                     expected = _mean(theory(areas, weights, lam), mask)
-                    add(Variance("residual_variance_theory", *case), _exactly(expected))
+                    add(Variance("residual_variance_theory", case), _exactly(expected))
                     if weights != ALONE:
                         ratio = mean_over_runs(runs, square[ALONE][:, mask].mean(axis=-1))
                         stated = Published(1 / sharers, f"{B18}, (15) and (17) for equal variances: 1 / sharers")
                         claimed = stated if kind == "equal" and weights == "paper" else None
-                        add(Variance("residual_variance_ratio", *case), ratio, claimed)
-                        add(Variance("residual_variance_ratio_theory", *case), _exactly(expected / single))
+                        add(Variance("residual_variance_ratio", case), ratio, claimed)
+                        add(Variance("residual_variance_ratio_theory", case), _exactly(expected / single))
     kinds = {
         (noise, lam): parts_of(network(found[0][0]), lam)
         for (noise, kind), found in cells.items()

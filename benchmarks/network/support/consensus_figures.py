@@ -20,6 +20,7 @@ WEIGHTS = ("corrected", "paper")  # modes of consensus: (17) as it should be and
 READINGS = ("equal", "unequal")
 COPIES = ("its area", "a neighbour")
 SHARERS = (2, 3, 4)
+RATIO = "residual_variance_ratio"
 LABELS = {
     "process": "noise of the process",
     "drive": "drive",
@@ -41,25 +42,22 @@ class Case(NamedTuple):
 
 
 class Variance(NamedTuple):
-    """What a row measures: a metric, and the fields of its Case."""
+    """What a row measures: a metric of a case."""
 
     metric: str
-    noise: str
-    readings: str
-    memory: float
-    sharers: int
-    copy: str
-    weights: str
+    of: Case
 
     @property
     def quantity(self) -> str:
         """The quantity of the row."""
-        return f"theta, {self.sharers} sharers, read by {self.copy}"
+        return f"theta, {self.of.sharers} sharers, read by {self.of.copy}"
 
     @property
     def condition(self) -> str:
         """The condition of the row."""
-        return f"{self.readings} readings, memory {self.memory:g}, {self.noise}" + ", alone" * (self.weights == ALONE)
+        return f"{self.of.readings} readings, memory {self.of.memory:g}, {self.of.noise}" + ", alone" * (
+            self.of.weights == ALONE
+        )
 
 
 Rows = Mapping[Variance, Row]
@@ -73,8 +71,8 @@ def ratio_figure(rows: Rows) -> Figure:
         figure, axes = panels([f"process noise '{n}', memory {m:g}" for n, m in cases], height=2.5, width=8.0)
         for panel, (noise, lam) in zip(axes, cases, strict=True):
             series = []
-            for label, metric in (("measured", "residual_variance_ratio"), ("theory", "residual_variance_ratio_theory")):
-                keys = [Variance(metric, noise, "equal", lam, s, COPIES[0], "corrected") for s in SHARERS]
+            for label, metric in (("measured", RATIO), ("theory", f"{RATIO}_theory")):
+                keys = [Variance(metric, Case(noise, "equal", lam, s, COPIES[0], "corrected")) for s in SHARERS]
                 found = [_one(rows, key) for key in keys]
                 series.append(Bars(label, *_limits(found), [np.nan] * 3))
             bars(panel, [f"{s} sharers" for s in SHARERS], series, ylabel="variance over that alone")
@@ -135,7 +133,7 @@ def unequal_figure(rows: Rows) -> Figure:
         for panel, (noise, copy) in zip(axes, cases, strict=True):
             series = []
             for label, weights in (("(17) corrected", "corrected"), ("(17) as printed", "paper")):
-                keys = [Variance("residual_variance_ratio", noise, "unequal", 0.0, s, copy, weights) for s in SHARERS]
+                keys = [Variance(RATIO, Case(noise, "unequal", 0.0, s, copy, weights)) for s in SHARERS]
                 found = [_one(rows, key) for key in keys]
                 series.append(Bars(label, *_limits(found), [np.nan] * 3))
             bars(panel, [f"{s} sharers" for s in SHARERS], series, ylabel="variance over that alone")
@@ -160,7 +158,7 @@ def table(rows: Rows) -> Table:
     """Measured beside theory."""
     lines = []
     for key, r in _ratios(rows).items():
-        expected = _one(rows, key._replace(metric="residual_variance_ratio_theory"))
+        expected = _one(rows, key._replace(metric=f"{RATIO}_theory"))
         stated = "" if r.published is None else f"{r.published:.3g}"
         lines.append(
             (
@@ -210,12 +208,12 @@ def _one(rows: Rows, key: Variance) -> Row | None:
 
 
 def _ratios(rows: Rows, **expected: object) -> dict[Variance, Row]:
-    """Finite variance ratios whose keys have these entries."""
+    """Finite variance ratios of the cases with these entries."""
     return {
         key: r
         for key, r in rows.items()
-        if key.metric == "residual_variance_ratio" and math.isfinite(r.value)
-        and all(getattr(key, name) == value for name, value in expected.items())
+        if key.metric == RATIO and math.isfinite(r.value)
+        and all(getattr(key.of, name) == value for name, value in expected.items())
     }  # fmt: skip
 
 
