@@ -43,7 +43,7 @@ SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings tha
         {"noises": ("small",), "modes": ("corrected",), "cases": ("three consecutive", "one"), "duration": 75.0},
     ),
 }
-MOST = 12  # tasks, of those that differ in detector and fault only
+MOST = 8  # tasks, of those that differ in detector and fault only
 
 
 class Run(NamedTuple):
