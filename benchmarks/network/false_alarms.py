@@ -20,7 +20,7 @@ from fusion_sfdia.benchmarks.network.support.claims import (
     RULES_SHOWN,
     SINGLE,
     Counted,
-    claim,
+    claimed_bounds,
 )
 from fusion_sfdia.benchmarks.network.support.false_alarm_figures import (
     WHO,
@@ -31,7 +31,6 @@ from fusion_sfdia.benchmarks.network.support.false_alarm_figures import (
     tables,
 )
 from fusion_sfdia.benchmarks.network.support.residuals import (
-    B18,
     CORRECTED,
     PAPER,
     SETTLE,
@@ -44,8 +43,8 @@ from fusion_sfdia.benchmarks.network.support.residuals import (
 )
 from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion, rate_over_runs
-from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
+from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import load_profile
@@ -184,19 +183,13 @@ def false_alarm_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
                     _add(rates, {Counted(CONFIRMED, v.name, who, noise, law, B18_ALPHA): share})
     figures = [groups_figure(rates), claims_figure(rates, settings["laws"]), consecutive_figure(rates)]
     sentences = remarks(rates)
-    return Summary([*claims(), *rates.values()], figures, tables(rates, settings["laws"]), sentences[:1], sentences[1:])
-
-
-def claims() -> list[Row]:
-    """The probabilities that B18 claims are never exceeded, for each alpha and number of consecutive alarms."""
-    rows = []
-    for alpha in ALPHAS:
-        for q in CONSECUTIVE_ALARMS:
-            stated = Published(claim(alpha, q), f"{B18}, " + ("(12)" if q == 1 else "Proposition 5"))
-            bound = NOTHING._replace(value=stated.value)
-            where = f"{q} consecutive, alpha {alpha:g}"
-            rows.append(row(NAME, PAPER.name, "none", "all", "false_alarm_bound", bound, stated, condition=where))
-    return rows
+    return Summary(
+        [*claimed_bounds(NAME, CONSECUTIVE_ALARMS), *rates.values()],
+        figures,
+        tables(rates, settings["laws"]),
+        sentences[:1],
+        sentences[1:],
+    )
 
 
 def _add(rates: dict[Counted, Row], found: Mapping[Counted, Estimate]) -> None:
