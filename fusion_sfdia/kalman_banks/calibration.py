@@ -1,4 +1,4 @@
-"""Thresholds from healthy data, where a method states none of its own."""
+"""Thresholds from healthy data, for a method that defines none."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def calibrate(bank: FusingBank, t: Array, y: Array, u: Array, false_alarm: float
     """
     if not isinstance(bank, FusingBank):
         raise ValueError(
-            f"bank is a {type(bank).__name__}; only a FusingBank is calibrated here, for it has no thresholds of its own. "
+            f"bank is a {type(bank).__name__}; only a FusingBank is calibrated here, because its method defines no thresholds. "
             "LeaveOneOutBank and CentralFilter take false_alarm, Chebyshev alpha or its `calibrated`, and FixedLimits, "
             "PrincipalComponents and StructuralResiduals are fitted by their fit()"
         )
