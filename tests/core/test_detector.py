@@ -122,7 +122,7 @@ def test_inputs_that_broadcast_fit(u_shape: tuple[int, ...]) -> None:
         ("pca", chain(1), "at least 2"),
     ],
 )
-def test_a_plant_that_lacks_what_a_method_needs_is_told_apart_from_other_errors(name: str, plant: Plant, message: str) -> None:
+def test_a_plant_that_lacks_what_a_method_needs_raises_its_own_error(name: str, plant: Plant, message: str) -> None:
     with pytest.raises(NotApplicableError, match=message):
         registry.detector(name, plant)
     assert issubclass(NotApplicableError, ValueError)

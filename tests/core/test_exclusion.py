@@ -31,7 +31,7 @@ class Sensor:
         if not self.out or np.isnan(error):
             return
         deviation = np.sqrt(variance)
-        if error**2 > LIMIT * variance:  # no healthy sensor reads this: whatever spoke for it is void
+        if error**2 > LIMIT * variance:  # no healthy sensor reads this: its evidence is void
             self.evidence, self.quiet = 0.0, 0
         else:
             assumed = self.size if abs(self.size) > deviation else np.copysign(deviation, self.size)
@@ -84,20 +84,20 @@ def test_readmission_is_the_literal_one() -> None:
     assert readmitted > 50 and voided > 20
 
 
-def test_an_implausible_reading_voids_what_spoke_for_the_sensor() -> None:
+def test_an_implausible_reading_voids_the_evidence_of_health() -> None:
     """Fault of 10: a healthy reading weighs (10^2 - 0) / 2 = 50; one at -4 is nearer to healthy, too, but no healthy one."""
     now = exclude(none_excluded((), 1), np.array([True]), np.array([10.0]))
     one = np.ones(1)
-    doubted = readmit(now, 0 * one, one, LIMIT, 60.0)
-    assert doubted.out[0] and doubted.evidence[0] == 50.0
-    assert not readmit(doubted, 0 * one, one, LIMIT, 60.0).out[0]  # 100 after a second
-    void = readmit(doubted, -4 * one, one, LIMIT, 60.0)
+    gathered = readmit(now, 0 * one, one, LIMIT, 60.0)
+    assert gathered.out[0] and gathered.evidence[0] == 50.0
+    assert not readmit(gathered, 0 * one, one, LIMIT, 60.0).out[0]  # 100 after a second
+    void = readmit(gathered, -4 * one, one, LIMIT, 60.0)
     assert void.out[0] and void.evidence[0] == 0.0 and void.quiet[0] == 0
     after = readmit(void, 0 * one, one, LIMIT, 60.0)
-    assert after.out[0] and after.quiet[0] == 1  # it has to be quiet anew
+    assert after.out[0] and after.quiet[0] == 1  # the count of quiet samples starts again
 
 
-def test_a_missing_reading_teaches_nothing() -> None:
+def test_a_missing_reading_changes_nothing() -> None:
     now = readmit(exclude(none_excluded((), 1), np.array([True]), np.array([10.0])), np.zeros(1), np.ones(1), LIMIT, 60.0)
     for a, b in zip(readmit(now, np.array([np.nan]), np.ones(1), LIMIT, 60.0), now, strict=True):
         np.testing.assert_array_equal(a, b)

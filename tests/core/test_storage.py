@@ -74,7 +74,7 @@ def test_another_detector_settings_or_plant_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match="was saved by another detector, other settings or another plant"):
             load_state(path, other)
-    assert fingerprint(LeaveOneOutBank(tanks(), window=5)) == fingerprint(detector)  # built anew it is the same
+    assert fingerprint(LeaveOneOutBank(tanks(), window=5)) == fingerprint(detector)  # built again it is the same
 
 
 def test_a_foreign_file_is_one_clear_error(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_a_sensor_is_readmitted_at_odds_of_its_share_of_the_false_alarms(evidenc
     assert after.out[1] == decision.isolated[1] == (not back)
 
 
-def test_a_reading_beyond_the_limit_voids_what_spoke_for_a_sensor() -> None:
+def test_a_reading_beyond_the_limit_voids_the_evidence_of_health() -> None:
     y = EXPECTED.copy()
     y[1] += 3.1 * np.sqrt(VARIANCE[1])
     after, _ = conclude(out(1, size=20.0, evidence=100.0, quiet=1.0), y, VERDICT._replace(named=NOTHING))

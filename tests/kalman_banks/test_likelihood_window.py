@@ -179,7 +179,7 @@ def test_an_alarm_of_the_window_frees_the_estimate_of_what_it_had_absorbed(missi
     assert checked >= 4
 
 
-def test_after_an_alarm_the_window_begins_anew() -> None:
+def test_after_an_alarm_the_window_starts_again() -> None:
     """The filter goes on without the sensor, and onsets before it did are forgotten: those since are as in a run from there."""
     runs = 16
     t, y, u = data(runs, 0.1, 6.0)

@@ -95,7 +95,7 @@ def square() -> Plant:
     )
 
 
-def test_two_peaks_are_weighed_as_the_integral_says() -> None:
+def test_two_peaks_have_the_weights_of_the_integral() -> None:
     """E[x^2 | y_b], its variance and E[x^2 | y_a, y_b] by quadrature; a Kalman filter, extended, learns nothing here."""
     plant, y = square(), np.array([1.6, 2.1])
     x = np.linspace(-8, 8, 20001)
@@ -145,7 +145,7 @@ def test_jumps_are_named_with_their_size_and_replaced() -> None:
     during = d.isolated[20:]
     # 1e-3 of 100 steps: two false names are the 99.98 % point of a Poisson law of mean .1
     assert np.sum(np.any(during != expected, axis=-1)) <= 2
-    # a size errs by the noise (1) and by the doubt of the others; the accommodated reading by the latter alone
+    # a size errs by the noise (1) and by the error of the others; the accommodated reading by the latter alone
     sizes = d.fault_size[20:][..., [2, 5]]
     np.testing.assert_allclose(np.nanmean(sizes, axis=(0, 1)), [15.0, -25.0], atol=1.0)
     error = (d.reconstruction - y)[20:][..., [2, 5]]

@@ -114,7 +114,7 @@ def test_settings_that_make_no_sense() -> None:
             SequentialBank(plant, rules)  # type: ignore[arg-type]
 
 
-def test_where_as_many_are_out_as_may_be_it_says_so() -> None:
+def test_a_bank_reports_when_no_more_sensors_may_be_left_out() -> None:
     plant = chain(12)
     t, _, y, u = readings(plant, 60, 10, seed=6)
     y = y.copy()

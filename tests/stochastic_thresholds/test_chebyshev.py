@@ -123,13 +123,13 @@ def test_silence_of_all_sensors_passes(name: str) -> None:
     y[8:30] = np.nan
     d = decisions(Chebyshev(plant_of(name), alpha=5.0), (t, y, u))
     assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.reconstruction)) and not d.alarm.any()
-    if name == "network":  # the levels of the others run to rest, and are known better then than one reading tells
+    if name == "network":  # the levels of the others run to rest, and are then known better than from one reading
         assert np.all(d.threshold[30] > d.threshold[9])
     left = 0.3**9  # of the memory; what stands for the readings is as it was
     assert np.all(d.threshold[39] <= d.threshold[7] * 1.01 + left * d.threshold[30])
 
 
-def test_one_diagnoser_follows_states_that_nobody_reads() -> None:
+def test_one_diagnoser_follows_unmeasured_states() -> None:
     plant = chain(6, sensors=4)  # sums of neighbours: no state is read directly
     t, _, y, u = readings(plant, 60, RUNS, seed=4)
     d = decisions(Chebyshev(plant, lam=0.0, rule="gaussian", alpha=1.0, moments=Extended(), **WATCHING), (t, y, u))
@@ -155,7 +155,7 @@ def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:
 
 
 @pytest.mark.parametrize("name", ["theta_4", "theta_4@3", "omega_9", "p_v_13", "p_m_1"])
-def test_faults_of_every_kind_of_reading_are_named_exactly(name: str) -> None:
+def test_faults_of_every_kind_of_reading_are_isolated_exactly(name: str) -> None:
     plant = power_network(loads=(), noise="small")
     r = simulate(plant, 45, range(20), truth="model", process_noise=True)
     i, y = plant.sensor_index(name), r.y.copy()

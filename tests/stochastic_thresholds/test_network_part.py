@@ -12,7 +12,7 @@ from fusion_sfdia.stochastic_thresholds.network_part import part_layouts
 AREAS = network_areas(network_model(generate_network(23, 3, degree=5.0), unplugged=["7", "8"]))
 
 
-def test_a_part_is_told_of_no_more_than_its_border() -> None:
+def test_a_part_receives_no_more_than_its_border() -> None:
     first, second, third = part_layouts(AREAS, 3)
     at = AREAS.network.topology
     for layout in (first, second, third):

@@ -51,7 +51,7 @@ def test_a_state_that_is_read_as_a_multiple_is_its_reading_over_it() -> None:
     np.testing.assert_allclose(taken.covariance[0], np.diag([0.1 / 2, 0.1 / 4]) ** 2, rtol=1e-14)
 
 
-def test_states_that_nobody_reads_have_the_gain_of_kalman() -> None:
+def test_unmeasured_states_have_the_kalman_gain() -> None:
     plant = chain(6, sensors=4)
     one, u, y = PresentReadings(plant, 0.0, Extended()), np.zeros((1, 0)), np.array([[1.0, -2.0, 3.0, 0.5]])
     F, H = plant.step_jacobian_at(0.0, plant.x0, u[0], 1.0), plant.output_jacobian_at(0.0, plant.x0, u[0])

@@ -1,4 +1,4 @@
-"""Networks that change between two steps: what changes, what keeps its bits, what starts anew, and what is refused."""
+"""Networks that change between two steps: what changes, what keeps its bits, what starts again, and what is refused."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_a_copy_that_joins_starts_from_its_first_reading() -> None:
     t, y, u = closed_loop(before, switch)
     y = y.copy()
     joins = [plant().sensor_index(n) for n in ("theta_15@14", "theta_14@15")]
-    y[AT - 1, :, joins] += 0.5  # far off: its estimate until now says nothing
+    y[AT - 1, :, joins] += 0.5  # far off: its estimate until now has no part in it
     y[AT:, :, joins] += 0.5
     detector = Chebyshev(plant(*before), lam=0.3, alpha=8.0, accommodate=False)
     changed, state = replug(detector, until(detector, (t, y, u)), plant(*away))
