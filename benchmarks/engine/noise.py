@@ -26,7 +26,8 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import (
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row, timeline
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
-from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.fault_effects import apply_faults
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
@@ -51,7 +52,7 @@ def noise_work(task: Task) -> Arrays:
     detector = engine_detector(task["detector"], task["level"])
     t, u, signal = truth(task["duration"])
     faults = [Fault(s, "bias", task["onset"], magnitude=size, relative=True) for s, size in FAULTS.items()]
-    changed = apply(detector.plant, t, np.stack([signal] * len(faults), axis=1), [[f] for f in faults])
+    changed = apply_faults(detector.plant, t, np.stack([signal] * len(faults), axis=1), [[f] for f in faults])
     onset = int(np.argmax(changed.active.any(axis=(1, 2))))
     draws = noise(detector.plant, t.size, task["seeds"])
     before = (signal[k] + next(draws) for k in range(onset))

@@ -38,7 +38,8 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
     told,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
-from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.fault_effects import apply_faults
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
@@ -78,7 +79,7 @@ def process_work(task: Task) -> Arrays:
         lists = [attack(*case, sizes(steady, task["size"]), healthy[0], task) for case in attack_cases()]
         everyone = np.repeat((healthy[:, None] + draws)[:, None], len(lists), axis=1)
         runs = [faults for faults in lists for _ in task["seeds"]]
-        y = apply(detector.plant, t, everyone, runs).y
+        y = apply_faults(detector.plant, t, everyone, runs).y
     shown = _drawn(task["severities"]) if task["what"] == PROCESS else 0
     _, found = watch(detector, t, u, y, shown=(shown, 0))
     return {k: found[k] for k in ("first", "diverged", "trace")}

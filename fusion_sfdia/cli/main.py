@@ -207,7 +207,8 @@ def _settings(texts: Sequence[str]) -> dict[str, str]:
 
 def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.fault_draws import draw_apart
-    from fusion_sfdia.evaluation.faults import apply, load_faults
+    from fusion_sfdia.evaluation.fault_effects import apply_faults
+    from fusion_sfdia.evaluation.faults import load_faults
     from fusion_sfdia.evaluation.logs import write_log
     from fusion_sfdia.evaluation.simulate import simulate
     from fusion_sfdia.registry import fault, plant
@@ -220,7 +221,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
     faults = load_faults(chosen.faults, model) if chosen.faults else []
     faults += draw_apart(named, model, chosen.steps, chosen.seed)
     recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)
-    readings = apply(model, recording.t, recording.y, faults, chosen.seed, signal=recording.signal)
+    readings = apply_faults(model, recording.t, recording.y, faults, chosen.seed, signal=recording.signal)
     write_log(chosen.out, model, recording.t, readings.y[:, 0], recording.u_of_runs[:, 0])
     if chosen.json:
         print(json.dumps([{k: _finite(v) for k, v in asdict(f).items()} for f in faults], indent=2))

@@ -19,7 +19,7 @@ from fusion_sfdia.comparison.truths import failing
 from fusion_sfdia.core.batch_detector import CLOCK
 from fusion_sfdia.core.detector import Decision, Detector, State
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.faults import apply
+from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording
 
 Array = NDArray[Any]
@@ -80,7 +80,7 @@ def branch(plant: Plant, recording: Recording, place: int, run: Run, window: int
     before, now = slice(max(0, onset - window), onset + length), slice(min(window, onset), None)
     y, signal, seed = recording.y[before, place], recording.signal[before, place], recording.seeds[place]
     faults = faults_of(plant, condition, seed, float(recording.t[onset]), signal[now])
-    changed = apply(plant, recording.t[before], y[:, None], [faults], [seed], signal=signal[:, None])
+    changed = apply_faults(plant, recording.t[before], y[:, None], [faults], [seed], signal=signal[:, None])
     u = recording.u_of_runs[onset : onset + length, place]
     return Branch(u, changed.y[now, 0], y[now], signal[now], changed.active[now, 0], changed.size[now, 0])
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.evaluation.fault_draws import PRESETS, draw
+from fusion_sfdia.evaluation.fault_draws import PRESETS, draw_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.models.gas_pipeline import published as pipeline_published
@@ -34,7 +34,7 @@ class PaperFault(NamedTuple):
 
 
 def _drawn(preset: str, plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:
-    (fault,) = draw(preset, plant, stream(seed, "faults"), window=(onset, onset))
+    (fault,) = draw_faults(preset, plant, stream(seed, "faults"), window=(onset, onset))
     return replace(fault, sensor=sensor, length=length, rise=length / 2 if fault.kind == "drift" else None)
 
 

@@ -67,7 +67,7 @@ PRESETS = {
 }
 
 
-def draw(
+def draw_faults(
     ranges: str | FaultRange | Sequence[str | FaultRange],
     plant: Plant,
     rng: np.random.Generator | int,
@@ -113,7 +113,7 @@ def draw_apart(named: Sequence[tuple[str, str | None]], plant: Plant, steps: int
     """Return one fault for each (preset, quantity or None), each on another sensor, in a log of so many readings from dt on.
 
     The first can begin at reading SETTLE + 1, the last early enough to end within the log where it is long enough.
-    Raises ValueError as `draw` does, for a log of fewer readings, and for more faults than sensors.
+    Raises ValueError as `draw_faults` does, for a log of fewer readings, and for more faults than sensors.
     """
     if named and steps <= SETTLE:
         raise ValueError(
@@ -128,7 +128,7 @@ def draw_apart(named: Sequence[tuple[str, str | None]], plant: Plant, steps: int
         among = plant.sensor_names if quantity is None else [plant.sensor_names[i] for i in plant.quantities.get(quantity, ())]
         if among and taken >= set(among):
             raise ValueError(f"all {len(among)} sensors of {quantity or plant.name} are faulty already; draw fewer faults")
-        while (fault := draw(name, plant, rng, window=window, quantity=quantity)[0]).sensor in taken:
+        while (fault := draw_faults(name, plant, rng, window=window, quantity=quantity)[0]).sensor in taken:
             pass
         faults.append(fault)
     return faults

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from fusion_sfdia.core.arguments import floats
-from fusion_sfdia.core.plant import Plant, diagonal
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import require_seeds, stream
-from fusion_sfdia.core.signals import Sensor
+from fusion_sfdia.evaluation.noise import ProcessNoise, sensor_noise, square_root
 
 Array = NDArray[Any]
 
@@ -97,10 +96,10 @@ def simulate(
     closed = inputs is None and truth.feedback is not None
     x = _start(truth, start, seeds, t0)
     n, steps, count = x.shape[-1], t.size, len(truth.sensors)
-    draws = _ProcessNoise(truth, seeds) if process_noise else None
+    draws = ProcessNoise(truth, seeds) if process_noise else None
     xs = np.empty((steps, len(seeds), n))
     signal = np.empty((steps, len(seeds), count))
-    noise = _sensor_noise(truth.sensors, seeds, steps)
+    noise = sensor_noise(truth.sensors, seeds, steps)
     before = t - dt
     if closed:
         u = np.repeat(u[:, None], len(seeds), axis=1)
@@ -179,8 +178,8 @@ def _fed_back(truth: Plant, t: float, y: Array, u: Array) -> Array:
     found = np.asarray(truth.feedback(t, y[:, None], u[:, None]), dtype=float)
     if found.shape != (len(y), 1, u.shape[-1]) or not np.all(np.isfinite(found)):
         raise ValueError(
-            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; expected inputs (..., {u.shape[-1]}) "
-            f"for readings {y[:, None].shape}"
+            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; expected finite inputs "
+            f"(..., {u.shape[-1]}) for readings {y[:, None].shape}"
         )
     return found[:, 0]
 
@@ -198,62 +197,9 @@ def _start(truth: Plant, start: str | Array, seeds: tuple[int, ...], t0: float) 
     x = np.broadcast_to(truth.x0, (len(seeds), 1, n))
     if start == "sampled":
         xi = np.stack([stream(s, "initial state").standard_normal((1, n)) for s in seeds])
-        x = x + xi * np.sqrt(truth.initial_cov) if truth.initial_cov.ndim == 1 else x + xi @ _half(truth.initial_cov).T
+        x = x + xi * np.sqrt(truth.initial_cov) if truth.initial_cov.ndim == 1 else x + xi @ square_root(truth.initial_cov).T
         _require_inside(truth, x, seeds, t0)
     return x.copy()
-
-
-def _half(cov: Array) -> Array:
-    """L with L L' = cov, for a positive semi-definite matrix."""
-    scale = np.sqrt(np.where(np.diagonal(cov) > 0, np.diagonal(cov), 1.0))
-    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
-    half: Array = scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
-    return half
-
-
-def _unit(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Uniform numbers inside (0, 1), so that any quantile of them is finite."""
-    return (rng.integers(0, 2**52, shape) + 0.5) / 2**52
-
-
-def _quantile(uniform: Array, sigma: Array, bound: Array) -> Array:
-    """Noise (..., N) by inversion: Gaussian, truncated to the bound; uniform within it where sigma is inf."""
-    gaussian = np.isfinite(sigma)
-    scale = np.where(gaussian & (sigma > 0), sigma, 1.0)
-    beyond = ndtr(-bound / scale)  # each tail's share
-    truncated = np.where(gaussian, sigma, 0.0) * ndtri(beyond + uniform * (1 - 2 * beyond))
-    even = np.where(gaussian, 0.0, bound) * (2 * uniform - 1)
-    return np.asarray(np.where(gaussian, np.clip(truncated, -bound, bound), even))
-
-
-def _sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int) -> Array:
-    """Noise (K, B, N) of the readings."""
-    uniform = np.stack([_unit(stream(s, "measurement noise"), (steps, len(sensors))) for s in seeds], axis=1)
-    sigma = np.array([np.inf if s.sigma is None else s.sigma for s in sensors])
-    return _quantile(uniform, sigma, np.array([s.noise_bound for s in sensors]))
-
-
-class _ProcessNoise:
-    """One stream a seed; each step takes the next numbers of every stream."""
-
-    def __init__(self, truth: Plant, seeds: tuple[int, ...]) -> None:
-        self.truth = truth
-        self.streams = [stream(s, "process noise") for s in seeds]
-        if truth.process_bound is not None and truth.process_cov.ndim == 2:
-            raise ValueError(f"plant {truth.name!r} has a process bound and a full process_cov; give variances or no bound")
-
-    def over(self, dt: float) -> Array:
-        """Noise (B, 1, n) of a step of dt seconds: its covariance and its bound grow in proportion to dt."""
-        truth = self.truth
-        uniform = np.stack([_unit(r, (1, truth.x0.size)) for r in self.streams])
-        cov = truth.process_cov_over(dt)
-        if cov.ndim == 2:
-            return np.asarray(ndtri(uniform) @ _half(cov).T)
-        sigma = np.sqrt(diagonal(cov))
-        if truth.process_bound is None:
-            return np.asarray(sigma * ndtri(uniform))
-        bound = np.broadcast_to(truth.process_bound, sigma.shape) * (dt / truth.dt)
-        return _quantile(uniform, np.where((sigma == 0) & (bound > 0), np.inf, sigma), bound)
 
 
 def _require_inside(truth: Plant, x: Array, seeds: tuple[int, ...], t: float) -> None:

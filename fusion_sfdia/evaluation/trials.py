@@ -13,8 +13,8 @@ from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.estimation_metrics import measured_states
-from fusion_sfdia.evaluation.fault_draws import FaultRange, draw
-from fusion_sfdia.evaluation.faults import apply
+from fusion_sfdia.evaluation.fault_draws import FaultRange, draw_faults
+from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 
 Array = NDArray[Any]
@@ -62,8 +62,8 @@ def faulted(
     for s in seeds:
         rng = stream(s, "faults")
         onset = int(rng.integers(settle + 1, max(settle + 1, steps - 40), endpoint=True)) * plant.dt
-        lists.append(draw(faults, plant, rng, window=(onset, onset), count=count, quantity=quantity))
-    changed = apply(plant, recording.t, recording.y, lists, [int(s) for s in seeds], signal=recording.signal)
+        lists.append(draw_faults(faults, plant, rng, window=(onset, onset), count=count, quantity=quantity))
+    changed = apply_faults(plant, recording.t, recording.y, lists, [int(s) for s in seeds], signal=recording.signal)
     return Faulted(recording, changed.y, changed.active, changed.size)
 
 

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from toy_plants import chain, tanks
 
-from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange, draw, draw_apart
-from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, apply, load_faults
+from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange, draw_apart, draw_faults
+from fusion_sfdia.evaluation.fault_effects import apply_faults
+from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, load_faults
 
 T = np.arange(1, 11) * 1.0  # s, the chain's dt
 Y = np.arange(10.0)[:, None] + np.array([100.0, 200.0, 300.0])
 
 
 def faulted(*faults, y=Y, rng=None, **options):
-    return apply(chain(3), T, y, list(faults), rng, **options)
+    return apply_faults(chain(3), T, y, list(faults), rng, **options)
 
 
 @pytest.mark.parametrize(
@@ -60,8 +61,8 @@ def test_published_faults_sample_by_sample(strength):
     y = np.tile([1.0, 0.8, 6e-4, 5e-4], (100, 1)) * (1 + 0.01 * np.sin(t))[:, None]
     for seed in range(40):
         for kind in ("bias", "drift"):
-            (fault,) = draw(f"{strength}-{kind}", plant, seed, window=(50.0, 200.0), quantity="level")
-            found = apply(plant, t, y, [fault])
+            (fault,) = draw_faults(f"{strength}-{kind}", plant, seed, window=(50.0, 200.0), quantity="level")
+            found = apply_faults(plant, t, y, [fault])
             i = plant.sensor_index(fault.sensor)
             m = int(np.argmax(found.active[:, i]))
             assert t[m] == pytest.approx(fault.onset)
@@ -84,7 +85,7 @@ def test_published_faults_sample_by_sample(strength):
 def test_draws_are_uniform_over_sizes_lengths_signs_sensors_and_onsets():
     """2000 draws; a mean of n uniform numbers of width w has the standard error w / sqrt(12 n); four are allowed."""
     plant, rng, n = chain(5), np.random.default_rng(0), 2000
-    faults = [draw("weak-drift", plant, rng, window=(20.0, 60.0))[0] for _ in range(n)]
+    faults = [draw_faults("weak-drift", plant, rng, window=(20.0, 60.0))[0] for _ in range(n)]
     sizes = np.array([f.magnitude for f in faults])
     assert abs(np.mean(np.abs(sizes)) - 0.3) < 4 * 0.2 / np.sqrt(12 * n)
     assert abs(np.mean(sizes > 0) - 0.5) < 4 * 0.5 / np.sqrt(n)
@@ -102,18 +103,18 @@ def test_draws_are_uniform_over_sizes_lengths_signs_sensors_and_onsets():
 def test_draws_never_hit_a_sensor_twice_unless_asked():
     plant = chain(4)
     for seed in range(20):
-        assert len({f.sensor for f in draw("weak-bias", plant, seed, window=(1, 5), count=4)}) == 4
-    numbers = {len(draw("weak-bias", plant, seed, window=(1, 5), count=(1, 3))) for seed in range(40)}
+        assert len({f.sensor for f in draw_faults("weak-bias", plant, seed, window=(1, 5), count=4)}) == 4
+    numbers = {len(draw_faults("weak-bias", plant, seed, window=(1, 5), count=(1, 3))) for seed in range(40)}
     assert numbers == {1, 2, 3}
-    assert len(draw("weak-bias", plant, 0, window=(1, 5), count=9, repeat=True)) == 9
+    assert len(draw_faults("weak-bias", plant, 0, window=(1, 5), count=9, repeat=True)) == 9
     with pytest.raises(ValueError, match="5 faults on 4 sensors"):
-        draw("weak-bias", plant, 0, window=(1, 5), count=5)
+        draw_faults("weak-bias", plant, 0, window=(1, 5), count=5)
 
 
 def test_draws_of_several_kinds_in_sigmas():
     plant = tanks()
     ranges = [FaultRange("bias", (3, 5), "sigmas", signed=False), FaultRange("freeze"), FaultRange("noise", (1, 1), "absolute")]
-    drawn = [f for seed in range(60) for f in draw(ranges, plant, seed, window=(50, 100), quantity="flow")]
+    drawn = [f for seed in range(60) for f in draw_faults(ranges, plant, seed, window=(50, 100), quantity="flow")]
     assert {f.kind for f in drawn} == {"bias", "freeze", "noise"}
     assert {f.sensor for f in drawn} == {"q12", "q2"}
     assert all(3 * 6e-6 <= f.magnitude <= 5 * 6e-6 and not f.relative for f in drawn if f.kind == "bias")
@@ -121,8 +122,12 @@ def test_draws_of_several_kinds_in_sigmas():
 
 def test_same_seed_same_faults():
     plant = chain(6)
-    assert draw("strong-bias", plant, 5, window=(1, 9), count=3) == draw("strong-bias", plant, 5, window=(1, 9), count=3)
-    assert draw("strong-bias", plant, 5, window=(1, 9), count=3) != draw("strong-bias", plant, 6, window=(1, 9), count=3)
+    assert draw_faults("strong-bias", plant, 5, window=(1, 9), count=3) == draw_faults(
+        "strong-bias", plant, 5, window=(1, 9), count=3
+    )
+    assert draw_faults("strong-bias", plant, 5, window=(1, 9), count=3) != draw_faults(
+        "strong-bias", plant, 6, window=(1, 9), count=3
+    )
 
 
 def test_several_faults_on_one_sensor_act_in_order():
@@ -145,13 +150,13 @@ def test_noise_and_spikes_have_the_stated_size():
     """Standard errors of a standard deviation, 1/sqrt(2n), and of a share; four are allowed."""
     n = 20_000
     t, y = np.arange(1, n + 1) * 1.0, np.zeros((n, 3))
-    noisy = apply(chain(3), t, y, [Fault("s0", "noise", 1.0, magnitude=2.0)], 1).size[:, 0]
+    noisy = apply_faults(chain(3), t, y, [Fault("s0", "noise", 1.0, magnitude=2.0)], 1).size[:, 0]
     assert abs(noisy.std() / 2 - 1) < 4 / np.sqrt(2 * n)
-    spikes = apply(chain(3), t, y, [Fault("s0", "spikes", 1.0, magnitude=7.0, probability=0.1)], 1)
+    spikes = apply_faults(chain(3), t, y, [Fault("s0", "spikes", 1.0, magnitude=7.0, probability=0.1)], 1)
     assert set(spikes.size[:, 0]) == {-7.0, 0.0, 7.0}
     assert abs(np.mean(spikes.size[:, 0] != 0) - 0.1) < 4 * np.sqrt(0.09 / n)
     assert spikes.active[:, 0].all()  # the fault is there between its spikes, too
-    gaps = apply(chain(3), t, y, [Fault("s0", "dropout", 1.0, probability=0.3)], 1)
+    gaps = apply_faults(chain(3), t, y, [Fault("s0", "dropout", 1.0, probability=0.3)], 1)
     assert abs(np.isnan(gaps.y[:, 0]).mean() - 0.3) < 4 * np.sqrt(0.21 / n)
 
 
@@ -163,12 +168,12 @@ def test_a_batch_takes_one_list_or_one_each_and_seeds_make_runs_independent_of_t
     alone = faulted(noise, rng=[9], y=y[:, :1])
     np.testing.assert_array_equal(alone.y[:, 0], common.y[:, 2])
     np.testing.assert_array_equal(faulted(noise, rng=9).y, alone.y[:, 0])
-    each = apply(chain(3), T, y, [[noise], [], [Fault("s2", "bias", 1.0, magnitude=1.0)], [noise]], 3)
+    each = apply_faults(chain(3), T, y, [[noise], [], [Fault("s2", "bias", 1.0, magnitude=1.0)], [noise]], 3)
     np.testing.assert_array_equal(each.active.any(axis=0), [[1, 0, 0], [0, 0, 0], [0, 0, 1], [1, 0, 0]])
-    square = apply(chain(3), T, y.reshape(10, 2, 2, 3), [[noise], [], [], []], 3)
+    square = apply_faults(chain(3), T, y.reshape(10, 2, 2, 3), [[noise], [], [], []], 3)
     np.testing.assert_array_equal(square.y.reshape(10, 4, 3)[:, 0], each.y[:, 0])
     with pytest.raises(ValueError, match="2 lists of faults for 4 elements"):
-        apply(chain(3), T, y, [[noise], []], 3)
+        apply_faults(chain(3), T, y, [[noise], []], 3)
     with pytest.raises(ValueError, match="2 seeds for 4 elements"):
         faulted(noise, y=y, rng=[1, 2])
 
@@ -178,7 +183,7 @@ def test_samples_on_an_edge_are_on_it_in_spite_of_rounding():
     t = np.arange(1, 2001) * 0.1
     y = np.zeros((2000, 4))
     for m, length in ((3, 7), (700, 30), (1234, 11)):
-        found = apply(plant, t, y, [Fault("l1", "bias", m * 0.1, length * 0.1, 1.0)])
+        found = apply_faults(plant, t, y, [Fault("l1", "bias", m * 0.1, length * 0.1, 1.0)])
         np.testing.assert_array_equal(np.flatnonzero(found.active[:, 0]), np.arange(m - 1, m - 1 + length))
 
 
@@ -221,21 +226,21 @@ def test_faults_that_do_not_fit_the_readings():
     with pytest.raises(ValueError, match="is random; pass rng"):
         faulted(Fault("s0", "noise", 1.0, magnitude=1.0))
     with pytest.raises(ValueError, match="do not fit"):
-        apply(chain(4), T, Y, [])
+        apply_faults(chain(4), T, Y, [])
     with pytest.raises(ValueError, match="signal has shape"):
         faulted(signal=Y[1:])
     with pytest.raises(ValueError, match=r"scale of sensor 's0' by 1e\+308 is no finite reading"):
-        apply(chain(3), T, Y + 100.0, [Fault("s0", "scale", 1.0, magnitude=1e308)])
+        apply_faults(chain(3), T, Y + 100.0, [Fault("s0", "scale", 1.0, magnitude=1e308)])
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: draw("mild-bias", chain(3), 0, window=(1, 2)), "presets: strong-bias"),
-        (lambda: draw([], chain(3), 0, window=(1, 2)), "none given"),
-        (lambda: draw("weak-bias", tanks(), 0, window=(1, 9), quantity="heat"), "known: level, flow"),
-        (lambda: draw("weak-bias", tanks(), 0, window=(1, 4)), "no multiple of dt = 5 s"),
-        (lambda: draw("weak-bias", chain(3), 0, window=(1, 2), count=0), "at least 1"),
+        (lambda: draw_faults("mild-bias", chain(3), 0, window=(1, 2)), "presets: strong-bias"),
+        (lambda: draw_faults([], chain(3), 0, window=(1, 2)), "none given"),
+        (lambda: draw_faults("weak-bias", tanks(), 0, window=(1, 9), quantity="heat"), "known: level, flow"),
+        (lambda: draw_faults("weak-bias", tanks(), 0, window=(1, 4)), "no multiple of dt = 5 s"),
+        (lambda: draw_faults("weak-bias", chain(3), 0, window=(1, 2), count=0), "at least 1"),
         (lambda: FaultRange("bias", (2, 1)), "0 < low <= high"),
         (lambda: FaultRange("bias", (1, 2), "percent"), "known: absolute, relative, sigmas"),
         (lambda: FaultRange("bias", (1, 2), hold=(1, 2)), "only a drift holds"),
@@ -257,7 +262,7 @@ def test_registries_describe_every_entry():
 def test_every_kind_can_be_applied_and_drawn():
     for kind in FAULT_KINDS:
         size = (0.0, 0.0) if kind in ("freeze", "dropout", "replay") else (2.0, 3.0)
-        (fault,) = draw(FaultRange(kind, size, length=(3, 3)), chain(3), 1, window=(2, 4))
+        (fault,) = draw_faults(FaultRange(kind, size, length=(3, 3)), chain(3), 1, window=(2, 4))
         assert faulted(fault, rng=0).active.sum() == 3
 
 
@@ -341,11 +346,11 @@ def test_a_relative_fault_without_a_reading_at_its_onset_refers_to_the_last_know
     t = np.arange(1.0, 10.0)
     y = t[:, None].copy()
     y[missing] = np.nan
-    found = apply(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)])
+    found = apply_faults(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)])
     known = np.isfinite(y[3:, 0])
     np.testing.assert_allclose(found.size[3:, 0][known], -0.5 * expected, rtol=1e-12)
     assert np.isnan(found.y[missing]).all()
-    true = apply(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)], signal=t[:, None])
+    true = apply_faults(plant, t, y, [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)], signal=t[:, None])
     np.testing.assert_allclose(true.size[3:, 0][known], -2.0, rtol=1e-12)  # the signal, where it is given
     with pytest.raises(ValueError, match="relative to a sensor that was never read; pass signal"):
-        apply(plant, t, np.full_like(y, np.nan), [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)])
+        apply_faults(plant, t, np.full_like(y, np.nan), [Fault("s0", "bias", onset=4.0, magnitude=-0.5, relative=True)])

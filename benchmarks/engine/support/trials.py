@@ -19,7 +19,8 @@ from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import build
-from fusion_sfdia.evaluation.faults import Fault, apply
+from fusion_sfdia.evaluation.fault_effects import apply_faults
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.evaluation.simulate import Recording, simulate
@@ -77,7 +78,7 @@ def recording(noise: float, steps: int, seeds: tuple[int, ...]) -> Recording:
 def offsets(plant: Plant, t: Array, y: Array, faults: Iterable[Sequence[Any]]) -> Array:
     """The readings y (K, B, N) at t (K,) with permanent offsets (sensor, onset in s, magnitude)."""
     listed = [Fault(sensor, "bias", onset, magnitude=magnitude) for sensor, onset, magnitude in faults]
-    return apply(plant, t, y, listed).y if listed else y
+    return apply_faults(plant, t, y, listed).y if listed else y
 
 
 def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str = "K24") -> list[Task]:
