@@ -26,9 +26,13 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.discretise import discretise as discretise
     from fusion_sfdia.core.equation import equation as equation
     from fusion_sfdia.core.linear import linear_plant as linear_plant
+    from fusion_sfdia.core.log import Log as Log
+    from fusion_sfdia.core.log import as_log as as_log
     from fusion_sfdia.core.physics import Block as Block
     from fusion_sfdia.core.physics import Physics as Physics
     from fusion_sfdia.core.plant import Plant as Plant
+    from fusion_sfdia.core.saved_detectors import load_detector as load_detector
+    from fusion_sfdia.core.saved_detectors import save_detector as save_detector
     from fusion_sfdia.core.signals import Sensor as Sensor
     from fusion_sfdia.core.signals import Signal as Signal
     from fusion_sfdia.core.storage import load_state as load_state
@@ -39,13 +43,11 @@ if TYPE_CHECKING:
     from fusion_sfdia.data_driven.pca import PrincipalComponents as PrincipalComponents
     from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
     from fusion_sfdia.evaluation.diagnose import Event as Event
-    from fusion_sfdia.evaluation.diagnose import diagnose as diagnose
     from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
-    from fusion_sfdia.evaluation.fault_draws import draw as draw_faults  # noqa: F401
+    from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
+    from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
     from fusion_sfdia.evaluation.faults import Fault as Fault
-    from fusion_sfdia.evaluation.faults import apply as apply_faults  # noqa: F401
     from fusion_sfdia.evaluation.faults import load_faults as load_faults
-    from fusion_sfdia.evaluation.logs import Log as Log
     from fusion_sfdia.evaluation.logs import read_log as read_log
     from fusion_sfdia.evaluation.logs import write_log as write_log
     from fusion_sfdia.evaluation.simulate import Recording as Recording
@@ -58,7 +60,6 @@ if TYPE_CHECKING:
     from fusion_sfdia.intervals.monotone import monotone_hull as monotone_hull
     from fusion_sfdia.intervals.sivia import Paving as Paving
     from fusion_sfdia.intervals.sivia import sivia as sivia
-    from fusion_sfdia.kalman_banks.calibration import calibrate as calibrate
     from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
     from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
     from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
@@ -74,6 +75,8 @@ if TYPE_CHECKING:
     from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
     from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine
     from fusion_sfdia.models.two_tanks.plant import two_tanks as two_tanks
+    from fusion_sfdia.named import diagnose as diagnose
+    from fusion_sfdia.named import fit as fit
     from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
     from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses as FaultHypotheses
     from fusion_sfdia.stochastic_thresholds.monte_carlo import MonteCarlo as MonteCarlo
@@ -81,19 +84,20 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "adaptive_thresholds.adaptive_threshold": ("AdaptiveThreshold",),
-    "kalman_banks.calibration": ("calibrate",),
     "kalman_banks.central_filter": ("CentralFilter",),
     "stochastic_thresholds.chebyshev": ("Chebyshev",),
     "core.detector": ("Decision", "Detector", "MissingPackageError", "NotApplicableError", "run"),
-    "evaluation.diagnose": ("Diagnosis", "Event", "diagnose"),
+    "evaluation.diagnose": ("Diagnosis", "Event"),
     "adaptive_thresholds.diagnosis_sets": ("DiagnosisLogic",),
     "core.discretise": ("discretise",),
     "core.equation": ("equation",),
     "core.linear": ("linear_plant",),
+    "core.log": ("Log", "as_log"),
     "filters.estimators": ("Ensemble", "Extended", "Unscented"),
-    "evaluation.fault_draws": ("FaultRange", "draw_faults:draw"),
+    "evaluation.fault_draws": ("FaultRange", "draw_faults"),
+    "evaluation.fault_effects": ("apply_faults",),
     "stochastic_thresholds.fault_hypotheses": ("FaultHypotheses",),
-    "evaluation.faults": ("Fault", "apply_faults:apply", "load_faults"),
+    "evaluation.faults": ("Fault", "load_faults"),
     "filters.filterpy_adapter": ("plant_from_filterpy",),
     "data_driven.ewma_limits": ("EwmaLimits",),
     "data_driven.fixed_limits": ("FixedLimits",),
@@ -106,7 +110,7 @@ _MODULES = {
     "kalman_banks.multiple_model": ("MultipleModel",),
     "kalman_banks.sequential_bank": ("SequentialBank",),
     "kalman_banks.unknown_input": ("UnknownInputFilter",),
-    "evaluation.logs": ("Log", "read_log", "write_log"),
+    "evaluation.logs": ("read_log", "write_log"),
     "models.gas_pipeline.plant": ("gas_pipeline",),
     "models.marine_engine.plant": ("marine_engine",),
     "models.two_tanks.plant": ("two_tanks",),
@@ -128,6 +132,8 @@ _MODULES = {
     ),
     "evaluation.simulate": ("Recording", "simulate"),
     "intervals.sivia": ("Paving", "sivia"),
+    "named": ("diagnose", "fit"),
+    "core.saved_detectors": ("load_detector", "save_detector"),
     "core.storage": ("load_state", "save_state"),
     "adaptive_thresholds.virtual_sensors": ("VirtualSensors",),
 }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,6 @@ from fusion_sfdia.data_driven.one_class import OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
-from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -40,7 +40,7 @@ CALIBRATION_STEPS = 360
 WARM_UP = 60  # samples: the printed filters are slow to forget how they began
 CHEBYSHEV_ALPHA = 5.0  # a component alarms falsely in at most 1/25 of all steps, of Gaussian noise in 6e-7
 PAPER_PROCESS = {"gas-pipeline": 0.9}  # of the sigma of a state's sensor: Shaheen 2024, sec. V, of its own plant
-PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 reckons in MPa, kg/s, K: its residual (20) adds them as they are
+PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 computes in MPa, kg/s, K: its residual (20) adds them as they are
 
 PAPER_FILTERS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(redraw=False), "enkf": Ensemble()}
 
@@ -58,33 +58,60 @@ def as_printed(plant: Plant) -> Plant:
     return replace(plant, process_cov=np.square(std))
 
 
-def fusing_bank(plant: Plant, kind: str) -> FusingBank:
-    """The paper's bank in the paper's units, its thresholds set on healthy simulated runs at FALSE_ALARM."""
-    scale = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
-    return calibrated(FusingBank(plant, PAPER_FILTERS[kind], residual_scale=scale))
+@dataclass(frozen=True)
+class Learnt:
+    """How a detector that learns is built.
 
-
-def calibrated(bank: FusingBank) -> FusingBank:
-    """The bank with thresholds from healthy simulated runs of its own plant, more of them for more quantities."""
-    expected = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
-    steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * expected)))
-    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=bank.plant.disturbed)
-    return calibrate(bank, healthy.t, healthy.y, healthy.u_of_runs, FALSE_ALARM, WARM_UP)
-
-
-def healthy_data(plant: Plant, checks: int = 2) -> Recording:
-    """Healthy readings y (K, B, N) of the plant's truth, runs enough for the limits of each quantity at FALSE_ALARM.
-
-    Who learns from data records the plant, not its model: so the finer truth where there is one, as for the readings judged,
-    of other seeds. Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
+    fit: of plant, healthy readings and rate of false alarms. simulated: of plant and rate, the readings where none are given.
     """
-    expected = 1.5 * 2 * checks * len(plant.quantities) / FALSE_ALARM  # each check of each is set on every other sample
+
+    fit: Callable[[Plant, Any, float], Detector]
+    simulated: Callable[[Plant, float], Any]
+
+    def __call__(self, plant: Plant) -> Detector:
+        """Fit to simulated readings at FALSE_ALARM."""
+        return self.fit(plant, self.simulated(plant, FALSE_ALARM), FALSE_ALARM)
+
+
+def fusing_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FusingBank:
+    """The paper's bank in the paper's units, its thresholds fitted to healthy readings, None for simulated runs."""
+    scale = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
+    bank = FusingBank(plant, PAPER_FILTERS[kind], residual_scale=scale)
+    return bank.fit_thresholds(bank_data(plant, false_alarm) if healthy is None else healthy, false_alarm, WARM_UP)
+
+
+def paper_bank(kind: str) -> Learnt:
+    """`fusing_bank` with the process noise that the paper prints for its plant."""
+    return Learnt(
+        lambda plant, healthy, rate: fusing_bank(as_printed(plant), kind, healthy, rate),
+        lambda plant, rate: bank_data(as_printed(plant), rate),
+    )
+
+
+def bank_data(plant: Plant, false_alarm: float) -> Recording:
+    """Healthy runs of the plant as the filters know it, longer for more quantities."""
+    expected = len(plant.quantities) / false_alarm / len(CALIBRATION_SEEDS)
+    steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * expected)))
+    return simulate(plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=plant.disturbed)
+
+
+def healthy_data(plant: Plant, false_alarm: float = FALSE_ALARM, checks: int = 2) -> Recording:
+    """Healthy readings y (K, B, N) of the plant's truth, runs enough for `checks` limits of each quantity at that rate.
+
+    More than it takes: all sensors of a plant share one order statistic, so that the samples for a limit do not grow with the
+    quantities. The number of runs is kept, since the thresholds depend on it.
+
+    A detector that learns from data records the plant, not its model: so the finer truth where there is one, as for the
+    readings judged, of other seeds. Runs of CALIBRATION_STEPS, more of them rather than longer: for that long the operation of
+    the gas pipeline moves.
+    """
+    expected = 1.5 * 2 * checks * len(plant.quantities) / false_alarm  # every other sample sets limits
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(expected / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
     return simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.disturbed)
 
 
-def settled_readings(plant: Plant) -> Array:
+def settled_readings(plant: Plant, false_alarm: float) -> Array:
     """Healthy readings (K, B, N) for detectors that learn how readings move together.
 
     Of a disturbed plant without the first WARM_UP samples, in which disturbances build up from none at all
@@ -92,14 +119,13 @@ def settled_readings(plant: Plant) -> Array:
     begins at their operating point, and is learnt from there. Runs as for four checks: these detectors set three limits for all
     sensors, on the better part of half the windows.
     """
-    return healthy_data(plant, checks=4).y[WARM_UP if plant.disturbed else 0 :]
+    return healthy_data(plant, false_alarm, checks=4).y[WARM_UP if plant.disturbed else 0 :]
 
 
-def structural_residuals(plant: Plant) -> StructuralResiduals:
-    """NotApplicableError for a plant without scalar equations, MissingPackageError without faultdiagnosistoolbox."""
-    modules_of(plant)  # before anything is simulated
-    healthy = healthy_data(plant)
-    return StructuralResiduals.fit(plant, healthy.y, healthy.u_of_runs, FALSE_ALARM)
+def module_readings(plant: Plant, false_alarm: float) -> Recording:
+    """`healthy_data` of a plant with scalar equations; NotApplicableError, before anything is simulated, for any other."""
+    modules_of(plant)
+    return healthy_data(plant, false_alarm)
 
 
 def bounded(plant: Plant) -> Detector:
@@ -141,17 +167,17 @@ DETECTORS: dict[str, NamedDetector] = {
     "fusing-ekf": NamedDetector(
         "extended Kalman filters, one without each sensor, with information mixture: statistics (19), (20) of "
         "Shaheen 2024, on its pipeline with its process noise; P0 is the plant's, where the paper has the identity",
-        lambda plant: fusing_bank(as_printed(plant), "ekf"),
+        paper_bank("ekf"),
         STATE,
     ),
     "fusing-ukf": NamedDetector(
         "the same of unscented filters as printed, without redrawn sigma points",
-        lambda plant: fusing_bank(as_printed(plant), "ukf"),
+        paper_bank("ukf"),
         STATE,
     ),
     "fusing-enkf": NamedDetector(
         "the same of ensemble filters, 40 members",
-        lambda plant: fusing_bank(as_printed(plant), "enkf"),
+        paper_bank("enkf"),
         STATE,
     ),
     "loo-chi2": NamedDetector(
@@ -222,35 +248,35 @@ DETECTORS: dict[str, NamedDetector] = {
     ),
     "limits": NamedDetector(
         "fixed limits of each reading and of its change since the last, learnt from healthy data",
-        lambda plant: FixedLimits.fit(plant, healthy_data(plant).y, FALSE_ALARM),
+        Learnt(FixedLimits.fit, healthy_data),
         "1 sample",
     ),
     "limits-ewma": NamedDetector(
         "the same with a limit on the exponentially weighted moving average of each reading, too (Lucas and Saccucci 1990)",
-        lambda plant: EwmaLimits.fit(plant, healthy_data(plant, checks=3).y, FALSE_ALARM),
+        Learnt(EwmaLimits.fit, partial(healthy_data, checks=3)),
         "EWMA, factor 0.8 a sample",
     ),
     "pca": NamedDetector(
         "principal components of healthy data in units of the sensors' noise, those above the Marchenko-Pastur edge: T2, SPE "
         "and reconstruction-based contributions, by which it isolates",
-        lambda plant: PrincipalComponents.fit(plant, settled_readings(plant), FALSE_ALARM),
+        Learnt(PrincipalComponents.fit, settled_readings),
         NONE,
     ),
     "dynamic-pca": NamedDetector(
         "the same of present readings and the two before them (Ku 1995)",
-        lambda plant: PrincipalComponents.fit(plant, settled_readings(plant), FALSE_ALARM, lags=2),
+        Learnt(partial(PrincipalComponents.fit, lags=2), settled_readings),
         "3 samples",
     ),
     "one-class": NamedDetector(
         "one-class support vector machine (scikit-learn) of readings whitened by the components of pca; isolation by "
         "reconstruction of single readings",
-        lambda plant: OneClass.fit(plant, settled_readings(plant), FALSE_ALARM),
+        Learnt(OneClass.fit, settled_readings),
         NONE,
     ),
     "structural-residuals": NamedDetector(
         "residuals of structural analysis (faultdiagnosistoolbox), computed from the equations in their own direction, limits "
         "from healthy data, minimal diagnoses; on a plant with scalar equations",
-        structural_residuals,
+        Learnt(StructuralResiduals.fit, module_readings),
         "1 sample and observers",
     ),
     "adaptive-threshold": NamedDetector(

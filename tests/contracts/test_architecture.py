@@ -25,6 +25,7 @@ FOLDERS: dict[str, set[str]] = {
     "models": {"core", "evaluation"},
     "detectors": {"core", "filters", "evaluation", *SCHOOLS},
     "registry": {"core", "evaluation", "detectors", "experiments"},
+    "named": {"core", "evaluation", "detectors", "registry"},
     "report": {"core", "evaluation"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }

@@ -164,7 +164,7 @@ def test_what_is_refused() -> None:
         (y[:3], "of at least 4 times"),
         (silent, "healthy readings of q12 are missing; leave"),
         (infinite, "infinite readings"),
-        ("healthy", "y is 'healthy'; expected an array of numbers"),
+        ("healthy", "the readings are 'healthy'; expected t, y and u, a Log, a Recording"),
     ):
         with pytest.raises(ValueError, match=message):
             FixedLimits.fit(PLANT, bad, 0.1)
