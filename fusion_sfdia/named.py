@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from fusion_sfdia import registry
-from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.builders import healthy_data
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import DETECTORS, FALSE_ALARM, Learnt, healthy_data
+from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 
 
@@ -23,7 +23,7 @@ def diagnose(detector: Detector | str, *data: Any, plant: Plant | str | None = N
     if isinstance(detector, str):
         if plant is None:
             raise ValueError(f"detector {detector!r} is a name, which needs its plant; pass plant=..., a Plant or a name")
-        detector = registry.detector(detector, plant_of(plant))
+        detector = registry.detector(detector, registry.plant(plant))
     elif plant is not None and plant is not detector.plant:
         raise ValueError(f"plant is given beside a detector, which has its own, {detector.plant.name!r}; leave plant out")
     return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
@@ -36,19 +36,11 @@ def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float =
     the seeds that registered detectors are fitted on, enough for the rate. false_alarm: per step over all sensors. ValueError
     for unknown names, and where the readings do not fit or are too few; NotApplicableError as the detector raises it.
     """
-    plant = plant_of(plant)
-    build = DETECTORS[registry.require_known("detector", name, DETECTORS)].build
-    if isinstance(build, Learnt):
-        return build.fit(plant, build.simulated(plant, false_alarm) if healthy is None else healthy, false_alarm)
-    detector: Any = build(plant)
+    plant, named = registry.plant(plant), registry.find_detector(name)
+    if named.learns:
+        return named.build(plant, healthy=healthy, false_alarm=false_alarm)
+    detector: Any = registry.detector(named, plant)
     if not hasattr(detector, "fit_thresholds"):
-        raise ValueError(f"detector {name!r} has no fit_thresholds; build it by its name and set its thresholds yourself")
+        raise ValueError(f"detector {named.name} has no fit_thresholds and does not learn; build it and set its thresholds")
     fitted: Detector = detector.fit_thresholds(healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
     return fitted
-
-
-def plant_of(plant: Plant | str) -> Plant:
-    """Return a plant given as an object or by its registered name; ValueError for anything else."""
-    if not isinstance(plant, Plant | str):
-        raise ValueError(f"plant is {shown(plant)}; expected a Plant or the name of one")
-    return registry.plant(plant) if isinstance(plant, str) else plant

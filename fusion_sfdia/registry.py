@@ -1,19 +1,85 @@
-"""What can be named on the command line: scenarios, plants, detectors and faults. Nothing heavy is imported to list names."""
+"""Plants, detectors and scenarios by name: those of this package, those that callers register, those of other packages.
+
+A plant or detector is registered in its own file, by a call or a decorator, `register_plant` or `register_detector`. Another
+package names its own as entry points, in its pyproject.toml, each under the name by which it is found here:
+
+    [project.entry-points."fusion_sfdia.plants"]
+    my-tank = "my_package.tank:my_tank"  # a function that returns a Plant
+
+    [project.entry-points."fusion_sfdia.detectors"]
+    my-test = "my_package.test:MyTest"  # a class or function that takes a Plant and returns a Detector
+
+Its description is the first line of its docstring, unless its file registers it with another. Registering takes a text such as
+"my_package.tank:my_tank", too, of which nothing is imported before it is built: listing names imports nothing heavy.
+
+Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is taken as well.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from functools import partial
 from importlib import import_module, resources
-from typing import TYPE_CHECKING, Any
+from importlib.metadata import EntryPoint, entry_points
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
+
+from fusion_sfdia.core.references import call, first_line, is_reference, load, name_of, require_call, source_of
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.detector import Detector
     from fusion_sfdia.core.plant import Plant
     from fusion_sfdia.experiments.scenario import Scenario
 
+OURS = "fusion_sfdia"
 GROUPS = ("pipeline", "engine", "network")  # folders of benchmarks/ whose files are scenarios
+NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*(:[a-z0-9]+(-[a-z0-9]+)*)?")  # kf-chi2, chebyshev:paper
+EXAMPLES = {"plant": "two-tanks", "detector": "kf-chi2 or chebyshev:paper"}
+M = TypeVar("M")
+
+
+class NamedPlant(NamedTuple):
+    """A plant by name: what it is, and how it is made.
+
+    make: returns the Plant with its usual settings. cases: its mismatch cases, process faults, faults of papers and published
+    numbers for the comparison, an object or, lazily, the "module:attribute" of one; None for none. source: "module:name" of
+    what makes it.
+    """
+
+    name: str
+    about: str
+    make: Callable[[], Plant]
+    cases: Any = None
+    source: str = ""
+
+    @property
+    def package(self) -> str:
+        """The package it comes from."""
+        return _package(self.source)
+
+
+class NamedDetector(NamedTuple):
+    """A detector by name: what it is, how it is built for a plant, and over what its test statistic accumulates.
+
+    build: takes a Plant and returns the Detector. memory: "none" (present readings alone), "state estimate only", or how far
+    back evidence of a fault is gathered; "" where it is not stated. source: "module:name" of what builds it. learns: whether
+    build takes `healthy` and `false_alarm`, too: readings, None for simulated ones, and a rate, as of `named.fit`.
+    """
+
+    name: str
+    about: str
+    build: Callable[..., Detector]
+    memory: str = ""
+    source: str = ""
+    learns: bool = False
+
+    @property
+    def package(self) -> str:
+        """The package it comes from."""
+        return _package(self.source)
 
 
 def _scenarios() -> dict[str, str]:
@@ -29,29 +95,135 @@ def _scenarios() -> dict[str, str]:
 
 SCENARIOS = _scenarios()
 
-# name: what it is, and "module:function" that returns the Plant with its usual settings
-PLANTS: dict[str, tuple[str, str]] = {
-    "gas-pipeline": (
-        "150 km of high-pressure natural gas under transient flow, 21 nodes, 63 sensors (Shaheen 2024)",
-        "fusion_sfdia.models.gas_pipeline.plant:gas_pipeline",
-    ),
-    "marine-engine": (
-        "four-stroke marine diesel engine with turbocharger in 4 blocks, 10 sensors (Kougiatsos and Reppa 2024)",
-        "fusion_sfdia.models.marine_engine.plant:marine_engine",
-    ),
-    "power-network": (
-        "15 generation areas joined by tie lines, 94 sensors, of which 34 read a neighbour's angle (Boem 2018)",
-        "fusion_sfdia.models.power_network.plant:power_network",
-    ),
-    "two-tanks": (
-        "two water tanks in series, checkable by hand: 2 levels and 2 flows measured",
-        "fusion_sfdia.models.two_tanks.plant:two_tanks",
-    ),
-}
+_PLANTS: dict[str, NamedPlant] = {}
+_DETECTORS: dict[str, NamedDetector] = {}
 
 
-DRAWN = "at random, with simulate --fault NAME[:QUANTITY]"
-LISTED = "kinds, for the [[fault]] tables of simulate --faults FILE.toml"
+@overload
+def register_plant(name: str, about: str, *, cases: Any = None) -> Callable[[M], M]: ...
+@overload
+def register_plant(name: str, about: str, make: M, *, cases: Any = None) -> M: ...
+def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None) -> Any:
+    """Register a plant: as a call with `make`, or as a decorator of a function.
+
+    make() returns the Plant with its usual settings; it may be given as a text "module:attribute", which is imported when the
+    plant is made. Returns `make`. See NamedPlant for `cases`. ValueError for a name of another form than "two-tanks", and for
+    one that is taken.
+    """
+    if make is None:
+        return partial(register_plant, name, about, cases=cases)
+    _enter(_PLANTS, NamedPlant(name, about, _deferred(make), cases, source_of(make)))
+    return make
+
+
+@overload
+def register_detector(
+    name: str, about: str, *, memory: str = "", learns: bool = False, **settings: Any
+) -> Callable[[M], M]: ...
+@overload
+def register_detector(name: str, about: str, build: M, *, memory: str = "", learns: bool = False, **settings: Any) -> M: ...
+def register_detector(
+    name: str, about: str, build: Any = None, *, memory: str = "", learns: bool = False, **settings: Any
+) -> Any:
+    """Register a detector: as a call with `build`, or as a decorator of a class or function.
+
+    build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
+    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`. ValueError for a name of another form
+    than "kf-chi2" or "chebyshev:paper", and for one that is taken.
+    """
+    if build is None:
+        return partial(register_detector, name, about, memory=memory, learns=learns, **settings)
+    made = _deferred(build)
+    made = partial(made, **settings) if settings else made
+    _enter(_DETECTORS, NamedDetector(name, about, made, memory, source_of(build), learns))
+    return build
+
+
+def plants() -> dict[str, NamedPlant]:
+    """All registered plants by name, our own first.
+
+    One of another package that fails to load is among them, with the reason; its `make` raises ValueError.
+    """
+    known = _own_plants()
+    for point in entry_points(group="fusion_sfdia.plants"):
+        _take_up(point, known, NamedPlant)
+    return dict(sorted(known.items(), key=lambda item: (item[1].package != OURS, item[0])))
+
+
+def detectors() -> dict[str, NamedDetector]:
+    """All registered detectors by name, our own first.
+
+    One of another package that fails to load is among them, with the reason; its `build` raises ValueError.
+    """
+    known = _own_detectors()
+    for point in entry_points(group="fusion_sfdia.detectors"):
+        _take_up(point, known, NamedDetector)
+    return dict(sorted(known.items(), key=lambda item: item[1].package != OURS))
+
+
+def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPlant:
+    """Return the plant that is meant: by its registered name, a reference, or a Plant or function without arguments itself.
+
+    The name of one that is not registered is the reference, or that of the object. ValueError for an unknown name, a reference
+    to nothing, and anything that is no plant.
+    """
+    from fusion_sfdia.core.plant import Plant
+
+    found: Any = what
+    if isinstance(what, str):
+        known = _own_plants()
+        found = known[what] if what in known else _found("plant", what, plants())
+    if isinstance(found, NamedPlant):
+        return found
+    if isinstance(found, Plant):
+        return NamedPlant(what if isinstance(what, str) else found.name, "", partial(_itself, found))
+    require_call(f"plant {name_of(what)}", found, "a Plant, or a function without arguments that returns one", 0)
+    registered = (entry for entry in _PLANTS.values() if entry.make is found)
+    return next(registered, NamedPlant(name_of(what), first_line(found), found, source=source_of(found)))
+
+
+def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> NamedDetector:
+    """Return the detector that is meant: by its registered name, a reference, or the class or function that builds it.
+
+    The name of one that is not registered is the reference, or that of the object. ValueError for an unknown name, a reference
+    to nothing, and anything that builds no detector.
+    """
+    found: Any = what
+    if isinstance(what, str):
+        known = _own_detectors()
+        found = known[what] if what in known else _found("detector", what, detectors())
+    if isinstance(found, NamedDetector):
+        return found
+    require_call(f"detector {name_of(what)}", found, "a class or function that takes a Plant and returns a Detector", 1)
+    registered = (entry for entry in _DETECTORS.values() if entry.build is found)
+    return next(registered, NamedDetector(name_of(what), first_line(found), found, source=source_of(found)))
+
+
+def plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> Plant:
+    """Return a plant with its usual settings, meant as in `find_plant`; ValueError as there, and where that is no Plant."""
+    from fusion_sfdia.core.plant import Plant
+
+    entry = find_plant(what)
+    made = entry.make()
+    if not isinstance(made, Plant):
+        raise ValueError(f"plant {entry.name}: its function returned {type(made).__name__}; expected a Plant")
+    return made
+
+
+def detector(what: str | Callable[[Plant], Detector] | NamedDetector, of: Plant) -> Detector:
+    """Return a detector with its usual settings on a plant, meant as in `find_detector`.
+
+    ValueError as there, and where that is no Detector; NotApplicableError where the plant lacks what its method needs.
+    """
+    from fusion_sfdia.core.detector import Detector
+
+    entry = find_detector(what)
+    built = entry.build(of)
+    if not isinstance(built, Detector):
+        raise ValueError(
+            f"detector {entry.name}: built {type(built).__name__}; expected a Detector, with plant, hypotheses, init and step"
+        )
+    return built
 
 
 def require_known(what: str, name: str, known: Iterable[str]) -> str:
@@ -62,12 +234,6 @@ def require_known(what: str, name: str, known: Iterable[str]) -> str:
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise ValueError(f"unknown {what} {name!r}; {hint}known: {', '.join(names) or 'none'}")
     return name
-
-
-def load(reference: str) -> Any:
-    """Return what "module:attribute" names."""
-    module, attribute = reference.split(":")
-    return getattr(import_module(module), attribute)
 
 
 def match_scenarios(patterns: Iterable[str]) -> list[str]:
@@ -85,48 +251,69 @@ def scenario(name: str) -> Scenario:
     return found
 
 
-def plant(name: str) -> Plant:
-    """Return a plant with its usual settings by its name; ValueError for an unknown one."""
-    factory: Callable[[], Plant] = load(PLANTS[require_known("plant", name, PLANTS)][1])
-    return factory()
+def _own_plants() -> dict[str, NamedPlant]:
+    """What is registered, with the plants of fusion_sfdia.models: each folder registers its own."""
+    from fusion_sfdia import models
+
+    for folder in iter_modules(models.__path__):
+        import_module(f"{models.__name__}.{folder.name}")
+    return _PLANTS
 
 
-def detector(name: str, of: Plant) -> Detector:
-    """Return a detector with its usual settings on a plant; ValueError for an unknown name."""
-    from fusion_sfdia.detectors import DETECTORS
-
-    return DETECTORS[require_known("detector", name, DETECTORS)].build(of)
+def _own_detectors() -> dict[str, NamedDetector]:
+    import_module("fusion_sfdia.detectors")
+    return _DETECTORS
 
 
-def fault(text: str) -> tuple[str, str | None]:
-    """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset."""
-    from fusion_sfdia.evaluation.fault_draws import PRESETS
-    from fusion_sfdia.evaluation.faults import FAULT_KINDS
-
-    name, colon, quantity = text.partition(":")
-    if name in FAULT_KINDS:
-        raise ValueError(f"fault {text!r} is a kind, to be listed in a file (--faults); to be drawn: {', '.join(PRESETS)}")
-    if colon and not quantity:
-        raise ValueError(f"fault {text!r} has no quantity after its colon; expected NAME or NAME:QUANTITY")
-    return require_known("fault", name, PRESETS), quantity or None
-
-
-def listing() -> dict[str, list[dict[str, str]]]:
-    """Return names and descriptions of everything, by kind: plants, detectors, faults (and how each is used), scenarios."""
-    from fusion_sfdia.detectors import DETECTORS
-    from fusion_sfdia.evaluation.fault_draws import PRESETS
-    from fusion_sfdia.evaluation.faults import FAULT_KINDS
-
-    return {
-        "plants": [_entry(name, about) for name, (about, _) in PLANTS.items()],
-        "detectors": [_entry(name, entry.about) for name, entry in DETECTORS.items()],
-        "faults": [
-            *(_entry(name, preset.description, use=DRAWN) for name, preset in PRESETS.items()),
-            *(_entry(name, about, use=LISTED) for name, about in FAULT_KINDS.items()),
-        ],
-        "scenarios": [_entry(name, scenario(name).title) for name in SCENARIOS],
-    }
+def _enter(known: dict[str, Any], entry: Any) -> None:
+    """Register a NamedPlant or NamedDetector; ValueError for a name of another form, or taken by another source."""
+    kind = "plant" if isinstance(entry, NamedPlant) else "detector"
+    if not NAME.fullmatch(entry.name):
+        raise ValueError(f"{kind} {entry.name!r}: expected small letters, digits and hyphens, such as {EXAMPLES[kind]}")
+    taken = known.get(entry.name)
+    if taken is not None and taken.source != entry.source:
+        raise ValueError(
+            f"{kind} {entry.name!r} of {entry.source}: that name is taken by {taken.source}; register it under another"
+        )
+    known[entry.name] = entry
 
 
-def _entry(name: str, about: str, **more: str) -> dict[str, str]:
-    return {"name": name, "about": about, **more}
+def _take_up(point: EntryPoint, known: dict[str, Any], kind: type[NamedPlant | NamedDetector]) -> None:
+    """Register what an entry point names, unless its package has done so itself: before, or while it was loaded."""
+
+    def registered() -> bool:
+        return point.name in known and known[point.name].package == _package(point.value)
+
+    if registered():
+        return
+    package = point.dist.name if point.dist else _package(point.value)
+    try:
+        about = first_line(load(point.value))
+    except ValueError as error:
+        about = f"cannot be loaded: {error}"
+    if not registered():
+        _enter(known, kind(point.name, about, partial(call, point.value, f"package {package}: "), source=point.value))
+
+
+def _found(kind: str, text: str, known: dict[str, Any]) -> Any:
+    """The registered entry of that name, or else what the text refers to."""
+    if text in known or not is_reference(text):
+        return known[require_known(kind, text, known)]
+    try:
+        return load(text)
+    except ValueError as error:
+        near = get_close_matches(text, known, n=1)
+        raise ValueError(f"{error}; or did you mean the {kind} {near[0]!r}?" if near else str(error)) from error
+
+
+def _deferred(thing: Any) -> Any:
+    """What makes a plant or builds a detector, imported when it is called where it is given as a text."""
+    return partial(call, thing, "") if isinstance(thing, str) else thing
+
+
+def _itself(thing: Any) -> Any:
+    return thing
+
+
+def _package(source: str) -> str:
+    return source.partition(":")[0].partition(".")[0]

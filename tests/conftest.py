@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from fusion_sfdia import registry
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -22,3 +24,10 @@ def shared_fixtures() -> Path:
     if not folder.is_dir():
         pytest.skip("needs the published data sets in ../shared/fixtures, beside the checkout")
     return folder
+
+
+@pytest.fixture
+def registrations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers is forgotten after it."""
+    for kind, known in (("_PLANTS", registry.plants()), ("_DETECTORS", registry.detectors())):
+        monkeypatch.setattr(registry, kind, known)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
+from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.support.trials import (
     COMMON,
     OURS,
@@ -19,7 +20,7 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
     row,
     tasks,
 )
-from fusion_sfdia.detectors import PAPER_FILTERS, build, watching
+from fusion_sfdia.builders import PAPER_FILTERS, watching
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.trials import decide, faulted
@@ -45,7 +46,7 @@ def consistency_work(task: Task) -> Arrays:
     plant = gas_pipeline(snr=task["snr"], process_noise=task["process_noise"])
     never = (float("inf"),) * len(plant.sensors)  # the paper's banks are not asked for alarms here
     detector: Any = (
-        replace(build(task["detector"], plant), false_alarm=task["budget"])  # type: ignore[type-var]
+        replace(registry.detector(task["detector"], plant), false_alarm=task["budget"])  # type: ignore[type-var]
         if task["budget"]
         else FusingBank(plant, PAPER_FILTERS[task["detector"].removeprefix("fusing-")], thresholds=never)
     )

@@ -20,8 +20,8 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
     tasks,
     trial,
 )
+from fusion_sfdia.builders import PAPER_FILTERS
 from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.detectors import PAPER_FILTERS
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row

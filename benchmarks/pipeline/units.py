@@ -16,7 +16,7 @@ from fusion_sfdia.benchmarks.pipeline.support.trials import (
     tasks,
     trial,
 )
-from fusion_sfdia.detectors import PAPER_UNITS
+from fusion_sfdia.builders import PAPER_UNITS
 from fusion_sfdia.evaluation.isolation_metrics import (
     isolation_recall,
 )

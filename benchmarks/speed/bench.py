@@ -29,10 +29,10 @@ from threadpoolctl import threadpool_limits
 from fusion_sfdia.benchmarks.speed import against_filterpy as bench_filterpy
 from fusion_sfdia.benchmarks.speed import engine as bench_engine
 from fusion_sfdia.benchmarks.speed import lorenz as bench_lorenz
+from fusion_sfdia.builders import PAPER_FILTERS
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import require_free
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import PAPER_FILTERS
 from fusion_sfdia.evaluation.results import Row, write_rows
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.experiments.timing import Timing, best_times

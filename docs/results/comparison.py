@@ -10,9 +10,10 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from fusion_sfdia.detectors import DETECTORS
+from fusion_sfdia import registry
 
 HERE = Path(__file__).parent
+FALSE_ISOLATION = "blame_probability"  # the metric
 COLUMNS = ("plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n")
 PLANTS = ("two-tanks", "marine-engine", "gas-pipeline", "power-network")
 LENGTHS = (2, 5, 30, 120)
@@ -76,7 +77,7 @@ def needed(row: Row) -> bool:
     return (
         (row["fault"], row["metric"]) in shown
         or row["metric"] in rates
-        or row["metric"] == "blame_probability"
+        or row["metric"] == FALSE_ISOLATION
         or row["fault"] == "ranked"
     )
 
@@ -113,7 +114,8 @@ def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 def by_plant(detectors: Sequence[str], cell: Callable[[str, str], str]) -> str:
     """A table of detectors down and plants across, without detectors that apply to no plant."""
-    lines = [(f"`{d}`", DETECTORS[d].memory, *(cell(p, d) for p in PLANTS)) for d in detectors]
+    known = registry.detectors()
+    lines = [(f"`{d}`", known[d].memory, *(cell(p, d) for p in PLANTS)) for d in detectors]
     return table(("detector", "memory", *PLANTS), [line for line in lines if set(line[2:]) != {ABSENT}])
 
 
@@ -122,7 +124,7 @@ def worst(rows: Sequence[Row], plant: str, detector: str, *, mismatch: bool) -> 
     found = [
         row
         for row in rows
-        if (row["plant"], row["detector"], row["metric"]) == (plant, detector, "blame_probability")
+        if (row["plant"], row["detector"], row["metric"]) == (plant, detector, FALSE_ISOLATION)
         and row["fault"] != "dropout"
         and ((row["fault"] == "none" and row["quantity"] != "all") if mismatch else (row["fault"] != "none"))
         and row["value"] not in ("", "nan")

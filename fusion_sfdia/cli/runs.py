@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.core.numerals import integer
 
-Work = Callable[[argparse.Namespace], int]
 
-
-def add_run(commands: Any, work: Work) -> None:
+def add_run(commands: Any) -> None:
     """Add `run`."""
     one = commands.add_parser("run", help="run scenarios and write a report", allow_abbrev=False)
     one.add_argument("scenario", nargs="+", help="a name, or a glob such as 'pipeline/*'")
     _add_common(one, seeds="runs of each scenario", full="as many runs as the paper", folder="results/ and the scenario's name")
-    one.set_defaults(work=work)
+    one.set_defaults(work=_run)
 
 
-def add_compare(commands: Any, work: Work) -> None:
+def add_compare(commands: Any) -> None:
     """Add `compare`: its plants, detectors and faults are settings of the scenario."""
     one = commands.add_parser("compare", help="compare detectors on plants under one protocol", allow_abbrev=False)
     for what in ("plants", "detectors", "faults"):
@@ -28,7 +27,7 @@ def add_compare(commands: Any, work: Work) -> None:
             f"--{what}", dest="set", action="append", default=[], type=f"{what}={{}}".format, metavar="A,B", help="only these"
         )
     _add_common(one, seeds="runs of each fault", full="every sensor, and runs that decide: hours", folder="results/comparison")
-    one.set_defaults(work=work, scenario=["comparison"])
+    one.set_defaults(work=_run, scenario=["comparison"])
 
 
 def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: str) -> None:
@@ -52,3 +51,46 @@ def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: 
         help="write into a folder that is in use for something else; finished parts of another run that fit are taken up",
     )
     one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.evaluation.results import as_json
+    from fusion_sfdia.experiments.runner import run_scenarios
+    from fusion_sfdia.registry import match_scenarios, scenario
+
+    changes = _settings(chosen.set)
+    names = match_scenarios(chosen.scenario)
+    out = chosen.out or Path("results") / "-".join(chosen.scenario).replace("/", "-").replace("*", "all")
+    outcome = run_scenarios(
+        [scenario(name) for name in names],
+        out,
+        seeds=chosen.seeds,
+        full=chosen.full,
+        changes=changes,
+        workers=chosen.workers,
+        scheduler=chosen.scheduler,
+        force=chosen.force,
+    )
+    if chosen.json:
+        print(as_json(outcome.rows))
+    else:
+        for line in outcome.highlights:
+            print(line)
+        print(f"{len(outcome.rows)} numbers in {out / 'metrics.csv'}; report: {outcome.report}")
+    for line in outcome.notes:
+        print(f"fusion-sfdia: note: {line}", file=sys.stderr)
+    for line in outcome.failures:
+        print(f"fusion-sfdia: failed: {' '.join(line.split())}", file=sys.stderr)
+    return 1 if outcome.failures else 0
+
+
+def _settings(texts: Sequence[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ValueError(f"--set {text}: expected KEY=VALUE")
+        if key in found:
+            raise ValueError(f"setting {key} is given twice, as {found[key]!r} and {value!r}; give it once")
+        found[key] = value
+    return found

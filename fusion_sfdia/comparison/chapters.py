@@ -29,7 +29,7 @@ from fusion_sfdia.comparison.tables import (
 )
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Settings
-from fusion_sfdia.registry import PLANTS
+from fusion_sfdia.registry import plants
 from fusion_sfdia.report.content import Chapter, Figure
 
 Cells = Mapping[str, Cell]  # of one plant, by detector
@@ -45,7 +45,8 @@ def plant_chapter(
     """What happened on a plant. criteria: its standings. reasons: of detectors that it cannot have. stated: published rows."""
     some = next(iter(cells.values()))
     model = some.model
-    about = f"{PLANTS[some.plant][0]}; {len(model.states)} states, {len(model.sensors)} sensors, a sample every {model.dt:g} s."
+    what = plants()[some.plant].about
+    about = f"{what}; {len(model.states)} states, {len(model.sensors)} sensors, a sample every {model.dt:g} s."
     missing: dict[str, list[str]] = {}
     for detector, why in reasons.items():
         missing.setdefault(why, []).append(detector)

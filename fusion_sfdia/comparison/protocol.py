@@ -18,10 +18,9 @@ from fusion_sfdia.comparison.published import PAPER_FAULTS, PaperFault
 from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.detectors import DETECTORS
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.experiments.scenario import Array, Settings, Task, seed_blocks
-from fusion_sfdia.registry import PLANTS, require_known
+from fusion_sfdia.registry import detectors, plants, require_known
 
 GRADED = ("bias", "drift", "noise", "scale")  # kinds that have a size
 UNGRADED = ("freeze", "dropout")
@@ -41,8 +40,8 @@ SETTLE = {  # where more is needed until the rate of false alarms is steady
 }
 
 SETTINGS = {
-    "plants": tuple(PLANTS),
-    "detectors": tuple(DETECTORS),
+    "plants": tuple(plants()),
+    "detectors": tuple(detectors()),
     "faults": KINDS,
     "magnitudes": (1.0, 3.0, 10.0, 30.0),  # of the sensor's noise
     "lengths": (2, 5, 30, 120),  # samples: of biases of a small and a large size, beside each other
@@ -195,7 +194,7 @@ def tasks(settings: Settings, seeds: int) -> list[Task]:
 
 def check(settings: Settings) -> None:
     """Raise ValueError for unknown names; numbers have the scenario's bounds."""
-    for what, known in (("plant", tuple(PLANTS)), ("detector", tuple(DETECTORS)), ("fault", KINDS)):
+    for what, known in (("plant", tuple(plants())), ("detector", tuple(detectors())), ("fault", KINDS)):
         for name in settings[f"{what}s"]:
             require_known(what, name, known)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fusion_sfdia.detectors import DETECTORS
+from fusion_sfdia import registry
 from fusion_sfdia.report.content import Chapter, Table
 
 WORDS = {
@@ -34,6 +34,7 @@ WORDS = {
 
 def words(detectors: Sequence[str]) -> Chapter:
     """What the words mean, and what each of the detectors is."""
+    named = registry.detectors()
     return Chapter(
         "words",
         "Words and detectors",
@@ -42,7 +43,7 @@ def words(detectors: Sequence[str]) -> Chapter:
             Table(
                 "Detectors",
                 ("detector", "memory", "what it is"),
-                tuple((d, DETECTORS[d].memory, DETECTORS[d].about) for d in detectors),
+                tuple((d, named[d].memory, named[d].about) for d in detectors),
             ),
         ],
     )

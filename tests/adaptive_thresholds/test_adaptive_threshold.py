@@ -3,33 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from engine_runs import BOUND, DETECTOR, ENGINE, healthy, judge, recording_of
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.adaptive_thresholds.algebraic_bounds import TOLERANCE
-from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.models.marine_engine.plant import OBSERVER_BOUNDS, marine_engine
-
-ENGINE = marine_engine()
-DETECTOR = AdaptiveThreshold(ENGINE)
-BOUND = np.array([s.noise_bound for s in ENGINE.sensors])
-BOUND_OF_VARIABLE = DETECTOR._bound
-
-
-@cache
-def healthy(steps: int, runs: int) -> Recording:
-    return simulate(ENGINE, steps, range(runs), truth="model")
-
-
-def judge(detector: AdaptiveThreshold, y: np.ndarray, recording: Recording) -> Decision:
-    u = np.broadcast_to(recording.u[:, None], (*y.shape[:2], recording.u.shape[-1]))
-    return run(detector, detector.init((y.shape[1],)), recording.t, y, u)[1]
+from fusion_sfdia.models.marine_engine.plant import OBSERVER_BOUNDS
 
 
 def load_step(steps: int, runs: int) -> Recording:
@@ -164,49 +147,6 @@ def test_a_load_step_raises_no_alarm_and_errors_keep_their_bounds() -> None:
         assert not d.alarm.any()
         error = np.abs(d.estimate - recording.x)
         assert np.all(error <= (d.threshold - BOUND)[..., [0, 4, 7]] * (1 + 1e-9))
-
-
-def test_inclusion_and_set_inversion_enclose_the_corners() -> None:
-    """Inclusion is the widest; set inversion lies within it, to its tolerance, where an equation has not its own variable."""
-    recording = healthy(300, 5)
-    y = recording.y[:3].copy()
-    y[2, 0, 0] = np.nan
-    ends = {}
-    for bounds in ("corners", "inclusion", "sivia"):
-        d = judge(replace(DETECTOR, bounds=bounds), y, recording_of(recording, 3))
-        middle, radius = y - d.residual, d.threshold - BOUND
-        ends[bounds] = np.stack([middle - radius, middle + radius])[..., [1, 2, 3, 5, 6, 8, 9]] / BOUND[[1, 2, 3, 5, 6, 8, 9]]
-    known = ~np.isnan(ends["corners"][0])
-    # the slack of corners is that of the whole envelope: at most this much where a slope has no sign
-    slack = (DETECTOR._settings.unproved[3:, :10] @ BOUND_OF_VARIABLE / BOUND_OF_VARIABLE[3:]) + 1e-9
-    for bounds in ("inclusion", "sivia"):
-        assert np.all((ends[bounds][0] <= ends["corners"][0] + slack)[known])
-        assert np.all((ends[bounds][1] >= ends["corners"][1] - slack)[known])
-    others = [0, 1, 3, 4, 5, 6]  # all but the torque
-    beyond = (ends["sivia"] - ends["inclusion"])[..., others] * np.array([-1, 1])[:, None, None, None]
-    assert np.all(beyond[np.broadcast_to(known[..., others], beyond.shape)] <= 0.01 + 1e-9)
-    width = {bounds: np.nanmean(np.diff(e, axis=0)[0], axis=(0, 1)) for bounds, e in ends.items()}
-    assert np.all(width["inclusion"][[0, 1, 3]] > 1.05 * width["corners"][[0, 1, 3]])
-
-
-@pytest.mark.skipif(find_spec("codac") is None, reason="needs the optional package codac")
-def test_set_inversion_by_codac_lies_between() -> None:
-    """Ours contracts the readings' intervals with a narrow z too, which are constants to codac; inclusion is the widest."""
-    recording = healthy(300, 5)
-    y = recording.y[:1, :2].copy()
-    first = replace(recording_of(recording, 1), u=recording.u[:1])
-    ends = {}
-    for bounds in ("sivia", "codac", "inclusion"):
-        d = judge(replace(DETECTOR, bounds=bounds), y, first)
-        middle, radius = y - d.residual, d.threshold - BOUND
-        ends[bounds] = np.stack([-(middle - radius), middle + radius]) / BOUND
-    # a hull exceeds the solutions by a box that is not cut any more, TOLERANCE wide
-    assert np.all(ends["sivia"] <= ends["codac"] + TOLERANCE)
-    assert np.all(ends["codac"] <= ends["inclusion"] + TOLERANCE)
-
-
-def recording_of(recording: Recording, steps: int) -> Recording:
-    return replace(recording, t=recording.t[:steps], u=recording.u[:steps])
 
 
 @pytest.mark.parametrize("value", [0.0, -1e5, 1e10], ids=str)

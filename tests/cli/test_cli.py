@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia import __version__, registry
+from fusion_sfdia.cli import listing
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
@@ -51,7 +52,7 @@ def test_list(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = call(capsys, "list")
     assert [line for line in out.splitlines() if not line.startswith(" ")] == ["plants:", "detectors:", "faults:", "scenarios:"]
     assert [e["use"].split(",")[0] for e in found["faults"] if e["name"] in ("weak-bias", "bias")] == ["at random", "kinds"]
-    assert [line for line in out.splitlines() if re.match(r" \w", line)] == [f" {registry.DRAWN}:", f" {registry.LISTED}:"]
+    assert [line for line in out.splitlines() if re.match(r" \w", line)] == [f" {listing.DRAWN}:", f" {listing.LISTED}:"]
 
 
 def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

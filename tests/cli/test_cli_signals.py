@@ -49,7 +49,7 @@ def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, c
     (tmp_path / "program.py").write_text(PROGRAM)
     os.mkfifo(tmp_path / "alive")
     pipe = os.open(tmp_path / "alive", os.O_RDONLY | os.O_NONBLOCK)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tmp_path, root / "tests", root)))}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tmp_path, root / "tests" / "helpers", root)))}
     command = subprocess.Popen(
         [sys.executable, "program.py"], cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
     )

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
 
-from fusion_sfdia import detectors, registry
+from fusion_sfdia import builders, registry
 from fusion_sfdia.cli.main import main, parser
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.comparison import recordings as comparison_recordings
@@ -36,13 +36,11 @@ from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
 from fusion_sfdia.comparison.work import work
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import DETECTORS, NamedDetector
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.experiments.scenario import adjust
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
-from fusion_sfdia.registry import PLANTS
 
 TINY = {
     "plants": "two-tanks",
@@ -66,14 +64,14 @@ def results(settings: dict[str, Any], seeds: int = 3) -> list[tuple[Any, Any]]:
 
 def test_conditions_are_each_once_and_the_healthy_one_first() -> None:
     settings = dict(protocol.SETTINGS)
-    for plant in PLANTS:
+    for plant in registry.plants():
         found = protocol.conditions(settings, plant)
         assert len({c.name for c in found}) == len(found)
         assert found[0].name == protocol.HEALTHY
     assert len(protocol.conditions(settings, "two-tanks")) == 1 + 4 * 4 + 2 + 2 + 2 + 2 * 4 + 1
 
 
-@pytest.mark.parametrize("plant", list(PLANTS))
+@pytest.mark.parametrize("plant", list(registry.plants()))
 def test_segments_of_a_seed_neither_overlap_nor_leave_gaps(plant: str) -> None:
     settings = dict(protocol.SETTINGS)
     lengths = {g: n * settings["window"] for g, n in protocol.segments(settings, plant).items()}
@@ -98,7 +96,7 @@ def test_a_kind_of_fault_meets_all_phases() -> None:
         assert chisquare(counts).pvalue > 1e-5
 
 
-@pytest.mark.parametrize("plant", list(PLANTS))
+@pytest.mark.parametrize("plant", list(registry.plants()))
 def test_all_sensors_take_turns_in_an_order_of_each_kind(plant: str) -> None:
     of, settings = plant_of(plant), dict(protocol.SETTINGS)
     everyone = list(range(len(of.sensors)))
@@ -117,7 +115,7 @@ def test_all_sensors_take_turns_in_an_order_of_each_kind(plant: str) -> None:
 
 def test_so_many_healthy_samples_that_the_rate_is_set_to_its_error() -> None:
     settings = dict(protocol.SETTINGS)
-    for plant in PLANTS:
+    for plant in registry.plants():
         samples = protocol.calibration_runs(settings, plant) * protocol.judged_steps(settings, plant)
         exceeding = samples * settings["false_alarm"]
         assert 1 / np.sqrt(exceeding) <= settings["calibration_error"]  # of a Poisson number
@@ -217,7 +215,7 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
         return found
 
     monkeypatch.setattr(comparison_recordings, "simulate", spy(comparison_recordings.simulate, fitting=False))
-    monkeypatch.setattr(detectors, "simulate", spy(detectors.simulate, fitting=True))
+    monkeypatch.setattr(builders, "simulate", spy(builders.simulate, fitting=True))
     monkeypatch.setattr(comparison_work, "calibrated", watched)
     healthy.cache_clear()
     comparison_work.usual_material.cache_clear()
@@ -348,7 +346,7 @@ def test_any_other_error_of_a_construction_is_an_error_of_the_run(
 
 @pytest.mark.parametrize("plant", list(DEPARTURES))
 def test_departures_change_what_is_read_and_not_its_noise(plant: str) -> None:
-    assert set(PLANT_FAULTS) <= set(PLANTS) >= set(DEPARTURES)
+    assert set(PLANT_FAULTS) <= set(registry.plants()) >= set(DEPARTURES)
     of, usual = plant_of(plant), healthy(plant, 62, (3,))
     for departure in DEPARTURES[plant]:
         changed = departure.record(62, (3,), 52 * of.dt)
@@ -469,10 +467,10 @@ def test_a_piece_that_failed_costs_its_detector_the_ranks_and_no_other() -> None
     assert any("Left out of the ranks" in remark and "kf-chi2 on two-tanks" in remark for remark in summary.remarks)
 
 
-def test_a_plant_and_a_detector_join_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PLANTS, "chain", ("tanks in a row", "toy_plants:chain"))
-    mine = NamedDetector("one filter", lambda plant: CentralFilter(plant, false_alarm=0.01), "state estimate only")
-    monkeypatch.setitem(DETECTORS, "mine", mine)
+@pytest.mark.usefixtures("registrations")
+def test_a_plant_and_a_detector_join_by_their_names() -> None:
+    registry.register_plant("chain", "tanks in a row", "toy_plants:chain")
+    registry.register_detector("mine", "one filter", CentralFilter, memory="state estimate only", false_alarm=0.01)
     settings = tiny(plants="chain", detectors="mine,limits", faults="bias,dropout,published")
     found = summarise(settings, results(settings))
     assert {(r.plant, r.detector) for r in found.rows} == {("chain", "mine"), ("chain", "limits")}
@@ -510,9 +508,9 @@ def test_an_error_while_readings_are_judged_is_no_refusal(monkeypatch: pytest.Mo
 
 
 def test_every_detector_has_a_look_of_its_own() -> None:
-    found = looks(list(DETECTORS))
-    assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(DETECTORS)
-    assert len({(look["color"], look["marker"]) for look in found.values()}) == len(DETECTORS)
+    found = looks(list(registry.detectors()))
+    assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(registry.detectors())
+    assert len({(look["color"], look["marker"]) for look in found.values()}) == len(registry.detectors())
 
 
 def test_memory_of_a_step_is_what_it_holds_at_most_and_that_of_a_state_its_arrays() -> None:

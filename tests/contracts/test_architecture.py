@@ -11,7 +11,7 @@ import pytest
 from kernels import NOT_NUMERICAL
 
 SCHOOLS = ("kalman_banks", "adaptive_thresholds", "stochastic_thresholds", "data_driven", "structural_residuals")
-# the folders of fusion_sfdia and its two modules, and what each imports beside its own: no school knows another
+# the folders of fusion_sfdia and its modules, and what each imports beside its own: no school knows another
 FOLDERS: dict[str, set[str]] = {
     "core": set(),
     "intervals": set(),
@@ -22,10 +22,11 @@ FOLDERS: dict[str, set[str]] = {
     "data_driven": {"core"},
     "structural_residuals": {"core"},
     "evaluation": {"core"},
-    "models": {"core", "evaluation"},
-    "detectors": {"core", "filters", "evaluation", *SCHOOLS},
-    "registry": {"core", "evaluation", "detectors", "experiments"},
-    "named": {"core", "evaluation", "detectors", "registry"},
+    "registry": {"core", "detectors", "models", "experiments"},  # of the last three only names, until one is used
+    "detectors": {"registry"},
+    "models": {"core", "evaluation", "registry"},
+    "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
+    "named": {"core", "evaluation", "registry", "builders", "detectors"},
     "report": {"core", "evaluation"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }

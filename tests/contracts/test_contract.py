@@ -15,6 +15,7 @@ from scipy.stats import betabinom, binom
 from toy_plants import Array, chain
 
 from fusion_sfdia import registry
+from fusion_sfdia.builders import CALIBRATION_SEEDS, CALIBRATION_STEPS, WARM_UP
 from fusion_sfdia.core.batch_detector import CLOCK
 from fusion_sfdia.core.detector import Decision, Detector, State, run
 from fusion_sfdia.core.plant import Plant
@@ -23,7 +24,7 @@ from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents
-from fusion_sfdia.detectors import CALIBRATION_SEEDS, CALIBRATION_STEPS, DETECTORS, FALSE_ALARM, WARM_UP, build
+from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
@@ -76,7 +77,7 @@ LATER = {("power-network", "dynamic-pca"): 40}  # more of them: it learns from a
 
 
 def plants() -> tuple[str, ...]:
-    return ("chain", *registry.PLANTS)
+    return ("chain", *registry.plants())
 
 
 @cache
@@ -89,12 +90,12 @@ def plant_of(name: str) -> Plant:
 
 @cache
 def detector_of(plant: str, name: str) -> Detector:
-    return build(name, plant_of(plant))
+    return registry.detector(name, plant_of(plant))
 
 
 def pairs() -> Iterator[object]:
     for plant in plants():
-        for name in DETECTORS:
+        for name in registry.detectors():
             if name.startswith(OF_MODULES) and plant not in WITH_MODULES:
                 continue  # it has no scalar equations to monitor, see the test that says so
             if name in OF_INPUTS and plant == "chain":
@@ -267,7 +268,7 @@ def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[st
             detector, plant=detector.plant.in_units(units), thresholds=tuple(np.array(detector.thresholds) * factor)
         )
     else:
-        other = build(pair[1], plant.in_units(units))
+        other = registry.detector(pair[1], plant.in_units(units))
     t, y, u = healthy(pair[0], 60, 2)
     y = y.copy()
     y[35:55, 0, chosen[0]] += 30 * plant.sensor_sigma[chosen[0]]

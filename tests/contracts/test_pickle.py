@@ -15,7 +15,6 @@ from toy_plants import Array, chain
 from fusion_sfdia import Physics, Sensor, Signal, discretise, registry, simulate
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import build
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy
 from fusion_sfdia.models.marine_engine.equilibrium import equilibrium
 from fusion_sfdia.models.marine_engine.faults import ProcessFault
@@ -71,8 +70,8 @@ def faulty_network() -> Plant:
 
 
 PLANTS: dict[str, Callable[[], Plant]] = {
-    **{name: lambda name=name: registry.plant(name) for name in registry.PLANTS},
-    **{f"{name}, finer": lambda name=name: registry.plant(name).finer()[0] for name in registry.PLANTS},
+    **{name: lambda name=name: registry.plant(name) for name in registry.plants()},
+    **{f"{name}, finer": lambda name=name: registry.plant(name).finer()[0] for name in registry.plants()},
     "linear": chain,
     "of one's own": ours,
     "swinging tanks": lambda: two_tanks(swing=0.2),
@@ -114,7 +113,7 @@ def test_a_pickled_plant_gives_the_same_bits(name: str, unit: str) -> None:
         assert (copy.finer is None) == (plant.finer is None)
 
 
-@pytest.mark.parametrize("name", registry.PLANTS)
+@pytest.mark.parametrize("name", registry.plants())
 def test_the_finer_twin_of_a_pickled_plant_is_the_same(name: str) -> None:
     plant = registry.plant(name)
     copy = pickle.loads(pickle.dumps(plant))
@@ -139,7 +138,7 @@ def test_pickled_physics_give_the_same_bits() -> None:
 def test_a_pool_of_processes_takes_plants_and_detectors() -> None:
     """In fresh processes, which know nothing but what the pickle says."""
     plant = registry.plant("two-tanks")
-    detector = build("loo-glr", plant)
+    detector = registry.detector("loo-glr", plant)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         there = pool.submit(simulate, plant, 20, [7]).result()
         here = simulate(plant, 20, [7])

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from fusion_sfdia.detectors import DETECTORS
+
 
 def test_the_library_example_runs(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (root / "README.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -12,6 +14,12 @@ def test_the_library_example_runs(root: Path, capsys: pytest.CaptureFixture[str]
     exec(compile(blocks[0], "README.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 and lines[0].startswith("p_3 600.0") and lines[0].endswith("Pa")
+
+
+def test_the_readme_takes_a_minute(root: Path) -> None:
+    text = (root / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 100
+    assert f" {len(DETECTORS)} detectors " in text
 
 
 def test_what_the_readme_names_is_there(root: Path) -> None:

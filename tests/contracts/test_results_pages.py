@@ -1,27 +1,63 @@
-"""The results pages show what the numbers beside them say, and the README shows what the pages show."""
+"""The results pages, and the README's table, show what the committed numbers beside them state; links lead somewhere."""
 
-import importlib.util
+import csv
+import importlib
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 
-def test_the_comparisons_page_is_that_of_its_numbers(root: Path) -> None:
-    folder = root / "docs" / "results"
-    spec = importlib.util.spec_from_file_location("comparison_page", folder / "comparison.py")
-    assert spec is not None and spec.loader is not None
-    page = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(page)
-    assert page.render(page.load(folder / "comparison.csv")) == (folder / "comparison.md").read_text(encoding="utf-8")
+@pytest.fixture
+def folder(root: Path) -> Path:
+    return root / "docs" / "results"
 
 
-@pytest.mark.parametrize("title", ["Area under the ROC, bias of 3 sigma", "Exact isolation, faults of 10 sigma"])
-def test_the_readmes_tables_are_those_of_the_page(root: Path, title: str) -> None:
-    page = (root / "docs" / "results" / "comparison.md").read_text(encoding="utf-8")
-    readme = (root / "README.md").read_text(encoding="utf-8")
-    shown = re.search(rf"^\| {re.escape(title.lower())} \|.*\n\|.*\n((?:\|.*\n)+)", readme, re.MULTILINE)
-    assert shown is not None, title
-    section = page.split(f"## {title}\n")[1].split("\n## ")[0]
-    for line in shown[1].splitlines():
-        assert line in section, line
+@pytest.fixture
+def pages(folder: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(folder))
+    return importlib.import_module("pages")
+
+
+def test_the_comparisons_page_is_that_of_its_numbers(folder: Path, pages: ModuleType) -> None:
+    comparison = pages.comparison
+    assert comparison.render(comparison.load(folder / "comparison.csv")) == (folder / "comparison.md").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_every_table_of_a_page_is_that_of_its_numbers(root: Path, pages: ModuleType) -> None:
+    found, used = pages.tables(), set()
+    for path in pages.PAGES:
+        text = path.read_text(encoding="utf-8")
+        used |= {m[2] for m in pages.MARKED.finditer(text)}
+        assert pages.filled(text, found) == text, f"{path.relative_to(root)}: run docs/results/pages.py"
+    assert used == set(found)
+
+
+def test_no_number_of_the_papers_has_the_place_of_another(folder: Path) -> None:
+    with (folder / "papers.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    places = [(row["page"], row["table"], row["row"], row["column"]) for row in rows]
+    assert len(set(places)) == len(places) > 90
+    assert all(row["value"] or row["published"] for row in rows)
+    assert all(bool(row["low"]) == bool(row["high"]) for row in rows)
+
+
+def test_a_table_that_no_number_makes_is_refused(pages: ModuleType) -> None:
+    with pytest.raises(KeyError, match="unheard"):
+        pages.filled("<!-- table: unheard -->\n\n| a |\n\n<!-- end -->", pages.tables())
+
+
+def test_links_of_the_documentation_lead_somewhere(root: Path) -> None:
+    for page in (root / "docs").rglob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        for target, anchor in re.findall(r"\]\(([^)#\s]*)(#[\w-]+)?\)", text):
+            if target.startswith("https://"):
+                continue
+            there = page.parent / target if target else page
+            assert there.exists(), f"{page.relative_to(root)}: {target}"
+            if anchor:
+                titles = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE)
+                assert anchor[1:] in {re.sub(r"[^\w -]", "", title).lower().replace(" ", "-") for title in titles}, anchor

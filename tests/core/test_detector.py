@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings, tanks
 
+from fusion_sfdia import registry
 from fusion_sfdia.core.detector import Decision, MissingPackageError, NotApplicableError, check_reading, run, stack
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import build
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
@@ -124,7 +124,7 @@ def test_inputs_that_broadcast_fit(u_shape: tuple[int, ...]) -> None:
 )
 def test_a_plant_that_lacks_what_a_method_needs_is_told_apart_from_other_errors(name: str, plant: Plant, message: str) -> None:
     with pytest.raises(NotApplicableError, match=message):
-        build(name, plant)
+        registry.detector(name, plant)
     assert issubclass(NotApplicableError, ValueError)
     assert issubclass(MissingPackageError, NotApplicableError)
     assert issubclass(MissingPackageError, ModuleNotFoundError)

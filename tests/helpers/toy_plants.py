@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,3 +50,13 @@ def readings(plant: Plant, steps: int, runs: int, seed: int) -> tuple[Array, Arr
         xs[k] = x
         ys[k] = plant.output((k + 1) * plant.dt, x, u) + plant.sensor_sigma * rng.standard_normal((runs, count))
     return np.arange(1, steps + 1) * plant.dt, xs, ys, np.broadcast_to(u, (steps, runs, len(plant.inputs)))
+
+
+BOUND = 0.3
+
+
+def bounded_chain() -> Plant:
+    """A linear plant, all states read, with noise of stated bounds and a disturbance of stated bound."""
+    plant = chain(6)
+    sensors = tuple(Sensor(s.name, s.measures, s.unit, bound=BOUND, owner=s.owner) for s in plant.sensors)
+    return replace(plant, sensors=sensors, process_bound=np.full(6, 0.05))

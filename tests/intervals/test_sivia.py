@@ -2,41 +2,17 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 import pytest
+from set_inversion import EQUATIONS, covered, meets, ring, samples, target_of
 
-from fusion_sfdia.core.equation import equation
-from fusion_sfdia.intervals.codac_adapter import codac_sivia
-from fusion_sfdia.intervals.contractors import PROJECTIONS, backward
-from fusion_sfdia.intervals.expression import DOMAINS, record
+from fusion_sfdia.intervals.expression import record
 from fusion_sfdia.intervals.interval import Interval
-from fusion_sfdia.intervals.interval_kernels import KERNELS
 from fusion_sfdia.intervals.sivia import Paving, sivia
 
 RING_AREA = 3 * np.pi
-# not imported here: that would change the rounding mode of the whole test run
-needs_codac = pytest.mark.skipif(find_spec("codac") is None, reason="needs the optional package codac")
-
-
-@equation
-def ring(x: Any, y: Any) -> Any:
-    return x**2 + y**2
-
-
-def samples(box: Interval, n: int, seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return rng.uniform(box.lo, box.hi, (n, *box.shape))
-
-
-def covered(points: np.ndarray, boxes: Interval) -> np.ndarray:
-    """Whether each point (n, d) lies in one of the boxes (m, d)."""
-    return np.all((boxes.lo <= points[:, None]) & (points[:, None] <= boxes.hi), axis=-1).any(axis=-1)
 
 
 def assert_same(one: Paving, problem: int, many: Paving) -> None:
@@ -93,50 +69,6 @@ def test_contraction_sharpens_both_sides_for_fewer_boxes() -> None:
     assert sharp.examined < plain.examined
 
 
-EQUATIONS: dict[str, Callable[..., Any]] = {
-    "ring": ring,
-    "product": lambda x, y: x * y,
-    "quotient": lambda x, y: x / y,
-    "root": lambda x, y: np.sqrt(x) - y,
-    "powers": lambda x, y: x**3 - 2.0 * y**-1 + abs(y) ** 1.4,
-    "exponential": lambda x, y: np.exp(x * y) - np.log(x + 4.0) + np.tanh(y),
-    "logs": lambda x, y: np.log10(np.square(x) + 1) * np.log1p(abs(y)) - np.expm1(x / 3),
-    "kinks": lambda x, y: np.minimum(x, y) + np.maximum(2 * x, -y) - abs(x),
-    "waves": lambda x, y: np.sin(x) * np.cos(y) + np.arctanh(x / 4),
-    "two": lambda x, y: (x + y, x * y),
-    "exponent": lambda x, y: (x + 4.0) ** y,
-    "reciprocal": lambda x, y: np.reciprocal(x) + np.positive(-y),
-}
-
-
-def target_of(name: str) -> Any:
-    return (Interval(-1.0, 1.0), Interval(0.2, 0.7)) if name == "two" else Interval(0.2, 0.7)
-
-
-def meets(name: str, points: np.ndarray) -> np.ndarray:
-    with np.errstate(all="ignore"):
-        results = EQUATIONS[name](*points.T)
-    targets = target_of(name)
-    pairs = zip(results, targets, strict=True) if name == "two" else [(results, targets)]
-    return np.all([(t.lo <= r) & (r <= t.hi) for r, t in pairs], axis=0)
-
-
-@pytest.mark.parametrize("name", EQUATIONS)
-def test_a_contractor_never_loses_a_solution(name: str) -> None:
-    rng = np.random.default_rng(2)
-    middle, radius = rng.uniform(-3, 3, (2, 300)), rng.uniform(0.01, 2, (2, 300))
-    boxes = [Interval(m - r, m + r) for m, r in zip(middle, radius, strict=True)]
-    expression = record(EQUATIONS[name], 2)
-    targets = target_of(name)
-    left = backward(expression, expression.evaluate(boxes), list(targets) if name == "two" else [targets])
-    for _ in range(50):
-        points = np.stack([rng.uniform(x.lo, x.hi) for x in boxes], axis=-1)
-        solution = meets(name, points)
-        assert np.all(left[0].contains(points[:, 0])[solution])
-        assert np.all(left[1].contains(points[:, 1])[solution])
-    assert all(np.all(box.contains(x)) for box, x in zip(boxes, left, strict=True))
-
-
 @pytest.mark.parametrize("contract", [False, True])
 @pytest.mark.parametrize("name", EQUATIONS)
 def test_pavings_enclose_from_both_sides(name: str, contract: bool) -> None:
@@ -156,11 +88,6 @@ def test_no_box_counts_as_inner_where_the_function_has_no_value() -> None:
         paving = sivia(lambda x: np.sqrt(x), Interval(-1.0, 5.0), Interval([-1.0], [1.0]), 0.01, contract=contract)
         assert np.all(paving.inner.lo >= 0)
         assert paving.inner_volume <= 1
-
-
-def test_every_function_has_its_projection() -> None:
-    assert set(PROJECTIONS) == set(KERNELS)
-    assert set(DOMAINS) <= set(KERNELS)
 
 
 @pytest.mark.parametrize("contract", [False, True])
@@ -245,45 +172,3 @@ def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"function": ring, "target": Interval(1.0, 4.0), "box": Interval([-3.0, -3.0], [3.0, 3.0])}
     with pytest.raises(ValueError, match=message):
         sivia(**(given | {"tolerance": 0.1} | change))
-
-
-@needs_codac
-def test_codac_agrees() -> None:
-    box = Interval([-3.0, -3.0], [3.0, 3.0])
-    for name in ("ring", "product", "quotient", "powers", "exponential", "kinks", "two"):
-        ours, theirs = (f(EQUATIONS[name], target_of(name), box, 0.05) for f in (sivia, codac_sivia))
-        assert ours.complete, name
-        # two enclosures of one set: each inner area is at most the other outer area (volumes are sums, hence the rounding)
-        assert ours.inner_volume <= theirs.outer_volume * (1 + 1e-9), name
-        assert theirs.inner_volume <= ours.outer_volume * (1 + 1e-9), name
-        if name != "quotient":  # along y = 0, where x / y takes every value, codac keeps boxes of its own
-            np.testing.assert_allclose([ours.hull.lo, ours.hull.hi], [theirs.hull.lo, theirs.hull.hi], atol=2 * 0.05)
-        points = samples(box, 2000, 6)
-        assert not np.any(covered(points, ours.inner) & ~(covered(points, theirs.inner) | covered(points, theirs.boundary))), (
-            name
-        )
-
-
-@needs_codac
-def test_codac_refuses_what_it_cannot() -> None:
-    with pytest.raises(ValueError, match="codac has no arctanh"):
-        codac_sivia(np.arctanh, Interval(0.0, 1.0), Interval([0.0], [0.5]), 0.1)
-    with pytest.raises(ValueError, match="one problem at a time"):
-        codac_sivia(np.exp, Interval(0.0, 1.0), Interval([[0.0]], [[0.5]]), 0.1)
-
-
-@needs_codac
-def test_rounding_is_to_nearest_after_codac() -> None:
-    tenth = 0.1
-    codac_sivia(np.exp, Interval(0.0, 1.0), Interval([0.0], [0.5]), 0.1)
-    assert tenth + 2 * tenth == 0.30000000000000004
-    assert -tenth - 2 * tenth == -0.30000000000000004
-    assert (Interval(1.0) + 1.0).contains(2.0)
-
-
-@needs_codac
-def test_intervals_refuse_another_rounding_mode() -> None:
-    """In a process of its own: importing codac changes the mode."""
-    script = "import codac\nfrom fusion_sfdia.intervals.interval import Interval\nInterval(1.0) + 1.0"
-    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert "RuntimeError: the processor does not round to nearest" in ended.stderr

@@ -1,13 +1,14 @@
 """The leave-one-out algebra and the mixture against filters that really leave a sensor out."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
-from rounding import rounding
+from joints import of_update, random_joint
 from toy_plants import chain, tanks
 
 from fusion_sfdia.filters import ekf
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.kalman_banks import mixing
 from fusion_sfdia.kalman_banks.leave_one_out import (
     eliminate,
     local_estimates,
@@ -15,24 +16,6 @@ from fusion_sfdia.kalman_banks.leave_one_out import (
     posterior,
     statistics,
 )
-
-
-def random_joint(rng: np.random.Generator, n: int, count: int, batch: tuple[int, ...] = ()) -> tuple[Joint, np.ndarray]:
-    """A joint Gaussian with a general H, and R as its diagonal."""
-    root = rng.normal(size=(*batch, n, n))
-    p = root @ np.swapaxes(root, -1, -2) + np.eye(n)
-    h = rng.normal(size=(count, n))
-    r = rng.uniform(0.5, 2.0, count)
-    x = rng.normal(size=(*batch, n))
-    return ekf.joint(x, p, lambda s: s @ h.T, h, r), r
-
-
-def of_update(joint: Joint, y: np.ndarray, updates: int = 2) -> float:
-    """Rounding of estimates and covariances after so many updates, of solving with S: its condition, and the numbers' size."""
-    condition, operations = np.linalg.cond(joint.S).max(), joint.S.shape[-1] + joint.P.shape[-1]
-    innovation = np.nan_to_num(y - joint.y)
-    size = max(np.abs(joint.P).max(), np.abs(innovation).max(), np.abs(joint.x).max()) + np.abs(joint.C).max()
-    return rounding(condition, updates * operations) * float(size)
 
 
 def without(joint: Joint, y: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:
@@ -116,60 +99,6 @@ def test_chi_square_is_chi_square_with_one_degree_of_freedom() -> None:
     # mean 1, variance 2 each: four standard errors
     assert np.all(np.abs(chi_square.mean(axis=0) - 1) < 4 * np.sqrt(2 / runs))
     assert abs(np.mean(chi_square > 6.634896601021214) - 0.01) < 4 * np.sqrt(0.01 * 0.99 / (6 * runs)) * 2  # sensors correlate
-
-
-@pytest.mark.parametrize("missing", [(), (1,), (0, 3, 4)])
-def test_mixture_in_closed_form_equals_the_printed_sum_of_inverses(missing: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(3)
-    joint, r = random_joint(rng, 5, 6)
-    y = joint.y + rng.normal(size=6)
-    y[list(missing)] = np.nan
-    used = np.isfinite(y)
-    parts = []
-    for i in range(6):
-        found = statistics(joint, y, used & (np.arange(6) != i))
-        parts.append(posterior(joint, found))
-    x, p = mixing.mix(np.stack([a for a, _ in parts]), np.stack([b for _, b in parts]), np.ones(5))
-    close = mixing.mixture(joint, y, used, r)
-    general = mixing.mixture_of_any_joint(joint, statistics(joint, y, used))
-    tolerance = np.linalg.cond(p) * of_update(joint, y)  # both invert the mixture's covariance
-    for got_x, got_p in (close, general):
-        np.testing.assert_allclose(got_x, x, rtol=0, atol=tolerance)
-        np.testing.assert_allclose(got_p, p, rtol=0, atol=tolerance)
-
-
-def test_federated_factors_make_the_mixture_the_central_filter() -> None:
-    """Carlson's information sharing: local priors N P and noises (N - 1) R fuse to the one filter that uses everything."""
-    rng = np.random.default_rng(4)
-    joint, r = random_joint(rng, 5, 6)
-    y = joint.y + rng.normal(size=6)
-    h = np.linalg.solve(joint.P, joint.C).T
-    wide = ekf.joint(joint.x, 6 * joint.P, lambda s: joint.y, h, 5 * r)
-    x, p = mixing.mixture(wide, y, np.ones(6, bool), 5 * r)
-    central_x, central_p = posterior(joint, statistics(joint, y, np.ones(6, bool)))
-    tolerance = np.linalg.cond(joint.P) * of_update(joint, y)  # H was solved for with P
-    np.testing.assert_allclose(x, central_x, rtol=0, atol=tolerance)
-    np.testing.assert_allclose(p, central_p, rtol=0, atol=tolerance)
-
-
-def test_mixture_of_singular_covariances_stays_on_their_range() -> None:
-    """An ensemble smaller than the state: P has no inverse, the mixture still exists."""
-    rng = np.random.default_rng(5)
-    anomalies = rng.normal(size=(4, 9))
-    anomalies -= anomalies.mean(axis=0)
-    p = anomalies.T @ anomalies / 3
-    r = np.ones(9)
-    joint = Joint(np.zeros(9), p, np.zeros(9), p + np.diag(r), p)
-    y = rng.normal(size=9)
-    used = np.ones(9, bool)
-    x, p_m = mixing.mixture(joint, y, used, r)
-    parts = [posterior(joint, statistics(joint, y, np.arange(9) != i)) for i in range(9)]
-    literal_x, literal_p = mixing.mix(np.stack([a for a, _ in parts]), np.stack([b for _, b in parts]), np.ones(9))
-    assert np.linalg.matrix_rank(p_m, rtol=1e-9, hermitian=True) == 3
-    ranged = np.linalg.eigvalsh(p)[-3:]  # what is inverted: P on its range, of rank 3
-    tolerance = ranged[-1] / ranged[0] * of_update(joint, y)
-    np.testing.assert_allclose(x, literal_x, rtol=0, atol=tolerance)
-    np.testing.assert_allclose(p_m, literal_p, rtol=0, atol=tolerance)
 
 
 def test_toy_plants_have_the_jacobians_of_their_functions() -> None:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from rounding import rounding
 from scipy.linalg import cholesky
 from scipy.optimize import minimize
-from scipy.stats import binom, norm
-from toy_plants import chain, readings, tanks
+from scipy.stats import norm
+from toy_plants import chain, readings
 
 from fusion_sfdia.core.detector import State, run
-from fusion_sfdia.filters.estimators import Unscented
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons, refitted, sparse_faults
 from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon
 
@@ -180,43 +179,6 @@ def test_statistics_of_every_horizon_are_standard_normal_when_healthy() -> None:
     assert np.all(np.abs(np.var(z, axis=0) - 1) < 4 * np.sqrt(2 / runs))
 
 
-def test_alarms_begin_at_most_at_the_stated_rate() -> None:
-    plant = chain(6)
-    t, _, y, u = readings(plant, 200, 40, seed=6)
-    bank = MovingHorizon(plant, false_alarm=0.02)
-    _, d = run(bank, bank.init((40,)), t, y, u)
-    begins = np.any(d.isolated[1:] & ~d.isolated[:-1], axis=-1)
-    assert 0 < begins.sum() <= binom.ppf(0.9999, len(t) * 40, 0.02)
-
-
-@pytest.mark.parametrize("estimator", [None, Unscented()], ids=["extended", "unscented"])
-@pytest.mark.parametrize("plant", [chain(12), tanks()], ids=["chain", "tanks"])
-def test_a_weak_bias_is_found_and_its_sensor_named(plant, estimator) -> None:  # type: ignore[no-untyped-def]
-    t, _, y, u = readings(plant, 100, 20, seed=7)
-    y = y.copy()
-    y[60:, :, 1] += 3.0 * plant.sensor_sigma[1]
-    bank = MovingHorizon(plant) if estimator is None else MovingHorizon(plant, estimator)
-    _, d = run(bank, bank.init((20,)), t, y, u)
-    assert d.isolated[74:, :, 1].mean() > 0.8  # 14 samples on, when a horizon knows of nothing else
-    assert np.delete(d.isolated, 1, axis=-1).mean() < 0.01
-
-
-def test_simultaneous_faults_are_named_at_once_as_many_as_may_be_and_readmitted() -> None:
-    plant = chain(12)
-    t, _, y, u = readings(plant, 120, 20, seed=8)
-    y = y.copy()
-    y[40:70, :, [2, 7]] += 15.0
-    for most in (2, 1):
-        bank = MovingHorizon(plant, max_faults=most)
-        _, d = run(bank, bank.init((20,)), t, y, u)
-        assert np.all(d.isolated[40:70].sum(axis=-1) == most)
-        assert d.capped[40].all() == (most == 1) and not d.capped[:40].any()
-        if most == 2:
-            assert d.isolated[40:70, :, [2, 7]].all() and d.isolated[90:, :, [2, 7]].mean() < 0.02
-            assert abs(d.fault_size[60:70][..., [2, 7]].mean() - 15.0) < 1.0  # of 400 numbers of deviation 1 or 2
-        np.testing.assert_array_equal(np.isnan(d.fault_size), ~d.isolated)
-
-
 def test_without_accommodation_the_filter_stays_undisturbed() -> None:
     t, y, u = weak_bias(30, seed=9)
     quiet, loud = (MovingHorizon(PLANT, accommodate=False, threshold_scale=scale) for scale in (UNREACHED, 1.0))
@@ -255,8 +217,3 @@ def test_the_horizon_with_the_largest_ratio_is_the_one_solved(largest: int) -> N
     np.testing.assert_allclose(size[0], [0, 0, 0, 20.0, 0])
     np.testing.assert_allclose(x[0], np.full(n, -20.0 * (largest + 1)))
     np.testing.assert_allclose(p[0], np.full((n, n), (largest + 1.0) ** 2))
-
-
-def test_a_horizon_needs_two_samples() -> None:
-    with pytest.raises(ValueError, match="window, in samples, is 1"):
-        MovingHorizon(PLANT, window=1)

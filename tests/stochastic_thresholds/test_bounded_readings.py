@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from toy_plants import chain
+from toy_plants import BOUND, bounded_chain, chain
 
-from fusion_sfdia.core.batch_detector import Moment
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.stochastic_thresholds.bounded_readings import WITHIN, BoundedReadings
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
-from fusion_sfdia.stochastic_thresholds.present_readings import PresentReadings
 from fusion_sfdia.stochastic_thresholds.threshold_rules import alpha_for, false_alarm_of
-
-BOUND = 0.3
-
-
-def bounded_chain() -> Plant:
-    """A linear plant, all states read, with noise of stated bounds and a disturbance of stated bound."""
-    plant = chain(6)
-    sensors = tuple(Sensor(s.name, s.measures, s.unit, bound=BOUND, owner=s.owner) for s in plant.sensors)
-    return replace(plant, sensors=sensors, process_bound=np.full(6, 0.05))
 
 
 def detector(plant: Plant) -> Chebyshev:
@@ -56,53 +41,6 @@ def test_noise_within_its_bounds_never_alarms() -> None:
     one = detector(plant)
     _, d = run(one, one.init((runs,)), plant.dt * np.arange(1, steps + 1), y, u)
     assert 0.99 < d.scores.max() <= 1.0  # noise of two values meets its bounds now and then
-
-
-@pytest.mark.parametrize("kind", [PresentReadings, BoundedReadings])
-def test_a_fault_taken_out_leaves_its_doubt_and_runs_without_one_as_they_were(kind: type[PresentReadings]) -> None:
-    """Each reading is a state: a fault f of the last reading of sensor 1 has put F[:, 1] f into what is expected."""
-    plant, lam, size, doubt = bounded_chain(), 0.3, np.zeros((3, 6)), np.zeros((3, 6))
-    one, u = kind(plant, lam, Extended()), np.zeros((3, len(plant.inputs)))
-    F = plant.step_jacobian_at(0.0, plant.x0, u[0], plant.dt)
-    core = one.start((3,), 0)
-    for k in (0, 1):
-        outlook = one.predict(core, Moment(k * plant.dt, (k + 1) * plant.dt, plant.dt, 0, k), u)
-        core = one.take(outlook, np.random.default_rng(k).normal(size=(3, 6))).core
-    now = Moment(2 * plant.dt, 3 * plant.dt, plant.dt, 0, 2)
-    before, outlook = one.predict(core, now, u), one.predict(core, now, u)
-    size[2, 1], doubt[2, 1] = 2.0, 0.25
-    freed = one.freed(core, outlook, now, u, size, doubt)
-    np.testing.assert_allclose(freed.expected[:2], before.expected[:2], rtol=0, atol=1e-12)  # of numbers of some units
-    np.testing.assert_allclose(freed.deviation[:2], before.deviation[:2], rtol=1e-12)
-    expected = before.expected[2] - 2.0 * F[:, 1]
-    expected[1] += lam * core[3][2, 1]  # its own last residual was that of the fault
-    np.testing.assert_allclose(freed.expected[2], expected, rtol=0, atol=1e-12)
-    memory = lam * core[4][2]
-    power = 1 if kind is BoundedReadings else 2  # bounds add up, variances do
-    wider = (before.deviation[2] - memory) ** power + np.abs(0.25 * F[:, 1]) ** power
-    np.testing.assert_allclose((freed.deviation[2] - memory) ** power, wider, rtol=1e-11)
-
-
-def test_a_state_that_is_read_as_a_multiple_is_its_reading_over_it() -> None:
-    plant = linear_plant(
-        "scaled", 0.5 * np.eye(2), np.diag([2.0, -4.0]), [Sensor(f"s{i}", f"x{i}", sigma=0.1) for i in (0, 1)],
-        dt=1.0, x0=np.zeros(2), initial_cov=np.ones(2), process_cov=np.ones(2),
-    )  # fmt: skip
-    one, u = PresentReadings(plant, 0.0, Extended()), np.zeros((1, 0))
-    taken = one.take(one.predict(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), np.array([[3.0, 3.0]]))
-    np.testing.assert_allclose(taken.estimate, [[1.5, -0.75]], rtol=1e-15)
-    assert taken.covariance is not None
-    np.testing.assert_allclose(taken.covariance[0], np.diag([0.1 / 2, 0.1 / 4]) ** 2, rtol=1e-14)
-
-
-def test_states_that_nobody_reads_have_the_gain_of_kalman() -> None:
-    plant = chain(6, sensors=4)
-    one, u, y = PresentReadings(plant, 0.0, Extended()), np.zeros((1, 0)), np.array([[1.0, -2.0, 3.0, 0.5]])
-    F, H = plant.step_jacobian_at(0.0, plant.x0, u[0], 1.0), plant.output_jacobian_at(0.0, plant.x0, u[0])
-    P = F @ np.diag(plant.initial_cov) @ F.T + np.diag(plant.process_cov)
-    taken = one.take(one.predict(one.start((1,), 0), Moment(0.0, 1.0, 1.0, 0, 0), u), y)
-    expected = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(plant.sensor_cov), y[0])
-    np.testing.assert_allclose(taken.estimate[0], expected, rtol=0, atol=1e-12)  # of numbers of some units
 
 
 def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:

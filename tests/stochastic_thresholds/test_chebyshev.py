@@ -3,56 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from functools import cache
 
 import numpy as np
 import pytest
+from chebyshev_runs import ERROR, RUNS, SETTLED, STEPS, WATCHING, decisions, healthy, network, network_areas_of, plant_of
 from toy_plants import chain, readings, tanks
 
 from fusion_sfdia.core.detector import Decision, run
-from fusion_sfdia.core.plant import Array, Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended, Unscented
-from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
-from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, predict, take
 from fusion_sfdia.stochastic_thresholds.monte_carlo import MonteCarlo
 from fusion_sfdia.stochastic_thresholds.threshold_rules import false_alarm_of
-
-RUNS, STEPS, SETTLED = 300, 40, 10
-WATCHING = {"accommodate": False}
-
-
-@cache
-def network() -> Plant:
-    return power_network(loads=(), noise="lit")
-
-
-@cache
-def healthy(name: str, runs: int = RUNS) -> tuple[Array, Array, Array]:
-    """t (K,), y (K, B, N), u (K, B, m) of the plant's own model."""
-    if name == "network":
-        r = simulate(network(), STEPS, range(runs), truth="model", process_noise=True)
-        return r.t, r.y, r.u_of_runs
-    t, _, y, u = readings({"chain": chain, "tanks": tanks}[name](), STEPS, runs, seed=1)
-    return t, y, u
-
-
-def plant_of(name: str) -> Plant:
-    return network() if name == "network" else {"chain": chain, "tanks": tanks}[name]()
-
-
-def decisions(detector: Chebyshev, data: tuple[Array, Array, Array], batch: tuple[int, ...] | None = None) -> Decision:
-    t, y, u = data
-    return run(detector, detector.init(y.shape[1:-1] if batch is None else batch), t, y, u)[1]
-
-
-# Of M squares of unit normals the root of the mean has the standard error 1 / sqrt(2 M); neighbouring times correlate, so M
-# counts the runs alone: five of them for the largest of up to 94 components.
-ERROR = 5 / np.sqrt(2 * RUNS)
 
 
 @pytest.mark.parametrize("name", ["chain", "tanks", "network"])
@@ -79,28 +43,6 @@ def test_sigma_points_are_the_closed_form_where_the_physics_is_linear() -> None:
     for name in ("estimate", "residual", "threshold", "measured"):
         # sigma points with alpha = 1e-3 magnify roundings of values near 1 by 1e6
         np.testing.assert_allclose(getattr(points, name), getattr(closed, name), rtol=1e-7, atol=1e-7, err_msg=name)
-
-
-def test_random_draws_come_near_the_closed_form_and_are_reproducible() -> None:
-    t, y, u = (a[:, :3] if a.ndim > 1 else a for a in healthy("tanks"))
-    draws = 4000
-    detector = Chebyshev(tanks(), lam=0.0, moments=MonteCarlo(draws), **WATCHING)
-    drawn, points = decisions(detector, (t, y, u)), decisions(Chebyshev(tanks(), lam=0.0, **WATCHING), (t, y, u))
-    np.testing.assert_allclose(drawn.threshold, points.threshold, rtol=5 / np.sqrt(2 * draws))
-    # each mean has the standard error of its deviation, at most threshold / 2, over sqrt(draws), twice
-    assert np.all(np.abs(drawn.residual - points.residual) < 5 * points.threshold / np.sqrt(2 * draws))
-    again = decisions(detector, (t, y, u))
-    np.testing.assert_array_equal(again.residual, drawn.residual)
-    _, other = run(detector, detector.init((3,), seed=1), t, y, u)
-    assert np.any(other.residual != drawn.residual)
-
-
-@pytest.mark.parametrize("make", [marine_engine, gas_pipeline], ids=["engine", "pipeline"])
-def test_random_draws_run_on_nonlinear_plants(make: object) -> None:
-    plant = make()
-    r = simulate(plant, 5, [1])
-    d = decisions(Chebyshev(plant, moments=MonteCarlo(100)), (r.t, r.y[:, 0], r.u), ())
-    assert np.all(np.isfinite(d.estimate)) and not d.diverged.any() and np.all(np.isfinite(d.threshold))
 
 
 @pytest.mark.parametrize(
@@ -153,23 +95,6 @@ def test_conformal_thresholds_from_healthy_readings() -> None:
     np.testing.assert_allclose(alone.alphas, of_one.alphas, rtol=1e-9)
 
 
-def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
-    t, y, u = (a[:, :2] if a.ndim > 1 else a for a in healthy("network"))
-    d = decisions(Chebyshev(network(), **WATCHING), (t, y, u))
-    areas = network_areas_of(network())
-    now = Diagnosers(*Chebyshev(network()).init((2,))[-8:])
-    for k in range(STEPS):
-        ahead = predict(areas, now, u[k, :, :15], u[k, :, 15:], 0.3, "corrected")
-        now = take(ahead, y[k, :, :60].reshape(2, 15, 4), y[k, :, 60:])
-        both = np.concatenate([ahead.estimate.reshape(2, 60), ahead.estimate_shared], axis=-1)
-        np.testing.assert_allclose(d.residual[k], y[k] - both, atol=100 * np.finfo(float).eps)  # a compiled sum of 20 terms
-
-
-def network_areas_of(plant: Plant) -> object:
-    assert plant.areas is not None
-    return plant.areas
-
-
 @pytest.mark.parametrize("name", ["tanks", "network"])
 def test_a_run_in_a_batch_has_the_bits_it_has_alone(name: str) -> None:
     t, y, u = (a[:, :4] if a.ndim > 1 else a for a in healthy(name))
@@ -204,62 +129,12 @@ def test_silence_of_all_sensors_passes(name: str) -> None:
     assert np.all(d.threshold[39] <= d.threshold[7] * 1.01 + left * d.threshold[30])
 
 
-def partly_measured() -> Plant:
-    """The power network, of whose areas 2, 7 and 13 angle and speed are read alone."""
-    whole = network()
-    keep = [i for i, s in enumerate(whole.sensors) if s.name not in {f"{p}_{a}" for p in ("p_m", "p_v") for a in (2, 7, 13)}]
-    return replace(
-        whole,
-        sensors=tuple(whole.sensors[i] for i in keep),
-        output=lambda t, x, u: whole.output(t, x, u)[..., keep],
-        output_jacobian=lambda t, x, u: whole.output_jacobian(t, x, u)[keep],
-        finer=None,
-    )
-
-
-def test_areas_that_read_angle_and_speed_alone() -> None:
-    plant, whole = partly_measured(), network()
-    kept = [whole.sensor_index(name) for name in plant.sensor_names]
-    t, y, u = healthy("network")
-    d = decisions(Chebyshev(plant, rule="gaussian", alpha=1.0, **WATCHING), (t, y[..., kept], u))
-    full = decisions(Chebyshev(whole, rule="gaussian", alpha=1.0, **WATCHING), (t, y, u))
-    z = (d.residual / d.threshold)[SETTLED:]
-    assert np.all(np.sqrt(np.mean(z**2, axis=(0, 1))) < 1 + ERROR)
-    own = np.array([s.name in {f"{p}_{a}" for p in ("omega",) for a in (2, 7, 13)} for s in plant.sensors])
-    wider = d.threshold[-1, 0] / full.threshold[-1, 0, kept]
-    assert np.all(wider[own] > 1.0) and np.all(wider >= 1 - 1e-12) and wider.max() < 3
-    far = np.array([s.owner == "area 10" and s.name != "theta_7@10" for s in plant.sensors]) & (wider == 1.0)
-    np.testing.assert_array_equal(d.residual[..., far], full.residual[:, :, kept][..., far])
-    faulty = y[..., kept].copy()
-    i = plant.sensor_index("omega_7")
-    faulty[25:, :20, i] += 60 * plant.sensor_sigma[i]
-    found = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (t, faulty[:, :20], u[:, :20]))
-    assert np.mean(found.isolated[25:, :, i]) > 0.9
-
-
 def test_one_diagnoser_follows_states_that_nobody_reads() -> None:
     plant = chain(6, sensors=4)  # sums of neighbours: no state is read directly
     t, _, y, u = readings(plant, 60, RUNS, seed=4)
     d = decisions(Chebyshev(plant, lam=0.0, rule="gaussian", alpha=1.0, moments=Extended(), **WATCHING), (t, y, u))
     z = (d.residual / d.threshold)[20:]
     np.testing.assert_allclose(np.sqrt(np.mean(z**2, axis=(0, 1))), 1.0, atol=ERROR)
-
-
-@pytest.mark.parametrize(
-    ("before", "now", "late", "low", "high"),
-    [
-        (0.0, 7.0, False, 4.0, 10.0),  # it begins now, with all of its size
-        (10.0, 7.0, True, 7.0, 13.0),  # a step ago: 1 then, 1 - M + L = 0.7 now
-        (6.25, 6.25, True, 5.2, 14.8),  # long ago: (1 - M) / (1 - L) = 0.625 at both
-    ],
-)
-def test_a_fault_that_began_before_now_is_late(before: float, now: float, late: bool, low: float, high: float) -> None:
-    """A residual with the part M = 0.5 of the last reading and L = 0.2 of the last residual, thresholds of 3."""
-    said = (Evidence(np.array([[z]]), np.ones((1, 1)), np.full((1, 1), 3.0)) for z in (before, now))
-    found = explain(*said, np.array([[[0.5]]]), np.array([[[0.2]]]), np.array([[True]]))
-    assert found.named.all() and bool(found.late[0, 0]) is late
-    assert (found.low[0, 0], found.high[0, 0]) == pytest.approx((low, high))
-    assert found.size[0, 0] == pytest.approx({0.0: 7.0}.get(before, 10.0))
 
 
 def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:

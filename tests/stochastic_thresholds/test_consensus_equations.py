@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from rounding import rounding
 
-from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
-from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state, predict, take
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state, predict, take
 
 LAM, SEEDS, STEPS, SETTLED = 0.3, 400, 24, 12
 MODEL = network_model()
@@ -141,70 +140,6 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
         assert floor - a**2 / np.sum(1 / v) + a**2 * np.sum(W**2 * v) >= floor
 
 
-def test_an_area_reads_nothing_but_its_own_and_what_neighbours_tell() -> None:
-    rng, i = np.random.default_rng(1), AT.index("5")
-    count = AREAS.size[0]
-    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in initial_state(AREAS, (2,))))
-    reference, load = rng.standard_normal((2, 2, count))
-    near = AT.neighbour[AREAS.network.sides(i)]
-    about = np.isin(AT.neighbour, [i, *near])  # copies of the states that area 5 shares
-    mine, theirs = AT.node == i, np.isin(AT.node, near)
-    poisoned = []
-    for k, a in enumerate(whole):
-        keep = np.zeros(a.shape, bool)
-        if a.ndim == 3:
-            keep[:, i] = True
-            keep[:, near, 0] = True  # brackets of what they share
-            if k in (0, 2):
-                keep[:, near] = True  # in the drive, with the readings at their other sides
-        else:
-            keep[:, about | mine] = True
-            if k in (1, 3):
-                keep[:, theirs] = True
-        poisoned.append(np.where(keep, a, np.nan))
-    known = np.isin(np.arange(count), [i, *near])
-    for mode in MODES:
-        clean = predict(AREAS, whole, reference, load, LAM, mode)
-        dirty = predict(
-            AREAS, Diagnosers(*poisoned), np.where(known, reference, np.nan), np.where(known, load, np.nan), LAM, mode
-        )
-        for name in ("estimate", "deviation", "doubt"):
-            np.testing.assert_array_equal(getattr(dirty, name)[:, i], getattr(clean, name)[:, i])
-            np.testing.assert_array_equal(getattr(dirty, name + "_shared")[:, mine], getattr(clean, name + "_shared")[:, mine])
-        assert np.isnan(dirty.estimate).any()
-
-
-def test_of_a_drive_one_number_crosses_the_border() -> None:
-    rng, i = np.random.default_rng(2), AT.index("5")
-    j = int(AT.neighbour[AREAS.network.sides(i)][0])
-    whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in initial_state(AREAS, (1,))))
-    reference, load = rng.standard_normal((2, 1, 15))
-    other, given = Diagnosers(*(a.copy() for a in whole)), reference.copy()
-    other.held[0, j, 1:] += [1.0, -2.0, 3.0]
-    given[0, j] -= AREAS.matrices[j, 0, 1:4] @ [1.0, -2.0, 3.0] / AREAS.matrices[j, 0, 4]  # the drive is the same
-    a, b = (predict(AREAS, w, r, load, LAM, "corrected") for w, r in ((whole, reference), (other, given)))
-    mine = AT.node == i
-    tolerance = 100 * np.finfo(float).eps * np.abs(given).max()
-    np.testing.assert_allclose(b.estimate[0, i], a.estimate[0, i], rtol=0, atol=tolerance)
-    np.testing.assert_allclose(b.estimate_shared[0, mine], a.estimate_shared[0, mine], rtol=0, atol=tolerance)
-    assert abs(b.estimate[0, j, 1] - a.estimate[0, j, 1]) > 0.1
-
-
-def test_a_copy_starts_from_its_first_reading_and_an_open_tie_has_none() -> None:
-    away = network_areas(network_model(unplugged=["4"]))
-    now = initial_state(away, (1,))
-    zero, y = np.zeros((1, 15)), np.random.default_rng(4).standard_normal((1, 15, 4))
-    shared = np.where(away.network.closed, 0.5, np.nan)[None]
-    first = predict(away, now, zero, zero, LAM, "corrected")
-    assert np.all(first.deviation > 1e50) and np.all(first.deviation_shared > 1e50)
-    now = take(first, y, shared)
-    np.testing.assert_array_equal(now.held, y)
-    assert not now.residual.any() and not now.doubt.any()
-    second = predict(away, now, zero, zero, LAM, "corrected")
-    assert np.all(second.deviation < 1.0)
-    np.testing.assert_array_equal(second.deviation_shared[0] < 1.0, away.network.closed)
-
-
 def test_equations_take_scalars_and_arrays() -> None:
     assert equations.noise_read(2.0, 0.0) == 2.0 and equations.noise_read(2.0, 0.1) == 0.0
     assert equations.precision_read(4.0, 0.0) == 0.25 and equations.precision_read(4.0, 2.0) == 0.25
@@ -216,27 +151,3 @@ def test_equations_take_scalars_and_arrays() -> None:
     assert equations.precision_printed(2.0, 3.0, 0.5, 1.0, 4.0) == 1 / (0.25 * 9.0 + 1.0 + 4.0 + 2.0)
     assert equations.error_deviation(0.25, 3.0, 1.0, 0.5) == 2.75
     assert equations.residual_deviation(0.25, 3.0, 1.0, 5.0, 0.5) == 3.75
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"shared_gain": AREAS.shared_gain + np.eye(34)[3]}, "areas 5 and 2 share theta_5 and model it differently"),
-        ({"noise": AREAS.noise * 0}, "of readings positive"),
-        ({"slope": AREAS.slope[:-1]}, r"slope of 15 areas has shape .33,.; expected .34,."),
-        ({"network": AREAS.network.switched(unplug=["4"])}, "the open tie 3-4 has a slope"),
-        ({"matrices": np.full_like(AREAS.matrices, np.nan)}, "finite numbers"),
-    ],
-)
-def test_areas_that_cannot_be(change: dict[str, Array], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(AREAS, **change)
-
-
-def test_the_place_of_a_sensor() -> None:
-    assert AREAS.place("omega_3", "area 3") == 9
-    sides = {(AT.names[AT.node[s]], AT.names[AT.neighbour[s]]): s for s in range(34)}
-    assert AREAS.place("theta_5", "area 4") == 60 + sides["4", "5"]
-    with pytest.raises(ValueError, match="owned by 'area 9'"):
-        AREAS.place("theta_5", "area 9")
-    assert isinstance(AREAS, Areas)

@@ -78,18 +78,6 @@ def test_parts_give_the_bits_of_the_whole(size: int, mode: str) -> None:
     assert sum(b.border.size for b in found) == told.shape[-1]
 
 
-def test_a_part_is_told_of_no_more_than_its_border() -> None:
-    first, second, third = blocks(AREAS, 3)
-    at = AREAS.network.topology
-    for block in (first, second, third):
-        lo, hi = block.areas
-        inside = (at.node >= lo) & (at.node < hi)
-        crossing = inside & ~((at.neighbour >= lo) & (at.neighbour < hi))
-        assert block.border.size == block.sides.size - block.near == crossing.sum()
-    with pytest.raises(ValueError, match="23 areas cannot be shared by 24 parts; expected 1 to 23"):
-        blocks(AREAS, 24)
-
-
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed", reason="needs the optional package distributed")

@@ -10,116 +10,32 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.stats import betabinom
-from toy_plants import Array, chain
+from structural_plants import PLANTS, plant_of
+from toy_plants import chain
 
 from fusion_sfdia import registry
+from fusion_sfdia.builders import healthy_data
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.detectors import FALSE_ALARM, build, healthy_data
+from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.two_tanks.plant import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
 from fusion_sfdia.structural_residuals.selection import isolable, reads, selected, usable
-from fusion_sfdia.structural_residuals.sequences import Sequences
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
-from fusion_sfdia.structural_residuals.structure import Residual, computable, residual_of, structural_model
+from fusion_sfdia.structural_residuals.structure import Residual, computable
 
 toolbox = pytest.importorskip("faultdiagnosistoolbox", reason="structural residuals need faultdiagnosistoolbox")
-PLANTS = ("two-tanks", "marine-engine")
-
-
-@cache
-def plant_of(name: str) -> Plant:
-    return registry.plant(name)
 
 
 @cache
 def detector_of(name: str) -> StructuralResiduals:
-    detector = build("structural-residuals", plant_of(name))
+    detector = registry.detector("structural-residuals", plant_of(name))
     assert isinstance(detector, StructuralResiduals)
     return detector
-
-
-def test_the_structure_of_two_tanks_by_hand() -> None:
-    """Upper tank: the level by its sensor or its balance, in which the outflow is read or computed; the lower one likewise."""
-    found = {(r.target, r.integrated, frozenset(r.read)) for r in computable(plant_of("two-tanks"))}
-    upper = {
-        ("flow_12", (), frozenset({"level_1", "flow_12"})),
-        ("level_1", ("level_1",), frozenset({"level_1", "flow_12"})),
-        ("level_1", ("level_1",), frozenset({"level_1"})),
-        ("flow_12", ("level_1",), frozenset({"flow_12"})),
-    }
-    lower = {("flow_out", (), frozenset({"level_2", "flow_out"}))}
-    for source, states in (({"flow_12"}, ()), ({"level_1"}, ()), (set(), ("level_1",))):  # of the flow into it
-        integrated = (*states, "level_2")
-        lower |= {
-            ("level_2", integrated, frozenset({"level_2", "flow_out"} | source)),
-            ("level_2", integrated, frozenset({"level_2"} | source)),
-            ("flow_out", integrated, frozenset({"flow_out"} | source)),
-        }
-    assert found == upper | lower
-    assert len(structural_model(plant_of("two-tanks")).MSO()) == 14 + 3  # these derive a flow from a level's rate of change
-    assert [r.read for r in selected(plant_of("two-tanks"))] == [("flow_12",), ("level_1",), ("flow_out",), ("level_2",)]
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_what_is_computable_is_what_the_toolbox_computes_in_the_equations_own_direction(name: str) -> None:
-    """Each equation matched to its own variable, one after the other, states by integration: by the toolbox's matching."""
-    plant = plant_of(name)
-    model, modules = structural_model(plant), plant.modules
-    assert modules is not None
-    variables, count, n = tuple(modules.equations), len(modules.equations), len(plant.sensors)
-    own = {v: k for k, v in enumerate(variables)}
-    column = {v: k for k, v in enumerate(model.x)}
-
-    def allowed(equation: int, variable: int) -> bool:
-        if equation < count:
-            v = variables[equation]
-            if v not in modules.states and v in argument_names(modules.equations[v]):
-                return False  # the torque: to be solved for
-            return variable == column[f"rate of {v}" if v in modules.states else v]
-        if equation < count + n:
-            return variable == column[plant.sensors[equation - count].measures]
-        return variable == column[modules.states[equation - count - n]]  # the integral
-
-    sets = model.MSO()
-    for mso in sets[:: max(1, len(sets) // 200)]:
-        checks = {}
-        for equation in map(int, mso):
-            matching = model.Matching(np.array([k for k in mso if k != equation])).matching
-            pairs = [(int(e), int(v)) for part in matching for e, v in zip(part.row, part.col, strict=True)]
-            alone = all(len(part.row) == 1 or part.matchType == "int" for part in matching)
-            if alone and all(allowed(e, v) for e, v in pairs):
-                checks[equation] = {part.matchType for part in matching}
-        found = residual_of(plant, mso)
-        assert (found is None) == (not checks)
-        if found is not None:
-            reading = count + [s.measures for s in plant.sensors].index(found.target)
-            checked = own[found.target] if found.target_is_read else reading
-            assert checked in checks and ("int" in checks[checked]) == bool(found.integrated)
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_the_selection_isolates_what_all_usable_residuals_do_by_the_toolbox(name: str) -> None:
-    plant = plant_of(name)
-    model, sets = structural_model(plant), {}
-    for mso in structural_model(plant).MSO():
-        if (found := residual_of(plant, mso)) is not None:
-            sets[found] = mso
-    kept = [replace(r, feedback=False) for r in usable(plant)]
-    theirs = model.IsolabilityAnalysisArrs([sets[r] for r in kept])  # 1: cannot be told apart
-    chosen = model.IsolabilityAnalysisArrs([sets[replace(r, feedback=False)] for r in selected(plant)])
-    np.testing.assert_array_equal(chosen, theirs)
-    ours = isolable(reads(plant, selected(plant)))
-    assert np.all(np.diagonal(ours))  # each fault is detectable
-    np.testing.assert_array_equal(ours, (theirs == 0) | np.eye(len(ours), dtype=bool))
-    torque = [s.measures for s in plant.sensors].index("torque") if name == "marine-engine" else 0
-    hidden = {"p_cylinder", "T_cylinder", "T_compressor"} if name == "marine-engine" else set()
-    assert {plant.sensors[i].measures for i in np.flatnonzero(~ours[:, torque])} == hidden and np.sum(~ours) == len(hidden)
 
 
 def test_a_residual_of_two_tanks_by_hand() -> None:
@@ -278,10 +194,10 @@ def test_a_missing_reading_leaves_out_what_reads_it() -> None:
 
 def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="does not say its scalar equations"):
-        build("structural-residuals", chain(3))
+        registry.detector("structural-residuals", chain(3))
     monkeypatch.setitem(sys.modules, "faultdiagnosistoolbox", None)
     with pytest.raises(ModuleNotFoundError, match=r"fusion-sfdia\[structural\]"):
-        build("structural-residuals", plant_of("two-tanks"))
+        registry.detector("structural-residuals", plant_of("two-tanks"))
 
 
 def test_bad_settings_and_data_are_named() -> None:
@@ -308,16 +224,3 @@ def test_bad_settings_and_data_are_named() -> None:
     two = replace(plant, sensors=(plant.sensors[0], replace(plant.sensors[1], measures="level_1"), *plant.sensors[2:]))
     with pytest.raises(ValueError, match="several sensors read level_1"):
         selected(two)
-
-
-def test_sequences_evaluate_each_residual_as_if_it_were_alone() -> None:
-    plant = plant_of("marine-engine")
-    assert plant.modules is not None
-    residuals, rng = usable(plant)[::40], np.random.default_rng(3)
-    nominal = np.array([plant.modules.nominal[v] for v in plant.modules.equations])
-    y: Array = nominal[:, None] * (1 + 0.02 * rng.standard_normal((nominal.size, 5)))
-    x = np.repeat(y[None, :3], len(residuals), axis=0)
-    together = Sequences(plant.modules, residuals).predicted(x, y, np.ones((1, 5)))
-    for k, r in enumerate(residuals):
-        alone = Sequences(plant.modules, (r,)).predicted(x[:1], y, np.ones((1, 5)))
-        np.testing.assert_array_equal(together[k], alone[0])

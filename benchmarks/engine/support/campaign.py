@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import ENVELOPE, AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, engine, extremes
+from fusion_sfdia.builders import adaptive_threshold
 from fusion_sfdia.core.detector import State
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.detectors import adaptive_threshold
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.evaluation.results import Row

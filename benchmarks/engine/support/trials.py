@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia import registry
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import build
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.metrics import Estimate
@@ -56,7 +56,7 @@ def engine(noise: float, design: str) -> Plant:
 @cache
 def engine_detector(name: str, noise: float, design: str = "K24") -> AdaptiveThreshold:
     """A named detector on that engine, built once for all tasks of a process."""
-    detector = build(name, engine(noise, design))
+    detector = registry.detector(name, engine(noise, design))
     assert isinstance(detector, AdaptiveThreshold)
     alike = design if design == AT_NOMINAL_SPEED else "K24"
     vars(detector)["slopes"] = proof(noise, alike)  # the cached property: seconds, and the same for all modes, gains, bounds

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia import registry
+from fusion_sfdia.builders import fusing_bank, watching
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.detectors import build, fusing_bank, watching
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion
@@ -65,7 +66,7 @@ def initial(detector: str) -> str:
 def detector_on_pipeline(name: str, snr: str, process_noise: str) -> Detector:
     """A named detector on the paper's pipeline, built (and calibrated) once for all tasks of a process."""
     plant = gas_pipeline(snr=snr, process_noise=process_noise, initial=initial(name))
-    return fusing_bank(plant, name.removeprefix("fusing-")) if name in PAPER else build(name, plant)
+    return fusing_bank(plant, name.removeprefix("fusing-")) if name in PAPER else registry.detector(name, plant)
 
 
 def steps(settings: Settings) -> int:

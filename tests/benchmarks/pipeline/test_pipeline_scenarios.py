@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.pipeline.support.trials import Cell, aftermath, detection_rows, gather, tasks, trial
-from fusion_sfdia.detectors import as_printed, build
+from fusion_sfdia.builders import as_printed
 from fusion_sfdia.evaluation import detection_metrics, isolation_metrics
 from fusion_sfdia.evaluation.fault_draws import FaultRange
 from fusion_sfdia.evaluation.trials import decide, faulted, outcome
@@ -107,7 +108,7 @@ def test_a_window_sees_a_pressure_bias_of_three_sigma() -> None:
 
 def test_the_reading_of_a_faulty_sensor_before_and_after_it_is_replaced() -> None:
     """By hand from the Decisions: a bias of 8 sigma on three sensors at once, so that a mean over sensors is one."""
-    detector = build("loo-chi2", gas_pipeline())
+    detector = registry.detector("loo-chi2", gas_pipeline())
     fault = FaultRange("bias", (8, 8), "sigmas", length=(20, 20))
     data = faulted(detector.plant, 90, range(2), fault, None, count=3)
     found = outcome(detector, data)["reading_square_error"]
@@ -197,8 +198,8 @@ def test_decisions_on_the_pipeline_do_not_change_from_pascal_to_bar(name: str) -
     bar = plant.in_units({f"p_{i}": ("bar", 1e-5) for i in range(21)})
     data = faulted(plant, 90, range(2), FaultRange("bias", (5, 5), "sigmas"), "pressure")
     factor = np.where(np.arange(63) < 21, 1e-5, 1.0)
-    a = decide(build(name, plant), data)
-    b = decide(build(name, bar), replace(data, y=data.y * factor))
+    a = decide(registry.detector(name, plant), data)
+    b = decide(registry.detector(name, bar), replace(data, y=data.y * factor))
     np.testing.assert_array_equal(a.isolated, b.isolated)
     np.testing.assert_array_equal(a.alarm, b.alarm)
     # rounding of readings of 1e4 sigma, through a window of 15 steps

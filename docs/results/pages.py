@@ -1,0 +1,144 @@
+"""Fills the tables of the results pages and of the README: python docs/results/pages.py.
+
+People write a page but for its tables: what stands between `<!-- table: NAME -->` and `<!-- end -->` is made from
+comparison.csv and papers.csv, and a test makes it again. papers.csv holds the numbers of the papers' own experiments as they
+are shown: columns page, table, row, column, value, low, high, published; in LISTS `column` is the scenario, command or test
+that gives the number.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+import comparison  # noqa: E402  (beside this file)
+import findings  # noqa: E402
+
+PAGES = (*(HERE / f"{name}.md" for name in ("README", *comparison.PLANTS)), HERE.parents[1] / "README.md")
+MARKED = re.compile(r"(<!-- table: ([\w-]+) -->\n\n)(.*?)(\n\n<!-- end -->)", re.DOTALL)
+LISTS = ("further", "speed")  # tables with one column of numbers
+PUBLISHED = "published"  # the column of published values, in tables that have one
+
+# situation, detector, what it needs
+CHOICES = (
+    ("the model errs by less than the noise; small, slow or large faults", "loo-glr", "model"),
+    ("the same; large or very short faults", "loo-chi2", "model"),
+    ("the plant's inputs (valves, loads, demand) are not known well", "uio", "model"),
+    ("no model; recordings of every healthy operation", "dynamic-pca", "recordings"),
+    ("no model; the plant stays at rest", "limits-ewma", "recordings"),
+    ("the model errs by more than the noise; large faults", "chebyshev", "model"),
+    ("noise has known bounds, and no alarm may be false", "adaptive-threshold", "model, noise bounds"),
+)
+
+
+def index_of(rows: Sequence[comparison.Row]) -> comparison.Index:
+    """Rows by plant, detector, fault, quantity and metric."""
+    return {(r["plant"], r["detector"], r["fault"], r["quantity"], r["metric"]): r for r in rows}
+
+
+def short(text: str) -> str:
+    """The value of a cell without its interval and its explanation; "-" for one that does not apply."""
+    return "-" if text == comparison.ABSENT else f"{float(text.split()[0]):.2f}"
+
+
+def choices(rows: Sequence[comparison.Row]) -> str:
+    """Which detector for which situation, and what each achieves on the plants of the comparison, in their order."""
+    index = index_of(rows)
+
+    def values(detector: str, fault: str, metric: str) -> str:
+        found = (comparison.interval(index.get((p, detector, fault, "all", metric))) for p in comparison.PLANTS)
+        return " / ".join(short(cell) for cell in found)
+
+    lines = []
+    for situation, detector, needs in CHOICES:
+        mismatch = " / ".join(short(comparison.worst(rows, p, detector, mismatch=True)) for p in comparison.PLANTS)
+        lines.append(
+            (
+                *(situation, f"`{detector}`", needs, values(detector, "bias-3-sigma", "auc")),
+                *(values(detector, "graded-10-sigma", "exact_isolation"), mismatch),
+            )
+        )
+    header = (
+        "situation",
+        "detector",
+        "needs",
+        "ROC area, bias of 3 sigma",
+        "exact isolation, 10 sigma",
+        "false isolation, wrong model",
+    )
+    return comparison.table(header, lines)
+
+
+def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
+    """The detectors of a plant by exact isolation: detection, isolation, and false isolation in the worst cases."""
+    index = index_of(rows)
+
+    def cell(detector: str, fault: str, metric: str) -> str:
+        return comparison.interval(index.get((plant, detector, fault, "all", metric)))
+
+    there = [d for d in dict.fromkeys(r["detector"] for r in rows) if (plant, d, "bias-3-sigma", "all", "auc") in index]
+    there.sort(key=lambda d: -float(index[plant, d, "graded-10-sigma", "all", "exact_isolation"]["value"]))
+    lines = [
+        (
+            *(f"`{d}`", cell(d, "bias-3-sigma", "auc"), cell(d, "graded-10-sigma", "exact_isolation")),
+            *(comparison.worst(rows, plant, d, mismatch=mismatch) for mismatch in (True, False)),
+        )
+        for d in there
+    ]
+    header = ("detector", "ROC area, bias of 3 sigma", "exact isolation, 10 sigma")
+    return comparison.table((*header, "false isolation, worst model mismatch", "false isolation, worst process fault"), lines)
+
+
+def shown(row: Mapping[str, str]) -> str:
+    """A value with its interval and, in italics, what is published."""
+    parts = [row["value"]] if row["value"] else []
+    if row["low"]:
+        parts.append(f"[{row['low']}, {row['high']}]")
+    if row["published"]:
+        parts.append(f"*{row['published']}*" if row["column"] == PUBLISHED else f"*({row['published']})*")
+    return " ".join(parts)
+
+
+def of_papers(rows: Sequence[Mapping[str, str]]) -> str:
+    """A table of papers.csv: rows down, columns across; one with a command for each number shows it behind."""
+    columns = list(dict.fromkeys(row["column"] for row in rows))
+    names = list(dict.fromkeys(row["row"] for row in rows))
+    cells = {(row["row"], row["column"]): shown(row) for row in rows}
+    if rows[0]["table"] in LISTS:
+        return comparison.table(("what", "value", "from"), [(r["row"], shown(r), f"`{r['column']}`") for r in rows])
+    return comparison.table(("", *columns), [(name, *(cells.get((name, column), "") for column in columns)) for name in names])
+
+
+def tables() -> dict[str, str]:
+    """All tables by name."""
+    rows = comparison.load(HERE / "comparison.csv")
+    found = {"choices": choices(rows), "findings": findings.findings(rows)} | {
+        f"comparison-{plant}": of_plant(rows, plant) for plant in comparison.PLANTS
+    }
+    with (HERE / "papers.csv").open(encoding="utf-8", newline="") as file:
+        papers = list(csv.DictReader(file))
+    for page, name in dict.fromkeys((row["page"], row["table"]) for row in papers):
+        found[f"{page}-{name}"] = of_papers([row for row in papers if (row["page"], row["table"]) == (page, name)])
+    return found
+
+
+def filled(page: str, found: Mapping[str, str]) -> str:
+    """A page with its tables as they are; KeyError for one that is not known."""
+    return MARKED.sub(lambda m: m[1] + found[m[2]] + m[4], page)
+
+
+def main() -> None:
+    """Write the tables of all pages."""
+    found = tables()
+    for path in PAGES:
+        path.write_text(filled(path.read_text(encoding="utf-8"), found), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""The command `list`: plants, detectors, faults and scenarios by name. Nothing heavy is imported for the first two."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from fusion_sfdia import registry
+
+KINDS = ("plants", "detectors", "faults", "scenarios")
+DRAWN = "at random, with simulate --fault NAME[:QUANTITY]"
+LISTED = "kinds, for the [[fault]] tables of simulate --faults FILE.toml"
+
+
+def add_list(commands: Any) -> None:
+    """Add `list`."""
+    one = commands.add_parser("list", help="list plants, detectors, faults and scenarios by name", allow_abbrev=False)
+    one.add_argument("kind", nargs="?", choices=KINDS, help="only these")
+    one.add_argument("--json", action="store_true", help="print JSON")
+    one.set_defaults(work=_list)
+
+
+def _list(chosen: argparse.Namespace) -> int:
+    found = {kind: entries(kind) for kind in KINDS if chosen.kind in (None, kind)}
+    if chosen.json:
+        print(json.dumps(found, indent=2))
+        return 0
+    for kind, listed in found.items():
+        if chosen.kind is None:
+            print(f"{kind}:")
+        width = max((len(e["name"]) for e in listed), default=0)
+        use = None
+        for entry in listed:
+            if use != (use := entry.get("use")):
+                print(f" {use}:")
+            package = entry.get("package", registry.OURS)
+            origin = "" if package == registry.OURS else f" (from {package})"
+            print(f"  {entry['name']:<{width}}  {entry['about']}{origin}".rstrip())
+    return 0
+
+
+def entries(kind: str) -> list[dict[str, str]]:
+    """Name and description of all of a kind; of plants and detectors their package, of faults how each is used."""
+    match kind:
+        case "plants" | "detectors":
+            named = registry.plants() if kind == "plants" else registry.detectors()
+            return [{"name": e.name, "about": e.about, "package": e.package} for e in named.values()]
+        case "faults":
+            from fusion_sfdia.evaluation.fault_draws import PRESETS
+            from fusion_sfdia.evaluation.faults import FAULT_KINDS
+
+            drawn = [{"name": name, "about": preset.description, "use": DRAWN} for name, preset in PRESETS.items()]
+            return drawn + [{"name": name, "about": about, "use": LISTED} for name, about in FAULT_KINDS.items()]
+        case _:
+            return [{"name": name, "about": registry.scenario(name).title} for name in registry.SCENARIOS]

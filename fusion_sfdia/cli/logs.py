@@ -1,0 +1,142 @@
+"""The commands on logs of readings: `simulate` writes one, `diagnose` finds the faults in one."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fusion_sfdia.core.numerals import integer
+
+WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
+
+
+def add_simulate(commands: Any) -> None:
+    """Add `simulate`."""
+    one = commands.add_parser("simulate", help="write a log of simulated readings", allow_abbrev=False)
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--steps", type=integer, default=360, metavar="N", help="readings (default: 360)")
+    one.add_argument("--seed", type=integer, default=0, metavar="N", help="of noise and drawn faults (default: 0)")
+    one.add_argument(
+        "--truth",
+        choices=("finer", "model"),
+        default="finer",
+        help="readings from the plant's high-fidelity model (default), or from the model that detectors use",
+    )
+    one.add_argument("--process-noise", action="store_true", help="disturb the truth by the plant's process noise")
+    one.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[:QUANTITY]",
+        help="draw a fault such as weak-bias:pressure; repeatable",
+    )
+    one.add_argument("--faults", type=Path, metavar="FILE.toml", help="faults as [[fault]] tables")
+    one.add_argument("--out", type=Path, required=True, metavar="LOG.csv", help="the log to write")
+    one.add_argument("--force", action="store_true", help="replace a log that is there")
+    one.add_argument("--json", action="store_true", help="print the faults as JSON")
+    one.set_defaults(work=_simulate)
+
+
+def add_diagnose(commands: Any) -> None:
+    """Add `diagnose`."""
+    one = commands.add_parser("diagnose", help="find the faults in a log", allow_abbrev=False)
+    one.add_argument(
+        "--data", type=Path, required=True, metavar="LOG.csv", help="the log: a column a sensor, empty for missing"
+    )
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--detector", default="loo-glr", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
+    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
+    one.add_argument(
+        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
+    )
+    one.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the results (default: diagnosis/ and the log's name)",
+    )
+    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
+    one.add_argument("--json", action="store_true", help="print the events as JSON")
+    one.set_defaults(work=_diagnose)
+
+
+def _simulate(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.evaluation.fault_draws import draw_apart
+    from fusion_sfdia.evaluation.fault_effects import apply_faults
+    from fusion_sfdia.evaluation.faults import load_faults
+    from fusion_sfdia.evaluation.logs import write_log
+    from fusion_sfdia.evaluation.simulate import simulate
+    from fusion_sfdia.registry import plant
+
+    if chosen.out.is_dir():
+        raise ValueError(f"{chosen.out} is a folder; name a file with --out")
+    if chosen.out.is_file() and not chosen.force:  # a device or a pipe is written to, not replaced
+        raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
+    model, named = plant(chosen.plant), [_fault(text) for text in chosen.fault]
+    faults = load_faults(chosen.faults, model) if chosen.faults else []
+    faults += draw_apart(named, model, chosen.steps, chosen.seed)
+    recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)
+    readings = apply_faults(model, recording.t, recording.y, faults, chosen.seed, signal=recording.signal)
+    write_log(chosen.out, model, recording.t, readings.y[:, 0], recording.u_of_runs[:, 0])
+    if chosen.json:
+        print(json.dumps([{k: _finite(v) for k, v in asdict(f).items()} for f in faults], indent=2))
+        return 0
+    count = len(faults)
+    say = partial(print, file=sys.stderr if chosen.out == Path("/dev/stdout") else sys.stdout)
+    say(f"{chosen.steps} readings of {len(model.sensors)} sensors in {chosen.out}, {count} fault{'s' * (count != 1)}")
+    for f in faults:
+        size = "" if not f.magnitude else f", magnitude {f.magnitude:.4g}{' of the signal' if f.relative else ''}"
+        say(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{size}")
+    return 0
+
+
+def _fault(text: str) -> tuple[str, str | None]:
+    """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset."""
+    from fusion_sfdia.evaluation.fault_draws import PRESETS
+    from fusion_sfdia.evaluation.faults import FAULT_KINDS
+    from fusion_sfdia.registry import require_known
+
+    name, colon, quantity = text.partition(":")
+    if name in FAULT_KINDS:
+        raise ValueError(f"fault {text!r} is a kind, to be listed in a file (--faults); to be drawn: {', '.join(PRESETS)}")
+    if colon and not quantity:
+        raise ValueError(f"fault {text!r} has no quantity after its colon; expected NAME or NAME:QUANTITY")
+    return require_known("fault", name, PRESETS), quantity or None
+
+
+def _diagnose(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.registry import detector, plant
+    from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
+
+    out = chosen.out or Path("diagnosis") / chosen.data.stem
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("always", UserWarning)
+        found = diagnose_log(
+            chosen.data,
+            detector(chosen.detector, plant(chosen.plant)),
+            out,
+            absent_sensors=chosen.absent_sensors,
+            other_columns=chosen.other_columns,
+            nominal_inputs=chosen.nominal_inputs,
+            force=chosen.force,
+        )
+    for warning in issued:
+        print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
+    code = int(found.decisions.diverged.any())
+    if chosen.json:
+        print(json.dumps([{k: _finite(v) for k, v in asdict(e).items()} for e in found.events], indent=2))
+        return code
+    print(f"{as_text(found, chosen.detector)}\n{', '.join(FILES)}: in {out}")
+    return code
+
+
+def _finite(value: Any) -> Any:
+    """A value for JSON, in which infinities and NaN are null."""
+    return None if isinstance(value, float) and not abs(value) < float("inf") else value
