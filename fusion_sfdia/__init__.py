@@ -28,9 +28,11 @@ if TYPE_CHECKING:
     from fusion_sfdia.core.linear import linear_plant as linear_plant
     from fusion_sfdia.core.log import Log as Log
     from fusion_sfdia.core.log import as_log as as_log
-    from fusion_sfdia.core.physics import Block as Block
     from fusion_sfdia.core.physics import Physics as Physics
     from fusion_sfdia.core.plant import Plant as Plant
+    from fusion_sfdia.core.plant_groups import Numerics as Numerics
+    from fusion_sfdia.core.plant_groups import Structure as Structure
+    from fusion_sfdia.core.plant_groups import Truth as Truth
     from fusion_sfdia.core.saved_detectors import load_detector as load_detector
     from fusion_sfdia.core.saved_detectors import save_detector as save_detector
     from fusion_sfdia.core.signals import Sensor as Sensor
@@ -118,8 +120,9 @@ _MODULES = {
     "stochastic_thresholds.monte_carlo": ("MonteCarlo",),
     "kalman_banks.particle_filter": ("ParticleFilter",),
     "data_driven.pca": ("PrincipalComponents",),
-    "core.physics": ("Block", "Physics"),
+    "core.physics": ("Physics",),
     "core.plant": ("Plant",),
+    "core.plant_groups": ("Numerics", "Structure", "Truth"),
     "stochastic_thresholds.replug": ("replug",),
     "core.signals": ("Sensor", "Signal"),
     "adaptive_thresholds.signatures": (

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.detector import Detector
-from fusion_sfdia.core.plant import Plant, diagonal
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
@@ -92,7 +93,7 @@ def settled_readings(plant: Plant, false_alarm: float) -> Array:
     begins at their operating point, and is learnt from there. Runs as for four checks: these detectors set three limits for all
     sensors, on the better part of half the windows.
     """
-    return healthy_data(plant, false_alarm, checks=4).y[WARM_UP if plant.disturbed else 0 :]
+    return healthy_data(plant, false_alarm, checks=4).y[WARM_UP if plant.truth.disturbed else 0 :]
 
 
 def structural_residuals(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> StructuralResiduals:
@@ -103,7 +104,7 @@ def structural_residuals(plant: Plant, healthy: Any = None, false_alarm: float =
 
 def bounded(plant: Plant) -> Detector:
     """Thresholds that bounded noise cannot cross: of a plant's monitoring modules, or else of predicted readings."""
-    if plant.modules is None:
+    if plant.structure.modules is None:
         return Chebyshev(plant, lam=0.0, rule="bound", moments=Extended())
     return adaptive_threshold(plant, "valid")
 
@@ -111,10 +112,10 @@ def bounded(plant: Plant) -> Detector:
 def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
     """Monitoring modules with thresholds as the mode says; NotApplicableError for a plant without modules."""
     detector = AdaptiveThreshold(plant)  # refuses a plant without modules
-    assert plant.modules is not None
+    assert plant.structure.modules is not None
     if mode == "paper":
-        return replace(detector, observer_bounds=plant.modules.observer_bounds)
-    return replace(detector, margins=plant.modules.margins) if mode == "calibrated" else detector
+        return replace(detector, observer_bounds=plant.structure.modules.observer_bounds)
+    return replace(detector, margins=plant.structure.modules.margins) if mode == "calibrated" else detector
 
 
 def sequential(plant: Plant, rule: str, *, leave_one_out: bool = False) -> SequentialBank:

@@ -63,7 +63,7 @@ def smallest(detector: AdaptiveThreshold, t: Array, y: Array, *, u: Array) -> Ar
     Sizes are halved between one that is not seen and one that is, for either sign; inf where LARGEST is not seen, or the
     module fires without an offset.
     """
-    nominal = np.array([detector.plant.modules.nominal[s.measures] for s in detector.plant.sensors])  # type: ignore[union-attr]
+    nominal = np.array([detector.plant.structure.modules.nominal[s.measures] for s in detector.plant.sensors])  # type: ignore[union-attr]
     shape = (y.shape[1], 2, len(NAMES))
     unseen, seen = np.zeros(shape), np.full(shape, LARGEST)
     found = fires(detector, t, y, u, seen * nominal) & ~fires(detector, t, y, u, unseen * nominal)

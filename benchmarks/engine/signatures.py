@@ -41,10 +41,10 @@ WHY = {  # of entries that differ
 def derived(paper: str) -> tuple[SignatureMatrix, SignatureMatrix]:
     """Local and global matrices from the argument names of the equations, with the 1 of the observers as in that paper."""
     plant = engine(0.05, "K24")
-    assert plant.modules is not None
+    assert plant.structure.modules is not None
     sensor = {s.measures: s.name for s in plant.sensors}
-    named = {name: (m.variable, *argument_names(plant.modules.equations[m.variable])) for name, m in MODULES.items()}
-    reads = sensors_read(named, sensor, known=(*plant.modules.inputs, "c"))
+    named = {name: (m.variable, *argument_names(plant.structure.modules.equations[m.variable])) for name, m in MODULES.items()}
+    reads = sensors_read(named, sensor, known=(*plant.structure.modules.inputs, "c"))
     local = local_signatures(reads, CERTAIN_STATE if paper == "K24" else CERTAIN_SUBSET, plant.sensor_names)
     agents = AdaptiveThreshold(plant).logic.agents
     assert agents is not None

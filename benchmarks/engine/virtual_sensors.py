@@ -71,7 +71,7 @@ def sensor_rows(found: dict[str, Arrays], duration: float) -> list[Row]:
             ]
             if n == "M(3,1)" and "learning_rates" in VARIANTS[kind]:
                 rows.append(at_n("identification_time", mean(a["rise"][:, i]), IDENTIFIED))
-    modules = engine(0.03, "K22").modules
+    modules = engine(0.03, "K22").structure.modules
     assert modules is not None
     for (variable, gain), rate in zip(K22_GAINS.items(), modules.rates, strict=True):
         speed = adaptive_rate(float(rate), gain, LEARNING_RATES[variable])
@@ -133,7 +133,7 @@ def highlights(rows: list[Row]) -> list[str]:
 
 def remarks(rows: list[Row], settings: Settings) -> list[str]:
     """What the numbers say beside the paper's."""
-    modules = engine(settings["noise"], "K22").modules
+    modules = engine(settings["noise"], "K22").structure.modules
     assert modules is not None
     rates = {r.quantity: r.value for r in pick(rows, metric="adaptive_rate")}
     half = 100 * settings["noise"] * modules.nominal["T_charge"] / 2 / FAULTS[2].magnitude

@@ -49,7 +49,7 @@ def step_call(runs: int = RUNS) -> Call:
 def codac_calls(tolerance: float) -> dict[str, Callable[[], Paving]]:
     """By module: bounds of its algebraic variable, from readings at full load without noise, to so many noise bounds."""
     one, run = detector(), truth(1.0)
-    modules, sensors = one.plant.modules, one.plant.sensors
+    modules, sensors = one.plant.structure.modules, one.plant.sensors
     assert modules is not None
     over = {s.measures: Interval(y - s.noise_bound, y + s.noise_bound) for s, y in zip(sensors, run.signal[0], strict=True)}
     over |= {name: Interval(float(v)) for name, v in zip(modules.inputs, run.u[0], strict=True)}

@@ -102,12 +102,13 @@ class AdaptiveThreshold(BatchDetector):
 
     @property
     def _modules(self) -> Modules:
-        if self.plant.modules is None:
+        if self.plant.structure.modules is None:
             raise NotApplicableError(
-                f"plant {self.plant.name!r} does not say its scalar equations; give Plant(modules=Modules(...)) or take "
+                f"plant {self.plant.name!r} does not state its scalar equations; give "
+                "Plant(structure=Structure(modules=Modules(...))) or take "
                 "another detector"
             )
-        return self.plant.modules
+        return self.plant.structure.modules
 
     @cached_property
     def _sensor(self) -> Array:

@@ -68,13 +68,14 @@ def plant_of(name: str) -> Plant:
     plant = registry.plant(name)
     if (operation := OPERATIONS.get(name)) is None:
         return plant
-    return replace(plant, operation=operation, finer=plant.finer and partial(_finer, plant, operation))
+    finer = plant.truth.finer and partial(_finer, plant, operation)
+    return replace(plant, truth=replace(plant.truth, operation=operation, finer=finer))
 
 
 def _finer(plant: Plant, operation: Callable[[float], Array]) -> tuple[Plant, Callable[[Array], Array]]:
-    assert plant.finer is not None
-    finer, to_states = plant.finer()
-    return replace(finer, operation=operation), to_states
+    assert plant.truth.finer is not None
+    finer, to_states = plant.truth.finer()
+    return replace(finer, truth=replace(finer.truth, operation=operation)), to_states
 
 
 @lru_cache(maxsize=4)
@@ -99,11 +100,11 @@ def simulated(
     of = plant_of(plant)
     model = of if truth is None else truth
     inputs = OPERATIONS.get(plant) if inputs is None else inputs
-    if lost is not None and model.feedback is not None:
+    if lost is not None and model.truth.feedback is not None:
         raise ValueError(f"plant {model.name!r} has controllers, which would see what is lost; give it a fault of its own")
-    finest, to_states = (model, None) if model.finer is None else model.finer()
+    finest, to_states = (model, None) if model.truth.finer is None else model.truth.finer()
     finest = replace(finest, sensors=of.sensors)  # whose noise may be a share of what they usually show
-    run = partial(simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.disturbed)
+    run = partial(simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.truth.disturbed)
     if lost is None:
         return run(inputs=inputs)
     t = np.arange(steps) * of.dt
@@ -120,9 +121,10 @@ def distance_of_truth(plant: str) -> float:
     """
     of = plant_of(plant)
     run = partial(simulate, of, DISTANCE_STEPS, (0,))
-    finest, to_states = (of, None) if of.finer is None else of.finer()
+    finest, to_states = (of, None) if of.truth.finer is None else of.truth.finer()
+    alone = replace(of, truth=replace(of.truth, finer=None))
     signals = [
         run(truth=replace(truth, sensors=of.sensors), to_states=mapped).signal
-        for truth, mapped in ((finest, to_states), (replace(of, finer=None), None))
+        for truth, mapped in ((finest, to_states), (alone, None))
     ]
     return float(np.max(np.abs(signals[0] - signals[1]) / of.sensor_sigma))

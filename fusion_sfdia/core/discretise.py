@@ -14,7 +14,8 @@ from fusion_sfdia.core.arguments import floats, number
 from fusion_sfdia.core.equation import difference_jacobian
 from fusion_sfdia.core.linear import constant, picked
 from fusion_sfdia.core.physics import Physics
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant import FROM_STATES, Plant
+from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor
 
 Array = NDArray[Any]
@@ -147,9 +148,9 @@ def discretise(
     sensors: Sequence[Sensor],
     *,
     dt: float,
-    x0: Array,
-    initial_cov: Array,
-    process_cov: Array,
+    x0: Array = FROM_STATES,
+    initial_cov: Array = FROM_STATES,
+    process_cov: Array = FROM_STATES,
     substeps: int = 1,
     process_bound: Array | None = None,
     operation: Callable[[float], Array] | None = None,
@@ -158,10 +159,11 @@ def discretise(
 ) -> Plant:
     """Return the plant that integrates physics by RK4 with inputs held, each sensor reading a state or algebraic variable.
 
-    x0 (n,), covariances (n,) or (n, n) in SI; dt in seconds, divided into `substeps`. decay: rates a (n,) of states that
-    follow x' = -a x + h, in 1/s; with them it integrates by the exponential midpoint rule. max_dt: the longest step in one go,
-    None for `largest_step`; `diagnose` steps through longer gaps by dt. Raises ValueError for a sensor of an unknown variable,
-    f or phi of another shape, less than one substep or a rate that is not positive.
+    x0 (n,), covariances (n,) or (n, n) in SI, by default from the signals of the states as in `Plant`; dt in seconds, divided
+    into `substeps`. decay: rates a (n,) of states that follow x' = -a x + h, in 1/s; with them the plant is integrated by the
+    exponential midpoint rule. max_dt: the longest step at once (s), None for `largest_step`; `diagnose` divides longer gaps
+    into steps of dt. process_bound, operation: as in `Plant` and `Truth`. Raises ValueError for a sensor of an unknown
+    variable, f or phi of another shape, less than one substep or a rate that is not positive.
     """
     if substeps < 1:
         raise ValueError(f"substeps is {substeps}; a step of {physics.name!r} takes at least 1")
@@ -174,7 +176,7 @@ def discretise(
     if decay is not None and not (np.shape(decay) == (n,) and np.all(np.isfinite(decay)) and np.all(decay > 0)):
         raise ValueError(f"decay of {physics.name!r} is {decay}; expected {n} positive rates in 1/s, one a state")
     model = _Integrated(physics, picks, substeps, decay)
-    x0 = floats(f"x0 of {physics.name!r}", x0)
+    x0 = floats(f"x0 of {physics.name!r}", [s.nominal for s in physics.states] if x0 is None else x0)
     u = np.array([s.nominal for s in physics.inputs]) if operation is None else floats("the input of operation", operation(0.0))
     fits = x0.shape == (n,) and u.shape == (len(physics.inputs),)  # Plant refuses what does not
     if fits:
@@ -188,14 +190,18 @@ def discretise(
         sensors=tuple(sensors),
         step=model.step,
         output=partial(picked, picks) if only_states else model.output,
-        output_jacobian=partial(constant, selection) if only_states else None,
         dt=dt,
-        max_dt=np.inf if max_dt is None else number("max_dt", max_dt),
         x0=x0,
-        initial_cov=np.asarray(initial_cov, dtype=float),
-        process_cov=np.asarray(process_cov, dtype=float),
+        initial_cov=initial_cov,
+        process_cov=process_cov,
         process_bound=process_bound,
-        operation=operation,
-        blocks=physics.blocks,
+        numerics=Numerics(
+            output_jacobian=partial(constant, selection) if only_states else None,
+            max_dt=np.inf if max_dt is None else number("max_dt", max_dt),
+        ),
+        truth=Truth(operation=operation),
     )
-    return plant if max_dt is not None else replace(plant, max_dt=largest_step(model, dt, x0, plant.state_scale, u))
+    if max_dt is not None:
+        return plant
+    longest = largest_step(model, dt, x0, plant.state_scale, u)
+    return replace(plant, numerics=replace(plant.numerics, max_dt=longest))

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from fusion_sfdia.core.arguments import floats
-from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant import FROM_STATES, Plant
+from fusion_sfdia.core.plant_groups import Numerics
 from fusion_sfdia.core.signals import Sensor, Signal
 
 Array = NDArray[Any]
@@ -42,9 +43,9 @@ def linear_plant(
     sensors: Sequence[Sensor],
     *,
     dt: float,
-    x0: Array,
-    initial_cov: Array,
-    process_cov: Array,
+    x0: Array = FROM_STATES,
+    initial_cov: Array = FROM_STATES,
+    process_cov: Array = FROM_STATES,
     input_matrix: Array | None = None,
     offset: Array | None = None,
     feedthrough: Array | None = None,
@@ -86,13 +87,11 @@ def linear_plant(
         sensors=tuple(sensors),
         step=partial(_linear_step, f, g, c),
         output=partial(_linear_output, h, None if feedthrough is None else d, e),
-        step_jacobian=partial(constant, f),
-        output_jacobian=partial(constant, h),
         dt=dt,
         x0=x0,
         initial_cov=initial_cov,
         process_cov=process_cov,
-        fixed_dt=True,
+        numerics=Numerics(partial(constant, f), partial(constant, h), fixed_dt=True),
     )
 
 

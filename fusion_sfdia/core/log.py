@@ -97,7 +97,7 @@ def usual_inputs(where: str, plant: Plant, t: Array, columns: dict[str, int], st
     """
     before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
     if assumed := [s.name for s in plant.inputs if s.name not in columns]:
-        source = "the nominal values" if plant.operation is None else "the usual operation"
+        source = "the nominal values" if plant.truth.operation is None else "the usual operation"
         warnings.warn(
             f"{where}: no column for the inputs {_some(assumed)}; {source} of plant {plant.name!r} stand for them",
             stacklevel=stacklevel,

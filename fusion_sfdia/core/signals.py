@@ -11,13 +11,20 @@ from fusion_sfdia.core.arguments import number
 
 @dataclass(frozen=True)
 class Signal:
-    """A physical variable: its name, unit, nominal value and the limits between which the model holds."""
+    """A physical variable: its name, unit, nominal value and the limits between which the model holds.
+
+    Of a state, in its unit: initial_sigma, the standard deviation of its initial value about the nominal value, and
+    process_sigma, that of the process noise over one nominal time step of the plant. None where the plant states its
+    covariances itself. Raises ValueError for a nominal value outside the limits and a negative or infinite sigma.
+    """
 
     name: str
     unit: str = "1"
     nominal: float = 0.0
     low: float = -np.inf
     high: float = np.inf
+    initial_sigma: float | None = None
+    process_sigma: float | None = None
 
     def __post_init__(self) -> None:
         for what in ("nominal", "low", "high"):
@@ -27,15 +34,19 @@ class Signal:
                 f"signal {self.name!r}: nominal {self.nominal} is not finite and within [{self.low}, {self.high}]; "
                 "correct it or the limits"
             )
+        for what, sigma in (("initial_sigma", self.initial_sigma), ("process_sigma", self.process_sigma)):
+            if sigma is not None and not 0 <= number(f"signal {self.name!r}: {what}", sigma) < np.inf:
+                raise ValueError(f"signal {self.name!r}: {what} is {sigma}; it must be finite and at least 0, or left out")
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """An instrument that reads one variable, with noise stated as a standard deviation, a bound, or both.
+    """An instrument that reads one variable, with noise stated as a standard deviation, a bound, or both, in its unit.
 
-    What is not stated follows: sigma of a uniform error within the bound (bound/sqrt 3); no bound (inf) for a sigma.
-    `owner` is the block that reads the sensor, `quantity` the kind of thing it measures ("pressure"), by which results
-    are grouped.
+    A missing sigma is that of a uniform error within the bound (bound/sqrt 3); a missing bound is inf.
+    owner: the subsystem or area that reads the sensor. quantity: the kind of variable it measures ("pressure"), by which
+    results are grouped. scale: its reading over the variable in SI; `Plant.in_units` sets it.
+    Raises ValueError for noise that is missing or not positive and finite, and for a scale of 0 or one that is not finite.
     """
 
     name: str
@@ -45,6 +56,7 @@ class Sensor:
     bound: float | None = None
     owner: str = ""
     quantity: str = ""
+    scale: float = 1.0
 
     def __post_init__(self) -> None:
         for what, value in (("sigma", self.sigma), ("bound", self.bound)):
@@ -52,6 +64,8 @@ class Sensor:
                 raise ValueError(f"sensor {self.name!r}: {what} is {value}; it must be positive and finite, or left out")
         if self.sigma is None and self.bound is None:
             raise ValueError(f"sensor {self.name!r} states no noise; give sigma, bound or both")
+        if not 0 < abs(number(f"sensor {self.name!r}: scale", self.scale)) < np.inf:
+            raise ValueError(f"sensor {self.name!r}: scale is {self.scale}; it must be finite and not 0")
 
     @property
     def noise_sigma(self) -> float:

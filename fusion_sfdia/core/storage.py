@@ -32,7 +32,7 @@ def fingerprint(detector: Detector) -> str:
         *plant.sensor_names,
         *(s.name for s in plant.states),
         *(f"{v:.8e}" for v in (*ahead, *plant.output(plant.dt, ahead, u))),
-        *(() if plant.areas is None else (_described(plant.areas),)),
+        *(() if plant.structure.areas is None else (_described(plant.structure.areas),)),
     ]
     digest = hashlib.sha256("\n".join(parts).encode())
     for array in (plant.x0, plant.initial_cov, plant.process_cov, plant.sensor_cov):

@@ -58,7 +58,7 @@ def diagnose_run(detector: Detector, log: Log, *, gap: int = 3) -> Diagnosis:
     """
     t, y, u = one_run(log)
     first = float(t[0]) - (
-        detector.plant.dt if len(t) < 2 or detector.plant.fixed_dt else min(detector.plant.dt, float(t[1] - t[0]))
+        detector.plant.dt if len(t) < 2 or detector.plant.numerics.fixed_dt else min(detector.plant.dt, float(t[1] - t[0]))
     )
     own, times, readings, inputs = _bridged(detector.plant, first, t, y, u)
     _, decisions = run(detector, detector.init((), first), times, readings, inputs)
@@ -80,7 +80,7 @@ def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[
     """
     gaps = np.diff(t, prepend=first)
     with np.errstate(invalid="ignore"):
-        long = (gaps > (plant.dt if plant.fixed_dt else plant.max_dt) * (1 + 1e-9)) & np.isfinite(gaps)
+        long = (gaps > (plant.dt if plant.numerics.fixed_dt else plant.numerics.max_dt) * (1 + 1e-9)) & np.isfinite(gaps)
         parts = np.where(long, np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
     if np.sum(parts) > MOST_BRIDGES + 10 * t.size:
         raise ValueError(

@@ -102,7 +102,7 @@ def mean_over_runs(totals: Array, counts: Array) -> Estimate:
     return Estimate(ratio, ratio - half, ratio + half, runs)
 
 
-def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int, rng: np.random.Generator | int = 0) -> Estimate:
+def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estimate:
     """Return the statistic of all runs with the BCa interval (Efron 1987) over resampled runs; NaN limits for fewer than two.
 
     statistic maps indices of runs (..., R) to values (...). Where BCa does not exist (all runs but one agree, say), the
@@ -123,7 +123,7 @@ def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int, rng: np.
             n_resamples=RESAMPLES,
             confidence_level=LEVEL,
             method=method,
-            rng=np.random.default_rng(rng),
+            rng=np.random.default_rng(0),
         ).confidence_interval
         return float(found.low), float(found.high)
 

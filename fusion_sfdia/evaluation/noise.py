@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from fusion_sfdia.core.plant import Plant, diagonal
+from fusion_sfdia.core.covariance import diagonal
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.core.signals import Sensor
 

@@ -81,8 +81,8 @@ def simulate(
     if isinstance(truth, str):
         if truth not in ("finer", "model"):
             raise ValueError(f"truth is {truth!r}; expected 'finer', 'model' or a plant")
-        if truth == "finer" and plant.finer is not None:
-            truth, to_states = plant.finer()
+        if truth == "finer" and plant.truth.finer is not None:
+            truth, to_states = plant.truth.finer()
         else:
             truth = plant
     elif not isinstance(truth, Plant):
@@ -93,7 +93,7 @@ def simulate(
         raise ValueError(f"t0 is {t0}; expected a finite time in s")
     t, dt = _times(plant, times, t0)
     u = _inputs(plant, t - dt, truth.input_at if inputs is None else inputs)
-    closed = inputs is None and truth.feedback is not None
+    closed = inputs is None and truth.truth.feedback is not None
     x = _start(truth, start, seeds, t0)
     n, steps, count = x.shape[-1], t.size, len(truth.sensors)
     draws = ProcessNoise(truth, seeds) if process_noise else None
@@ -174,8 +174,9 @@ def _inputs(plant: Plant, before: Array, given: Callable[[float], Array] | Array
 
 def _fed_back(truth: Plant, t: float, y: Array, u: Array) -> Array:
     """The input of each run (B, m) from its readings y (B, N); of shape (B, 1, ...) for the plant, as all else."""
-    assert truth.feedback is not None
-    found = np.asarray(truth.feedback(t, y[:, None], u[:, None]), dtype=float)
+    feedback = truth.truth.feedback
+    assert feedback is not None
+    found = np.asarray(feedback(t, y[:, None], u[:, None]), dtype=float)
     if found.shape != (len(y), 1, u.shape[-1]) or not np.all(np.isfinite(found)):
         raise ValueError(
             f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; expected finite inputs "

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.equation import difference_jacobian
 from fusion_sfdia.core.linear import constant, linear_plant
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Numerics
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.filters.ukf import SigmaPoints
 
@@ -88,10 +89,10 @@ def plant_from_filterpy(
         inputs=model.inputs,
         step=functions.step,
         output=functions.output,
-        step_jacobian=functions.step_jacobian,
-        output_jacobian=functions.output_jacobian,
         dt=model.dt,
-        fixed_dt=isinstance(source, ExtendedKalmanFilter),
+        numerics=Numerics(
+            functions.step_jacobian, functions.output_jacobian, fixed_dt=isinstance(source, ExtendedKalmanFilter)
+        ),
         **moments,
     )
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.batch_detector import Moment
-from fusion_sfdia.core.plant import Plant, diagonal
+from fusion_sfdia.core.covariance import diagonal
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, Taken

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.batch_detector import Moment
-from fusion_sfdia.core.plant import diagonal
+from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, PresentReadings, Taken
 
 Array = NDArray[Any]

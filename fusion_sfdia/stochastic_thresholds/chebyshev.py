@@ -128,14 +128,14 @@ class Chebyshev(BatchDetector):
         """The plant's diagnosers."""
         if self.rule == BOUND:
             return BoundedReadings(self.plant, self.lam, self.moments)
-        if self.plant.areas is not None:
-            return AreaDiagnosers(self.plant, self.plant.areas, self.lam, self.mode)
+        if self.plant.structure.areas is not None:
+            return AreaDiagnosers(self.plant, self.plant.structure.areas, self.lam, self.mode)
         return PresentReadings(self.plant, self.lam, self.moments)
 
     @cached_property
     def components(self) -> Array:
         """(N,): how many sensors the diagnoser of each sensor has."""
-        owners = [s.owner if self.plant.areas is not None else "" for s in self.plant.sensors]
+        owners = [s.owner if self.plant.structure.areas is not None else "" for s in self.plant.sensors]
         return np.array([owners.count(owner) for owner in owners])
 
     @cached_property

@@ -42,11 +42,13 @@ def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, 
         )
     detector._batch_of(state)
     after = replace(detector, plant=plant)
-    if now.areas is None or plant.areas is None:
-        if now.areas is not plant.areas:
-            raise ValueError(f"one of the plants {now.name!r} and {plant.name!r} says no areas; give both with areas, or none")
+    if now.structure.areas is None or plant.structure.areas is None:
+        if now.structure.areas is not plant.structure.areas:
+            raise ValueError(
+                f"one of the plants {now.name!r} and {plant.name!r} states no areas; give both with areas, or none"
+            )
         return after, state
-    opened = opened_sides(now.areas, plant.areas)
+    opened = opened_sides(now.structure.areas, plant.structure.areas)
     assert isinstance(after.diagnosis, AreaDiagnosers)
     gone = after.diagnosis.at_sides(opened)
     head, memory, exclusion, inner = state[:4], state[4:7], state[7:12], state[12:]

@@ -47,19 +47,19 @@ class Residual:
 
 def modules_of(plant: Plant) -> Modules:
     """Return a plant's scalar equations; NotApplicableError where it has none, or its sensors do not read their variables."""
-    if plant.modules is None:
+    if plant.structure.modules is None:
         raise NotApplicableError(
             f"plant {plant.name!r} does not say its scalar equations, without which it has no structure to analyse; give "
-            "Plant(modules=Modules(...)) or take another detector"
+            "Plant(structure=Structure(modules=Modules(...))) or take another detector"
         )
     measured = [s.measures for s in plant.sensors]
-    if unknown := [s.name for s in plant.sensors if s.measures not in plant.modules.equations]:
+    if unknown := [s.name for s in plant.sensors if s.measures not in plant.structure.modules.equations]:
         raise NotApplicableError(
             f"sensors {', '.join(unknown)} read variables without an equation; expected one for each in Modules"
         )
     if several := sorted({v for v in measured if measured.count(v) > 1}):
         raise NotApplicableError(f"several sensors read {', '.join(several)}; build the plant with one of them")
-    return plant.modules
+    return plant.structure.modules
 
 
 def arguments(modules: Modules) -> dict[str, tuple[str, ...]]:

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number
-from fusion_sfdia.core.physics import Block
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
@@ -121,16 +121,15 @@ def gas_pipeline(
     stencil = STENCIL / (12 * c.length / (nodes - 1))
     every = (nodes - 1) // (stations - 1)
     picks = (np.arange(3)[:, None] * nodes + np.arange(stations) * every).ravel()
-    states = signals(nodes, x0)
     sigma = np.array(SIGMA[snr])
     model = _Pipe(nodes, count, picks, c, stencil)
-    twin = partial(
+    finer = partial(
         gas_pipeline, nodes=FINER * (nodes - 1) + 1, dt=dt, stations=stations, snr=snr, process_noise=process_noise,
         initial=initial, outlet_flow=outlet_flow, parameters=c,
     )  # fmt: skip
     return Plant(
         name="gas-pipeline",
-        states=states,
+        states=signals(nodes, x0),
         inputs=(
             Signal("p_inlet", "Pa", INLET_PRESSURE, *PRESSURES),
             Signal("T_inlet", "K", INLET_TEMPERATURE, *TEMPERATURES),
@@ -143,16 +142,12 @@ def gas_pipeline(
         ),
         step=model.step,
         output=model.output,
-        step_jacobian=model.step_jacobian,
-        output_jacobian=model.output_jacobian,
         dt=dt,
-        max_dt=limit * count,
         x0=x0,
         initial_cov=np.repeat((sigma if initial == "noise" else np.array(IDENTITY)) ** 2, nodes),
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
-        finer=partial(_finer, twin, nodes),
-        operation=partial(_operation, dt, flow),
-        blocks=(Block("pipe", tuple(s.name for s in states)),),
+        numerics=Numerics(model.step_jacobian, model.output_jacobian, max_dt=limit * count),
+        truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
     )
 
 
@@ -195,8 +190,8 @@ class _Pipe:
         return result.reshape(*batch, *result.shape[1:])
 
 
-def _finer(twin: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Array], Array]]:
-    return twin(), partial(coarse_state, stations=nodes)
+def _finer(model: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Array], Array]]:
+    return model(), partial(coarse_state, stations=nodes)
 
 
 def _constant(flow: float, t: float) -> float:

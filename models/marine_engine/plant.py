@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.modules import Modules, ObserverBound
-from fusion_sfdia.core.physics import Block, Physics
-from fusion_sfdia.core.plant import Plant, with_same_states
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
@@ -58,20 +59,12 @@ SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
     "S(4){3}": "T_compressor",
 }
 PICKS = np.array([(*STATES, *ALGEBRAIC).index(v) for v in SENSORS.values()])
-BLOCKS = (
-    Block("fuel pump", ("fuel",)),
-    Block("thermomechanical process", ("p_cylinder", "T_cylinder", "torque"), ("fuel pump", "air path")),
-    Block(
-        "exhaust gas path",
-        ("p_receiver", "T_receiver", "T_turbine"),
-        ("fuel pump", "thermomechanical process", "air path"),
-    ),
-    Block(
-        "air path",
-        ("p_charge", "T_charge", "T_compressor"),
-        ("fuel pump", "thermomechanical process", "exhaust gas path"),
-    ),
-)
+SUBSYSTEMS = {  # variables of each
+    "fuel pump": ("fuel",),
+    "thermomechanical process": ("p_cylinder", "T_cylinder", "torque"),
+    "exhaust gas path": ("p_receiver", "T_receiver", "T_turbine"),
+    "air path": ("p_charge", "T_charge", "T_compressor"),
+}
 
 
 class Module(NamedTuple):
@@ -137,7 +130,7 @@ def marine_engine(
         raise ValueError(f"dt is {dt} s in {substeps} substeps; expected a positive finite time and at least one")
     x0 = equilibrium(load, c, slip)
     nominal = engine_variables(x0, c, slip)
-    owner = {variable: block.name for block in BLOCKS for variable in block.variables}
+    owner = {variable: subsystem for subsystem, variables in SUBSYSTEMS.items() for variable in variables}
     plant = discretise(
         engine_physics(c, slip, x0, load),
         [
@@ -151,7 +144,7 @@ def marine_engine(
         decay=decay_rates(c),
     )
     model = _Compiled(parameter_schedule(c, process_faults, slip), law, substeps)
-    twin = partial(
+    finer = partial(
         marine_engine, load=load, dt=dt, noise=noise, slip=slip, parameters=c, process_faults=tuple(process_faults),
         substeps=FINER * substeps,
     )  # fmt: skip
@@ -159,8 +152,8 @@ def marine_engine(
         plant,
         step=model.step,
         output=model.output,
-        finer=partial(with_same_states, twin),
-        modules=engine_modules(c, slip, nominal),
+        truth=Truth(finer=partial(with_same_states, finer)),
+        structure=Structure(modules=engine_modules(c, slip, nominal)),
     )
 
 
@@ -257,8 +250,6 @@ def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Ph
         f=scalar.f,
         phi=scalar.phi,
         parameters=c,
-        equations=table,
-        blocks=BLOCKS,
     )
 
 

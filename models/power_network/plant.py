@@ -32,8 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.linear import constant, picked
-from fusion_sfdia.core.physics import Block, Physics
-from fusion_sfdia.core.plant import Plant, with_same_states
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Numerics, Structure, Truth, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
@@ -90,7 +91,7 @@ def power_network(
     readout = np.zeros((len(sensors), 4 * n))
     readout[np.arange(len(sensors)), picks] = 1.0
     running = _Running(n, conditions(model, faults, switches), profile)
-    twin = partial(
+    exact = partial(
         power_network, c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults,
         switches=switches,
     )  # fmt: skip
@@ -101,19 +102,18 @@ def power_network(
         sensors=sensors,
         step=running.step,
         output=partial(picked, picks),
-        step_jacobian=running.step_jacobian,
-        output_jacobian=partial(constant, readout),
         dt=model.dt,
         x0=np.zeros(4 * n),
         initial_cov=np.tile(NOISE_VARIANCE, n),
         process_cov=np.tile(model.process_cov, n),
-        finer=None if discretisation == "exact" else partial(with_same_states, twin),
-        operation=running.operation,
-        feedback=running.feedback,
-        blocks=network_blocks(model),
-        fixed_dt=True,
-        disturbed=True,
-        areas=network_areas(model),
+        numerics=Numerics(running.step_jacobian, partial(constant, readout), fixed_dt=True),
+        truth=Truth(
+            operation=running.operation,
+            feedback=running.feedback,
+            finer=None if discretisation == "exact" else partial(with_same_states, exact),
+            disturbed=True,
+        ),
+        structure=Structure(areas=network_areas(model)),
     )
 
 
@@ -162,14 +162,6 @@ def network_sensors(model: NetworkModel) -> tuple[Sensor, ...]:
     )
 
 
-def network_blocks(model: NetworkModel) -> tuple[Block, ...]:
-    """A block for each area, with the areas to which it is joined at present."""
-    return tuple(
-        Block(f"area {i}", tuple(f"{s}_{i}" for s in STATES), tuple(f"area {j}" for j in model.network.neighbours(i)))
-        for i in model.names
-    )
-
-
 def network_physics(model: NetworkModel) -> Physics:
     """The network as physics, before it is discretised: the same scalar equations over all areas."""
     return Physics(
@@ -177,7 +169,6 @@ def network_physics(model: NetworkModel) -> Physics:
         states=tuple(Signal(f"{s}_{i}", UNIT[s]) for i in model.names for s in STATES),
         inputs=(*(Signal(f"reference_{i}") for i in model.names), *(Signal(f"load_{i}") for i in model.names)),
         f=partial(_rates, model),
-        blocks=network_blocks(model),
     )
 
 

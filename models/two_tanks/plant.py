@@ -31,8 +31,9 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import equation
 from fusion_sfdia.core.modules import Modules
-from fusion_sfdia.core.physics import Block, Physics
-from fusion_sfdia.core.plant import Plant, with_same_states
+from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
 
 Array = NDArray[Any]
@@ -114,8 +115,6 @@ def tank_physics() -> Physics:
         f=_rates,
         phi=_flows,
         parameters=Tanks(),
-        equations=EQUATIONS,
-        blocks=(Block("upper", ("level_1", "flow_12")), Block("lower", ("level_2", "flow_out"), ("upper",))),
     )
 
 
@@ -148,7 +147,7 @@ def _true_rates(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
 
 def true_physics(c: Tanks) -> Physics:
     """The truth: outlets with friction, off by their tolerance, and a pump that delivers more."""
-    return replace(tank_physics(), f=_true_rates, phi=_true_flows, parameters=c, equations={})
+    return replace(tank_physics(), f=_true_rates, phi=_true_flows, parameters=c)
 
 
 def rest_of_truth(c: Tanks) -> Array:
@@ -182,13 +181,12 @@ def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
     operation = partial(_inflow, swing) if swing else None
     physics, x0 = replace(tank_physics(), parameters=c), np.full(2, (INFLOW / c.outlet) ** 2)
     plant = discretise(physics, sensors, dt=STEP, x0=x0, initial_cov=start, process_cov=change)
-    twin = partial(_truth, plant, c, operation)
-    return replace(plant, modules=tank_modules(c), operation=operation, finer=partial(with_same_states, twin))
+    truth = Truth(operation=operation, finer=partial(with_same_states, partial(_truth, plant, c, operation)))
+    return replace(plant, truth=truth, structure=Structure(modules=tank_modules(c)))
 
 
 def _truth(plant: Plant, c: Tanks, operation: Callable[[float], Array] | None) -> Plant:
-    twin = discretise(
+    return discretise(
         true_physics(c), plant.sensors, dt=STEP, substeps=FINER, x0=rest_of_truth(c),
-        initial_cov=plant.initial_cov, process_cov=plant.process_cov,
+        initial_cov=plant.initial_cov, process_cov=plant.process_cov, operation=operation,
     )  # fmt: skip
-    return replace(twin, operation=operation)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from engine_runs import BOUND, DETECTOR, ENGINE, healthy, judge, recording_of
+from toy_plants import changed
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.core.detector import run
@@ -34,7 +35,7 @@ def for_load_steps() -> AdaptiveThreshold:
 def test_corners_enclose_the_engine_over_the_envelope() -> None:
     """Ten thousand points in boxes of the noise's size, anywhere in the envelope."""
     rng = np.random.default_rng(1)
-    m = ENGINE.modules
+    m = ENGINE.structure.modules
     assert m is not None
     settings = DETECTOR._settings
     centre = DETECTOR.nominal + (settings.half_width - settings.bound) * rng.uniform(-1, 1, (100, 10))
@@ -49,8 +50,8 @@ def test_corners_enclose_the_engine_over_the_envelope() -> None:
 
 
 def test_the_compiled_driver_is_the_same_source() -> None:
-    assert ENGINE.modules is not None
-    plain = AdaptiveThreshold(replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))
+    assert ENGINE.structure.modules is not None
+    plain = AdaptiveThreshold(changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))
     recording = healthy(60, 3)
     y = recording.y.copy()
     y[20:30, 1, ::3] = np.nan
@@ -102,10 +103,10 @@ def test_missing_readings_widen_and_never_alarm() -> None:
 
 
 def test_what_is_refused() -> None:
-    assert ENGINE.modules is not None
-    modules: Modules = ENGINE.modules
-    with pytest.raises(ValueError, match="does not say its scalar equations"):
-        AdaptiveThreshold(replace(ENGINE, modules=None))
+    assert ENGINE.structure.modules is not None
+    modules: Modules = ENGINE.structure.modules
+    with pytest.raises(ValueError, match="does not state its scalar equations"):
+        AdaptiveThreshold(changed(ENGINE, modules=None))
     with pytest.raises(ValueError, match="observer of fuel has the gain -100"):
         replace(modules, gains={**modules.gains, "fuel": -100.0})
     with pytest.raises(ValueError, match="margins names nothing"):
@@ -113,7 +114,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="have no noise bound"):
         sensors = tuple(replace(s, bound=None, sigma=s.noise_sigma) for s in ENGINE.sensors)
         AdaptiveThreshold(replace(ENGINE, sensors=sensors))
-    doubled = replace(
+    doubled = changed(
         ENGINE,
         sensors=(*ENGINE.sensors, replace(ENGINE.sensors[3], name="spare")),
         output=lambda t, x, u: (y := ENGINE.output(t, x, u))[..., [*range(y.shape[-1]), 3]],
@@ -129,7 +130,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="envelope names nothing"):
         AdaptiveThreshold(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="nominal value of torque is 0, no measure of a range; give envelope"):
-        _ = AdaptiveThreshold(replace(ENGINE, modules=replace(modules, nominal={**modules.nominal, "torque": 0.0}))).ends
+        _ = AdaptiveThreshold(changed(ENGINE, modules=replace(modules, nominal={**modules.nominal, "torque": 0.0}))).ends
     with pytest.raises(ValueError, match="envelope of torque is no finite range"):
         _ = AdaptiveThreshold(ENGINE, envelope={"torque": (5e4, 4e4)}).slopes
 
@@ -153,7 +154,7 @@ def test_a_load_step_raises_no_alarm_and_errors_keep_their_bounds() -> None:
 def test_a_broken_sensor_is_named_and_breaks_nothing_else(value: float) -> None:
     """Where an equation has no value at the readings, they are moved into the envelope, for that equation."""
     recording = healthy(300, 5)
-    plain = AdaptiveThreshold(replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))  # type: ignore[type-var]
+    plain = AdaptiveThreshold(changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))  # type: ignore[type-var]
     for i, steps in ((7, 300), (3, 200)):  # observers forget 1e10 in fewer steps
         y = recording.y[:steps].copy()
         y[100:120, :, i] = value

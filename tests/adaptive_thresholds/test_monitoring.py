@@ -71,6 +71,8 @@ def test_boxes_by_hand() -> None:
     low, high = box(np.array([[1.0, np.nan]]), np.array([[2.0, 7.0]]), np.array([[3.0]]), SETTINGS)
     np.testing.assert_allclose(low, [[0.9, -45.0, 3.0]])
     np.testing.assert_allclose(high, [[2.1, 55.0, 3.0]])
+    low, high = box(np.array([[1.0, 3.0]]), np.array([[2.0, np.nan]]), np.array([[3.0]]), SETTINGS)
+    np.testing.assert_allclose([low[0], high[0]], [[0.9, -45.0, 3.0], [2.1, 55.0, 3.0]])
     low, high = into_envelope(np.array([[-95.0, 0.0, -1e9]]), np.array([[0.0, 60.0, 1e9]]), SETTINGS)
     np.testing.assert_array_equal(low, [[-90.0, 0.0, -1e9]])
     np.testing.assert_array_equal(high, [[0.0, 55.0, 1e9]])
@@ -96,3 +98,62 @@ def test_a_verdict_by_hand() -> None:
     np.testing.assert_allclose(measured[1], [-0.0104, 4.5, 10.0], rtol=1e-12)
     assert firing.tolist() == [[True, False, True], [False, False, False]]
     assert lost.tolist() == [False, True]
+
+
+def test_a_slope_without_a_sign_is_evaluated_in_the_middle() -> None:
+    flat = SETTINGS._replace(signs=np.zeros((2, 3)), unproved=np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]]))
+    assert step([10.0, 5.0], flat)[2:] == pytest.approx([5.1 - 0.1 * 0.7, 5.1 + 0.1 * 0.7], rel=1e-12)
+
+
+def test_bounds_exceed_rounding() -> None:
+    """Of a point, 0.5 * 10.2, by 1e-12 of it unless another share is stated."""
+    assert Settings._field_defaults["rounding"] == 1e-12
+    point = SETTINGS._replace(bound=np.zeros(2), rounding=1e-12)
+    _, _, lower, upper = step([10.0, 5.0], point)
+    assert 0.9e-12 < 1 - lower / 5.1 < 1.1e-12 and 0.9e-12 < upper / 5.1 - 1 < 1.1e-12
+
+
+def test_the_state_moves_at_most_at_the_larger_of_both_speeds() -> None:
+    """z in [-5.2, 5.3] over the step: dx/dt is largest in size at the lower end."""
+    lam = np.exp(-0.7 * DT)
+    held = (1 - lam) / 0.7
+    h, least, most = 3 * 0.05 - 1 - 1.05, 3 * -5.2 - 1 - 1.05, 3 * 5.3 - 1 - 0.99
+    speed = max(abs(most - 2.1), abs(least - 2.1)) + 0.2 * 0.4
+    assert abs(least - 2.1) > abs(most - 2.1)
+    bound = lam * 0.4 + held * (max(most - h, h - least) + 0.5 * 0.1) + 0.5 * (DT - held) / 0.7 * speed
+    assert step([10.0, -5.0], SETTINGS._replace(drift=1e6))[1] == pytest.approx(bound, rel=1e-12)
+
+
+def test_an_equation_without_a_value_is_evaluated_in_the_envelope() -> None:
+    """A root of z in [-3.2, -2.8], moved into its envelope [3, 7], and of x in [-2.9, -2.7], moved into [8, 12]."""
+    equations = {"x": lambda z, c: np.sqrt(z), "z": lambda x, c: np.sqrt(x)}
+    settings = SETTINGS._replace(half_width=np.array([2.0, 2.0]))
+    z, x = -3.0, -2.8
+    given = np.array([[10.5]]), np.array([[0.4]]), np.array([[10.0, z]]), np.array([[x, z]]), np.array([[1.0]])
+    with np.errstate(invalid="ignore"):
+        found = monitor(equations, ("x", "z", "v"), 0.1, *given, DT, settings)
+    lam = np.exp(-0.7 * DT)
+    held = (1 - lam) / 0.7
+    ahead, root = lam * 10.5 + held * (np.sqrt(3.0) + 0.5 * 10.0), np.sqrt(8.0)
+    expected = [ahead, lam * 0.4 + held * 0.5 * 0.1, root, root]
+    assert [float(a[0, 0]) for a in found] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_residual_at_its_threshold_is_no_alarm_and_one_infinite_prediction_marks_the_run() -> None:
+    """Sensor 2: prediction 4.5, radius 0.5 and 0.5 more. Sensor 1, before it, has no finite prediction."""
+    y, bounds = np.array([[1.0, 5.5]] * 2), np.array([[4.0], [4.0]])
+    x = np.array([[np.inf], [np.nan]])
+    residual, threshold, _, firing, lost = verdict(
+        y,
+        x,
+        np.zeros((2, 1)),
+        bounds,
+        bounds + 1,
+        np.array([0.0, 0.5]),
+        np.array([0, 1]),
+        np.ones(2),
+        np.zeros((2, 2), bool),
+        1.0,
+    )
+    assert residual[:, 1].tolist() == threshold[:, 1].tolist() == [1.0, 1.0]
+    assert not firing[:, 1].any() and lost.all()

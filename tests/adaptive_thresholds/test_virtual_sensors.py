@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from toy_plants import readings, tanks
+from toy_plants import changed, readings, tanks
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 
 ENGINE = marine_engine()
 DETECTOR = VirtualSensors(ENGINE)
-NOMINAL = np.array([ENGINE.modules.nominal[s.measures] for s in ENGINE.sensors])  # type: ignore[union-attr]
+NOMINAL = np.array([ENGINE.structure.modules.nominal[s.measures] for s in ENGINE.sensors])  # type: ignore[union-attr]
 TORQUE, RECEIVER, CHARGE = (ENGINE.sensor_index(name) for name in ("S(2){3}", "S(3){1}", "S(4){2}"))
 RATES = {"fuel": 0.5, "p_receiver": 8.7, "p_charge": 5.0}
 
@@ -132,7 +132,7 @@ def test_an_empty_intersection_is_no_constant_offset_and_the_sensor_counts_as_mi
     _, missing, _ = watch(DETECTOR, recording, gone)
     others = np.delete(np.arange(10), CHARGE)
     # the algebraic modules have no memory: those of states still know what they read before
-    algebraic = [i for i in others if ENGINE.sensors[i].measures not in ENGINE.modules.states]  # type: ignore[union-attr]
+    algebraic = [i for i in others if ENGINE.sensors[i].measures not in ENGINE.structure.modules.states]  # type: ignore[union-attr]
     np.testing.assert_array_equal(drifting.threshold[-1][:, algebraic], missing.threshold[-1][:, algebraic])
     np.testing.assert_array_equal(drifting.measured[-1, :, CHARGE], missing.measured[-1, :, CHARGE])
     np.testing.assert_array_equal(drifting.fault_size[-1, :, CHARGE], drifting.residual[-1, :, CHARGE])
@@ -169,8 +169,8 @@ def test_a_single_run_is_stepped_without_a_batch() -> None:
 
 
 def test_without_compiled_modules_it_is_the_same() -> None:
-    assert ENGINE.modules is not None
-    plain = replace(DETECTOR, plant=replace(ENGINE, modules=replace(ENGINE.modules, monitor=None)))
+    assert ENGINE.structure.modules is not None
+    plain = replace(DETECTOR, plant=changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))
     recording = healthy(60, 4)
     y = with_offsets(recording, 20, {TORQUE: -3.8e4, RECEIVER: 1.5e5})
     (_, one, a), (_, other, b) = (watch(d, recording, y) for d in (DETECTOR, plain))
@@ -243,7 +243,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match=r"learning rates fuel=-1.0; expected positive numbers in 1/s"):
         replace(DETECTOR, learning_rates={"fuel": -1.0})
     with pytest.raises(ValueError, match="does not say its scalar equations"):
-        VirtualSensors(replace(ENGINE, modules=None))
+        VirtualSensors(changed(ENGINE, modules=None))
     with pytest.raises(ValueError, match="envelope names nothing"):
         VirtualSensors(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="no state of VirtualSensors"):

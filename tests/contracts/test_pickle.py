@@ -71,7 +71,7 @@ def faulty_network() -> Plant:
 
 PLANTS: dict[str, Callable[[], Plant]] = {
     **{name: lambda name=name: registry.plant(name) for name in registry.plants()},
-    **{f"{name}, finer": lambda name=name: registry.plant(name).finer()[0] for name in registry.plants()},
+    **{f"{name}, finer": lambda name=name: registry.plant(name).truth.finer()[0] for name in registry.plants()},
     "linear": chain,
     "of one's own": ours,
     "swinging tanks": lambda: two_tanks(swing=0.2),
@@ -95,8 +95,8 @@ def numbers(plant: Plant) -> list[Array]:
         plant.step(t, x, u, dt), y, plant.step_jacobian_at(t, x, u, dt), plant.output_jacobian_at(t, x, u), u,
         plant.step(t, np.stack([x, plant.x0]), u, dt),
     ]  # fmt: skip
-    if plant.feedback is not None:
-        found.append(plant.feedback(t, y, u))
+    if plant.truth.feedback is not None:
+        found.append(plant.truth.feedback(t, y, u))
     return found
 
 
@@ -110,14 +110,14 @@ def test_a_pickled_plant_gives_the_same_bits(name: str, unit: str) -> None:
     for copy in (before, pickle.loads(pickle.dumps(plant))):  # the second after the plant was used
         for value, other in zip(expected, numbers(copy), strict=True):
             np.testing.assert_array_equal(value, other)
-        assert (copy.finer is None) == (plant.finer is None)
+        assert (copy.truth.finer is None) == (plant.truth.finer is None)
 
 
 @pytest.mark.parametrize("name", registry.plants())
 def test_the_finer_twin_of_a_pickled_plant_is_the_same(name: str) -> None:
     plant = registry.plant(name)
     copy = pickle.loads(pickle.dumps(plant))
-    (twin, coarse), (other, as_coarse) = plant.finer(), copy.finer()
+    (twin, coarse), (other, as_coarse) = plant.truth.finer(), copy.truth.finer()
     np.testing.assert_array_equal(coarse(twin.x0), as_coarse(other.x0))
     np.testing.assert_array_equal(numbers(twin)[0], numbers(other)[0])
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from toy_plants import Array, chain, readings, tanks
+from toy_plants import Array, chain, changed, readings, tanks
 
 from fusion_sfdia.core.arguments import batch_shape, floats, number, probability, shown, whole
 from fusion_sfdia.core.detector import Detector, run
@@ -106,19 +106,19 @@ def test_lists_make_the_same_plant() -> None:
         (lambda: Signal("p", nominal="1"), "signal 'p': nominal is '1'; expected a number"),  # type: ignore[arg-type]
         (lambda: Signal("p", low=None), "signal 'p': low is None; expected a number"),  # type: ignore[arg-type]
         (lambda: replace(PLANT, dt="1"), "plant 'two-tanks': dt is '1'; expected a number"),
-        (lambda: replace(PLANT, max_dt=None), "plant 'two-tanks': max_dt is None; expected a number"),
-        (lambda: replace(PLANT, max_dt=np.nan), "max_dt is nan s; it must be positive"),
+        (lambda: changed(PLANT, max_dt=None), "max_dt is None; expected a number"),
+        (lambda: changed(PLANT, max_dt=np.nan), "max_dt is nan s; it must be positive"),
         (lambda: replace(PLANT, x0="ab"), "plant 'two-tanks': x0 is 'ab'; expected an array of numbers"),
         (lambda: replace(PLANT, x0=[1.0, None]), "expected 2 finite values"),
         (lambda: replace(PLANT, initial_cov=[[1.0], [0.0, 1.0]]), "initial_cov is .*; expected an array of numbers"),
-        (lambda: replace(PLANT, process_cov=None), r"process_cov has shape \(\); expected \(2,\) variances"),
+        (lambda: replace(PLANT, process_cov=None), "no process_sigma of the states level_1, level_2; give Signal"),
         (lambda: replace(PLANT, states=("level_1", "level_2")), "states is .'level_1', 'level_2'.; expected a tuple of Signal"),
         (lambda: replace(PLANT, sensors="l1"), "sensors is 'l1'; expected a tuple of Sensor objects"),
         (lambda: replace(PLANT, inputs=None), "inputs is None; expected a tuple of Signal objects"),
         (lambda: replace(PLANT, step=None), "plant 'two-tanks': step is None; expected a function"),
         (lambda: replace(PLANT, output=3), "plant 'two-tanks': output is 3; expected a function"),
-        (lambda: replace(PLANT, operation=lambda t: [1.0, 2.0]).input_at(0.0), r"operation .* gives shape \(2,\); expected"),
-        (lambda: replace(PLANT, operation=lambda t: "x").input_at(0.0), "that operation of plant 'two-tanks' gives is 'x'"),
+        (lambda: changed(PLANT, operation=lambda t: [1.0, 2.0]).input_at(0.0), r"operation .* gives shape \(2,\); expected"),
+        (lambda: changed(PLANT, operation=lambda t: "x").input_at(0.0), "that operation of plant 'two-tanks' gives is 'x'"),
         (lambda: PLANT.in_units({"l1": ("mm", "1")}), "scale of sensor 'l1' is '1'; expected a number"),  # type: ignore[dict-item]
         (lambda: LeaveOneOutBank(PLANT, window=np.nan), "window, in samples, is nan; expected a whole number"),  # type: ignore[arg-type]
         (lambda: LeaveOneOutBank(PLANT, window=2.5), "window, in samples, is 2.5; expected"),  # type: ignore[arg-type]
@@ -220,7 +220,7 @@ def test_a_model_of_another_width_is_named(detector: Detector, change: dict[str,
         with pytest.raises(ValueError, match=message):  # at once; Jacobians, which not all filters take, at their first use
             replace(PLANT, **change)
         return
-    wide = replace(detector, plant=replace(PLANT, **change))  # type: ignore[type-var]
+    wide = replace(detector, plant=changed(PLANT, **change))  # type: ignore[type-var]
     state, y, u = wide.init((3,)), np.ones((3, 4)), PLANT.input_at(0.0)
     if not isinstance(getattr(detector, "estimator", None), Extended):
         wide = replace(wide, max_faults=1) if hasattr(wide, "max_faults") else wide  # None follows from the Jacobians

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from toy_plants import tank_physics, tanks
+from toy_plants import changed, tank_physics, tanks
 
 from fusion_sfdia.core.discretise import (
     discretise,
@@ -160,7 +160,7 @@ def test_sensors_of_states_alone_have_a_constant_jacobian() -> None:
     x = np.array([1.0, 2.0])
     np.testing.assert_array_equal(plant.output(0.0, x, NONE), [2.0, 1.0, 2.0])
     np.testing.assert_array_equal(plant.output_jacobian_at(0.0, x, NONE), [[0, 1], [1, 0], [0, 1]])
-    stated = replace(plant, output_jacobian=None)
+    stated = changed(plant, output_jacobian=None)
     np.testing.assert_array_equal(stated.output_jacobian_at(0.0, x, NONE), plant.output_jacobian_at(0.0, x, NONE))
 
 
@@ -261,13 +261,13 @@ def test_the_largest_step_keeps_a_tenth_of_its_noise() -> None:
     """The variance that a step of max_dt adds, against the integral of exp(2 A s) Q over it: within a tenth, and near it."""
     for rate in (0.001, 0.02, 0.09):
         plant = leak(rate)
-        step = plant.max_dt
+        step = plant.numerics.max_dt
         assert step == pytest.approx(0.1 / rate, rel=1e-7)
         expected = 0.01 * (1 - np.exp(-2 * rate * step)) / (2 * rate)
         assert 0.05 < plant.process_cov_over(step)[0] / expected - 1 < 0.11
-    assert leak(0.0).max_dt == np.inf  # a pure integrator: exact for any step
-    assert leak(5.0).max_dt == 1.0  # dt is the user's own choice
-    assert leak(0.02, max_dt=7.0).max_dt == 7.0
+    assert leak(0.0).numerics.max_dt == np.inf  # a pure integrator: exact for any step
+    assert leak(5.0).numerics.max_dt == 1.0  # dt is the user's own choice
+    assert leak(0.02, max_dt=7.0).numerics.max_dt == 7.0
     # two tanks at rest, by hand: |A| of [[-r, 0], [r, -r]] is r (1 + sqrt 5) / 2, with r = 1 / 167 s
     r = 6e-4 / (2 * 0.05)
-    assert tanks().max_dt == pytest.approx(0.1 / (r * (1 + np.sqrt(5)) / 2), rel=1e-7)
+    assert tanks().numerics.max_dt == pytest.approx(0.1 / (r * (1 + np.sqrt(5)) / 2), rel=1e-7)

@@ -121,3 +121,21 @@ def test_a_sensor_left_out_for_nothing_comes_back() -> None:
         now = watch(now, 0 * one, one, LIMIT, LEVEL)
         assert now.out[0] and now.evidence[0] == k / 2
     assert not watch(now, 0 * one, one, LIMIT, LEVEL).out[0]
+
+
+def test_a_size_is_averaged_over_five_samples_and_readmission_takes_two_quiet_ones() -> None:
+    """Size 10, reading 20: (20 - 10) / 5 is learned. Each reading of 0 weighs 10^2 / 2 = 50, more than the level of 4."""
+    one = np.ones(1)
+    now = Exclusion(np.array([True]), 10 * one, 100 * one, 0 * one, 0 * one)
+    assert watch(now, 20 * one, one, LIMIT, LEVEL).size[0] == 12.0
+    first = watch(now, 0 * one, one, LIMIT, LEVEL)
+    assert first.out[0] and first.evidence[0] == 50.0
+    assert not watch(first, 0 * one, one, LIMIT, LEVEL).out[0]
+
+
+def test_a_reading_at_the_limit_is_plausible_and_a_fault_without_sign_counts_as_positive() -> None:
+    one = np.ones(1)
+    large, none = (Exclusion(np.array([True]), size * one, one, 0 * one, 0 * one) for size in (10.0, 0.0))
+    at_limit = watch(large, 3 * one, one, LIMIT, 60.0)
+    assert at_limit.quiet[0] == 1 and at_limit.evidence[0] == ((3 - 10) ** 2 - 3**2) / 2
+    assert watch(none, -0.5 * one, one, LIMIT, 60.0).evidence[0] == ((-0.5 - 1) ** 2 - 0.5**2) / 2

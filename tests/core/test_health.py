@@ -61,3 +61,4 @@ def test_a_decision_of_a_broken_run_has_no_number_and_isolates_nothing() -> None
     assert without_broken(replace(given, covariance=None), np.array([True, False])).covariance is None
     sound = without_broken(given, np.zeros(2, bool))
     assert sound.estimate is given.estimate and not sound.diverged.any()
+    assert not without_broken(replace(given, diverged=np.ones(2, bool)), np.zeros(2, bool)).diverged.any()

@@ -68,7 +68,7 @@ def test_a_linear_plant_is_its_matrices() -> None:
         plant.step(0.0, x, u, 1.0), [f @ x[0] + g @ u[0], f @ x[1] + g @ u[1]], rtol=rounding(5.6 / 1.6, 3)
     )
     np.testing.assert_allclose(plant.output(0.0, x, u), x @ h.T, rtol=4 * EPS)
-    assert plant.fixed_dt and [s.name for s in plant.states] == ["x0", "x1"]
+    assert plant.numerics.fixed_dt and [s.name for s in plant.states] == ["x0", "x1"]
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from toy_plants import Array, chain, tanks
+from toy_plants import Array, chain, changed, tanks
 
 from fusion_sfdia import registry
 from fusion_sfdia.core.linear import linear_plant
@@ -76,7 +76,6 @@ def test_states_and_readings_in_other_units_have_the_same() -> None:
 
 
 def test_a_model_without_a_slope_at_x0_has_half_of_the_sensors() -> None:
-    from dataclasses import replace
 
-    broken = replace(tanks(), step_jacobian=lambda t, x, u, dt: np.full((2, 2), np.nan))
+    broken = changed(tanks(), step_jacobian=lambda t, x, u, dt: np.full((2, 2), np.nan))
     assert most_faults(broken) == 2

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_plants import chain, readings, tanks
+from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, spans
@@ -117,7 +117,7 @@ def test_shapes_and_times_that_do_not_fit_are_named() -> None:
     with pytest.raises(ValueError, match="1 inputs"):
         diagnose(detector, t, y, np.repeat(u, 2, axis=1))
     with pytest.raises(ValueError, match=r"reading 3, 16 s, is 6 s after the one before: .* holds for 5.0 s only"):
-        diagnose(replace(detector, plant=replace(plant, fixed_dt=True)), np.array([5.0, 10, 16, 20, 25, 30]), y, u)
+        diagnose(replace(detector, plant=changed(plant, fixed_dt=True)), np.array([5.0, 10, 16, 20, 25, 30]), y, u)
     for times in (t[::-1], np.array([5.0, 10, 10, 15, 20, 25]), np.array([5.0, 10, np.nan, 20, 25, 30])):
         with pytest.raises(ValueError, match="times must be finite and increase"):
             diagnose(detector, times, y, u)
@@ -143,7 +143,7 @@ def test_spans(held: str, gap: int, expected: list[tuple[int, int]]) -> None:
 @pytest.mark.parametrize("limits", [{"max_dt": 6.0}, {"fixed_dt": True}], ids=str)
 def test_a_long_gap_is_stepped_through_without_readings(limits: dict) -> None:
     """A log without the rows of an outage is the log with empty rows there."""
-    plant = replace(tanks(), **limits)
+    plant = changed(tanks(), **limits)
     t, _, y, u = readings(plant, 12, 1, seed=0)
     y, u = y[:, 0].copy(), u[:, 0].copy()
     y[4:9] = np.nan
@@ -234,7 +234,7 @@ def test_the_tanks_step_through_a_gap_of_minutes() -> None:
         assert not cut.decisions.diverged.any() and not cut.decisions.guarded.any()
         np.testing.assert_allclose(cut.decisions.estimate, whole.decisions.estimate[kept], rtol=1e-12)
     state = CentralFilter(plant).init((), 0.0)
-    blind = replace(plant, max_dt=np.inf)
+    blind = changed(plant, max_dt=np.inf)
     steps = np.arange(1, 61) * plant.dt
     _, known = run(CentralFilter(plant), state, steps, np.full((60, 4), np.nan), u[:60], covariance=True)
     _, leap = run(CentralFilter(blind), state, steps[-1:], np.full((1, 4), np.nan), u[:1], covariance=True)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from toy_plants import chain, tanks
+from toy_plants import chain, changed, tanks
 
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.logs import read_log, write_log
@@ -60,7 +60,7 @@ def test_inputs_without_a_column_are_assumed_only_where_that_is_asked_for(tmp_pa
 
 
 def test_inputs_default_to_the_plants_operation_since_the_reading_before(tmp_path):
-    plant = replace(tanks(), operation=lambda t: np.array([t]))
+    plant = changed(tanks(), operation=lambda t: np.array([t]))
     path = log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n40,1,1,1,1\n")
     with pytest.warns(UserWarning, match="the usual operation of plant"):
         found = read_log(path, plant, nominal_inputs=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import kstest, truncnorm
-from toy_plants import chain, tanks
+from toy_plants import chain, changed, tanks
 
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
@@ -24,7 +24,7 @@ def walk(sensor: Sensor | None = None, process_cov: float = 1.0, **changes) -> P
         "walk", np.eye(1), np.eye(1), [sensor or Sensor("s", "x0", sigma=1.0)], dt=1.0, x0=np.zeros(1),
         initial_cov=np.full(1, 4.0), process_cov=np.full(1, process_cov),
     )  # fmt: skip
-    return replace(plant, **changes)
+    return changed(plant, **changes)
 
 
 def correlated() -> Plant:
@@ -101,7 +101,7 @@ def test_inputs_as_function_and_array():
 def test_feedback_acts_on_the_last_readings_of_each_run():
     """u[k] is made of the operation and the readings at t[k] - dt, the first of the operation alone."""
     open_loop = walk(step=lambda t, x, u, dt: x + u * dt, inputs=(Signal("rate"),), operation=lambda t: np.array([t]))
-    plant = replace(open_loop, feedback=lambda t, y, u: u - 0.5 * y + t)
+    plant = changed(open_loop, feedback=lambda t, y, u: u - 0.5 * y + t)
     found = simulate(plant, 4, [0, 1])
     assert found.u.shape == (4, 2, 1) and found.u_of_runs is found.u
     np.testing.assert_array_equal(found.u[0], 0.0)
@@ -117,7 +117,7 @@ def test_feedback_acts_on_the_last_readings_of_each_run():
 def test_feedback_by_a_matrix_has_the_same_bits_alone_and_in_any_batch():
     n = 17
     gain = np.random.default_rng(2).standard_normal((n, n)) / 50
-    plant = replace(
+    plant = changed(
         chain(n),
         step=lambda t, x, u, dt: 0.9 * x + u,
         step_jacobian=None,
@@ -283,7 +283,7 @@ def test_steps_that_the_plant_does_not_allow():
     with pytest.raises(ValueError, match=r"holds for 1\.0 s only"):
         simulate(chain(3), np.array([1.0, 3.0]), [0])
     with pytest.raises(ValueError, match="largest admissible step"):
-        simulate(replace(tanks(), max_dt=5.0), np.array([6.0]), [0])
+        simulate(changed(tanks(), max_dt=5.0), np.array([6.0]), [0])
 
 
 def test_start_states_can_be_given():

@@ -47,5 +47,5 @@ ERROR = 5 / np.sqrt(2 * RUNS)
 
 
 def network_areas_of(plant: Plant) -> object:
-    assert plant.areas is not None
-    return plant.areas
+    assert plant.structure.areas is not None
+    return plant.structure.areas

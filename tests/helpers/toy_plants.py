@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,18 @@ from fusion_sfdia.models.two_tanks.plant import tank_physics as tank_physics
 from fusion_sfdia.models.two_tanks.plant import two_tanks as tanks  # noqa: F401
 
 Array = NDArray[Any]
+
+
+def changed(plant: Plant, **changes: Any) -> Plant:
+    """The plant with some fields changed, its own or those of its groups."""
+    found = {name: value for name, value in changes.items() if name in {f.name for f in fields(plant)}}
+    for group in ("numerics", "truth", "structure"):
+        now = getattr(plant, group)
+        if inner := {name: changes[name] for name in changes if name in {f.name for f in fields(now)}}:
+            found[group] = replace(now, **inner)
+            changes = {name: value for name, value in changes.items() if name not in inner}
+    assert changes.keys() <= found.keys(), f"a plant has no {', '.join(changes.keys() - found.keys())}"
+    return replace(plant, **found)
 
 
 def chain(n: int = 12, sensors: int | None = None, sigma: float = 1.0, process: float = 0.1) -> Plant:

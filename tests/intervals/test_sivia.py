@@ -146,7 +146,8 @@ def test_no_solution_is_an_answer() -> None:
         assert paving.outer_volume[0] == 0
         assert paving.hull.is_empty[0].all()
     certain = sivia(ring, Interval(0.0, 100.0), Interval([-3.0, -3.0], [3.0, 3.0]), 0.5)
-    assert certain.inner_volume == 36
+    just_enough = sivia(ring, Interval(0.0, 100.0), Interval([-3.0, -3.0], [3.0, 3.0]), 0.5, budget=1)
+    assert certain.inner_volume == just_enough.inner_volume == 36 and just_enough.complete
     assert certain.examined == 1
 
 
@@ -172,3 +173,22 @@ def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"function": ring, "target": Interval(1.0, 4.0), "box": Interval([-3.0, -3.0], [3.0, 3.0])}
     with pytest.raises(ValueError, match=message):
         sivia(**(given | {"tolerance": 0.1} | change))
+
+
+def test_a_gap_without_values_inside_a_box_is_no_part_of_the_set() -> None:
+    """sqrt(x^2 - 1) has values at both ends of [-2, 2] and none between -1 and 1."""
+    paving = sivia(lambda x: np.sqrt(x**2 - 1), Interval(-1.0, 5.0), Interval([-2.0], [2.0]), 0.01)
+    assert not np.any((paving.inner.lo < 1) & (paving.inner.hi > -1))
+    assert 1.9 < paving.inner_volume <= 2 <= paving.outer_volume < 2.1
+
+
+def test_what_is_cut_off_on_several_sides_counts_once() -> None:
+    """min(x, y) <= 1/2 in the unit square: all but the upper right quarter."""
+    paving = sivia(lambda x, y: np.minimum(x, y), Interval(-1.0, 0.5), Interval([0.0, 0.0], [1.0, 1.0]), 0.01)
+    assert 0.74 < paving.inner_volume <= 0.75 <= paving.outer_volume < 0.76
+
+
+def test_a_target_without_an_upper_end() -> None:
+    paving = sivia(lambda x: 2 * x, Interval(1.0, np.inf), Interval([0.0], [1.0]), 0.01)
+    np.testing.assert_allclose([paving.inner_volume, paving.outer_volume], 0.5, atol=0.01)
+    assert paving.inner_volume <= 0.5 <= paving.outer_volume

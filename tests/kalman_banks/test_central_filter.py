@@ -1,12 +1,10 @@
 """The usual choice: one filter with a test of each innovation."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from rounding import rounding
 from scipy.stats import norm
-from toy_plants import chain, readings, tanks
+from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.enkf import EnKFSettings
@@ -87,7 +85,7 @@ def test_without_readings_it_predicts() -> None:
 
 def test_a_breakdown_is_flagged_and_the_rest_of_the_batch_goes_on() -> None:
     plant = chain(3)
-    lost = replace(plant, output=lambda t, x, u: np.where(np.abs(x) > 50, np.nan, x), output_jacobian=lambda t, x, u: np.eye(3))
+    lost = changed(plant, output=lambda t, x, u: np.where(np.abs(x) > 50, np.nan, x), output_jacobian=lambda t, x, u: np.eye(3))
     detector = CentralFilter(lost)
     t, _, y, u = readings(plant, 12, 3, seed=3)
     y = y.copy()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rounding import rounding
-from toy_plants import chain, readings, tanks
+from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
@@ -124,7 +124,7 @@ def test_who_is_named_depends_on_the_units_of_the_states_as_printed_and_not_in_u
     plant = chain(6)
     size = np.array([1e3, 1.0, 1.0, 1.0, 1.0, 1.0])  # the first state in thousandths of its unit
 
-    other = replace(
+    other = changed(
         plant,
         step=lambda t, x, u, dt: plant.step(t, x / size, u, dt) * size,
         output=lambda t, x, u: plant.output(t, x / size, u),

@@ -71,6 +71,10 @@ def test_a_missing_reading_equals_a_deleted_one_and_poisons_nothing() -> None:
     nothing = statistics(joint, np.full(6, np.nan), np.ones(6, bool))
     np.testing.assert_array_equal(posterior(joint, nothing)[0], joint.x)
     assert normalised_innovation_squared(joint, nothing, np.full(6, np.nan)) == 0
+    keep = np.delete(np.arange(6), 2)
+    d = (y - joint.y)[keep]
+    nis = d @ np.linalg.solve(joint.S[np.ix_(keep, keep)], d) / 5
+    assert normalised_innovation_squared(joint, found, gone) == pytest.approx(nis, rel=0, abs=of_update(joint, y))
 
 
 def test_elimination_equals_starting_without_the_sensors_in_any_order() -> None:
@@ -81,6 +85,7 @@ def test_elimination_equals_starting_without_the_sensors_in_any_order() -> None:
     where = np.array([True, True, False])
     once = eliminate(everything, np.array([4, 1, 2]), where)
     twice = eliminate(once, np.array([0, 6, 2]), where)
+    assert not once.inverse[0, 4].any() and not once.inverse[0, :, 4].any() and once.inverse[2, 4].all()
     for i, gone in enumerate([(4, 0), (1, 6), ()]):
         used = ~np.isin(np.arange(7), gone)
         direct = statistics(Joint(*(a[i] for a in joint)), y[i], used)
@@ -113,3 +118,11 @@ def test_toy_plants_have_the_jacobians_of_their_functions() -> None:
                 [(function(x + step * e) - function(x - step * e)) / (2 * step) for e in np.eye(x.size)], axis=-1
             )
             np.testing.assert_allclose(jacobian, differences, rtol=1e-7, atol=1e-9)
+
+
+def test_a_reading_without_noise_leaves_a_positive_variance() -> None:
+    """p - p^2 / (p + r) rounds to 0 or below for r far below p eps; what is added is four times its rounding."""
+    p = np.random.default_rng(7).uniform(0.1, 10.0, (500, 1, 1))
+    joint = Joint(np.zeros((500, 1)), p, np.zeros((500, 1)), p + 1e-20, p)
+    _, after = posterior(joint, statistics(joint, np.ones((500, 1)), np.ones((500, 1), bool)))
+    assert np.all(after > 0) and np.all(after < 16 * np.finfo(float).eps * p)

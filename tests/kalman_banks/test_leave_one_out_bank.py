@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import binom
-from toy_plants import chain, readings, tanks
+from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
@@ -145,7 +145,7 @@ def test_divergence_is_flagged_and_the_rest_of_the_batch_goes_on() -> None:
     def steep(t: float, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
         return np.where(np.abs(x) > 50, 1e200, 0.9)[..., None] * np.eye(4)  # beyond 50 the covariance overflows
 
-    plant = replace(chain(4), step_jacobian=steep)
+    plant = changed(chain(4), step_jacobian=steep)
     bank = LeaveOneOutBank(plant, max_faults=1)
     t, _, y, u = readings(chain(4), 30, 3, seed=9)
     y = y.copy()

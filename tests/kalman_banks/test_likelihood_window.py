@@ -14,7 +14,7 @@ from toy_plants import chain, readings
 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.likelihood_window import LEAST_INFORMATION
+from fusion_sfdia.kalman_banks.likelihood_window import LEAST_INFORMATION, Evidence, best_onset
 
 Array = NDArray[Any]
 
@@ -206,3 +206,17 @@ def test_after_an_alarm_the_window_begins_anew() -> None:
                 assert found.threshold[first + 1 + k, r, i] == pytest.approx(threshold, rel=0, abs=allowed), (k, r, i)
                 by_window += window
     assert by_window > 50
+
+
+def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information() -> None:
+    """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
+    a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
+    b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
+    onsets = Evidence(np.zeros((2, 1, 3)), a, b, np.zeros((3, 1)))
+    found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
+    np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)
+    np.testing.assert_array_equal(found.information, [1.0, 0.0011, 1.0])
+    np.testing.assert_array_equal(found.onset[:2], [1, 1])
+    less_noise = best_onset(onsets, np.ones(3, bool), np.array([1.0, 0.5, 1.0]))  # information is in units of 1 / R
+    assert less_noise.statistic[1] == 0.0 and less_noise.statistic[2] == 25.0

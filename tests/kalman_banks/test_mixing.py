@@ -30,6 +30,7 @@ def test_mixture_in_closed_form_equals_the_printed_sum_of_inverses(missing: tupl
     close = mixing.mixture(joint, y, used, r)
     general = mixing.mixture_of_any_joint(joint, statistics(joint, y, used))
     tolerance = np.linalg.cond(p) * of_update(joint, y)  # both invert the mixture's covariance
+    np.testing.assert_array_equal(general[1], general[1].T)
     for got_x, got_p in (close, general):
         np.testing.assert_allclose(got_x, x, rtol=0, atol=tolerance)
         np.testing.assert_allclose(got_p, p, rtol=0, atol=tolerance)
@@ -67,3 +68,13 @@ def test_mixture_of_singular_covariances_stays_on_their_range() -> None:
     tolerance = ranged[-1] / ranged[0] * of_update(joint, y)
     np.testing.assert_allclose(x, literal_x, rtol=0, atol=tolerance)
     np.testing.assert_allclose(p_m, literal_p, rtol=0, atol=tolerance)
+
+
+def test_the_units_of_the_states_are_immaterial() -> None:
+    """Two states, one in units 1e-6 times those of the other: variances of 1e-12 are no missing directions."""
+    size = np.array([1.0, 1e-6])
+    x, p = np.array([[1.0, 1.0], [3.0, 2.0]]), np.stack([np.diag([1.0, 2.0]), np.diag([3.0, 2.0])])
+    # 1 / (1 + 1/3) and 1 / (1/2 + 1/2); weights 3/4 and 1/4, 1/2 and 1/2
+    found_x, found_p = mixing.mix(x * size, p * np.outer(size, size), size)
+    np.testing.assert_allclose(found_x, np.array([1.5, 1.5]) * size, rtol=1e-12)
+    np.testing.assert_allclose(found_p, np.diag([0.75, 1.0]) * np.outer(size, size), rtol=1e-12, atol=0)

@@ -126,7 +126,7 @@ def test_inputs_that_the_complex_step_cannot_differentiate(bent: Callable[[Array
 
     plain = Plant(
         "bent", (Signal("x"),), tuple(Sensor(f"s{i}", f"r{i}", sigma=0.1) for i in range(3)), partial(step, np.asarray),
-        partial(output, np.asarray), 1.0, np.full(1, 50.0), np.ones(1), np.full(1, 0.01), (Signal("u", nominal=5.0),),
+        partial(output, np.asarray), 1.0, (Signal("u", nominal=5.0),), np.full(1, 50.0), np.ones(1), np.full(1, 0.01),
     )  # fmt: skip
     changed = partial(step if within == "step" else output, bent)
     plant = replace(plain, **{within: changed})

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from chebyshev_runs import ERROR, SETTLED, STEPS, WATCHING, decisions, healthy, network, network_areas_of
+from toy_plants import changed
 
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
@@ -28,11 +27,13 @@ def partly_measured() -> Plant:
     """The power network, of whose areas 2, 7 and 13 angle and speed are read alone."""
     whole = network()
     keep = [i for i, s in enumerate(whole.sensors) if s.name not in {f"{p}_{a}" for p in ("p_m", "p_v") for a in (2, 7, 13)}]
-    return replace(
+    jacobian = whole.numerics.output_jacobian
+    assert jacobian is not None
+    return changed(
         whole,
         sensors=tuple(whole.sensors[i] for i in keep),
         output=lambda t, x, u: whole.output(t, x, u)[..., keep],
-        output_jacobian=lambda t, x, u: whole.output_jacobian(t, x, u)[keep],
+        output_jacobian=lambda t, x, u: jacobian(t, x, u)[keep],
         finer=None,
     )
 

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from chebyshev_runs import ERROR, RUNS, SETTLED, STEPS, WATCHING, decisions, healthy, network, network_areas_of, plant_of
-from toy_plants import chain, readings, tanks
+from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.evaluation.simulate import simulate
@@ -286,7 +286,7 @@ def test_settings_that_do_not_fit(settings: dict[str, object], message: str) -> 
 
 def test_areas_must_be_those_of_the_plant() -> None:
     with pytest.raises(ValueError, match="its areas 60 states and 30 inputs"):
-        Chebyshev(replace(tanks(), areas=network_areas_of(network())))
+        Chebyshev(changed(tanks(), areas=network_areas_of(network())))
     sensors = tuple(replace(s, owner="area 9") if s.name == "theta_1@2" else s for s in network().sensors)
     with pytest.raises(ValueError, match="a sensor of theta_1 is owned by 'area 9'"):
         Chebyshev(replace(network(), sensors=sensors))

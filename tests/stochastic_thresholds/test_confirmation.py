@@ -96,3 +96,13 @@ def test_three_alarms_in_a_row_may_be_likelier_than_their_bound_at_alpha_10() ->
 def test_settings_that_mean_nothing(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_the_usual_settings_on_streams_that_are_checked_by_hand() -> None:
+    """Three in a row: the least of the last three. Sums over up to eight samples: 8 / sqrt(8) at most, of ones."""
+    np.testing.assert_array_equal(run(Consecutive(2.0), [4.0, -3.0, 5.0, 1.0]), [0.0, 0.0, 3.0, 1.0])
+    np.testing.assert_allclose(run(WindowGlr(4.0), np.ones(10)), np.sqrt(np.minimum(np.arange(1, 11), 8)), rtol=1e-12)
+    np.testing.assert_array_equal(run(Cusum(5.0), [1.5, 0.0, -1.5]), [1.0, 0.5, 1.0])
+    np.testing.assert_array_equal(run(Cusum(5.0, drift=0.0), [1.0, 2.0]), [1.0, 3.0])
+    with pytest.raises(ValueError, match="z is"):
+        run(Cusum(5.0), "one")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
-from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state, predict, take
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, Prediction, initial_state, predict, take
 
 LAM = 0.3
 AREAS = network_areas(network_model())
@@ -75,3 +76,25 @@ def test_a_copy_starts_from_its_first_reading_and_an_open_tie_has_none() -> None
     second = predict(away, now, zero, zero, LAM, "corrected")
     assert np.all(second.deviation < 1.0)
     np.testing.assert_array_equal(second.deviation_shared[0] < 1.0, away.network.closed)
+
+
+def test_what_diagnosers_keep_after_readings_of_some_sensors() -> None:
+    """Estimate 1, deviation 2, error bound 3: a reading of 5 replaces the estimate, a missing one keeps it."""
+    own, shared = (np.ones(a.shape) for a in initial_state(AREAS, (1,))[:2])
+    y, y_shared = np.where(own.cumsum().reshape(own.shape) % 2, 5.0, np.nan), np.full(shared.shape, np.nan)
+    kept = take(Prediction(own, shared, 2 * own, 2 * shared, 3 * own, 3 * shared), y, y_shared)
+    read = np.isfinite(y)
+    for found, reading, missing in ((kept.held, 5, 1), (kept.doubt, 0, 3), (kept.residual, 4, 0), (kept.deviation, 2, 0)):
+        np.testing.assert_array_equal(found, np.where(read, reading, missing))
+    for found, missing in (
+        (kept.held_shared, 1),
+        (kept.doubt_shared, 3),
+        (kept.residual_shared, 0),
+        (kept.deviation_shared, 0),
+    ):
+        np.testing.assert_array_equal(found, np.full(shared.shape, missing))
+
+
+def test_an_unknown_mode_is_refused() -> None:
+    with pytest.raises(ValueError, match="mode is 'printed'; known: corrected, paper"):
+        predict(AREAS, initial_state(AREAS, ()), np.zeros(15), np.zeros(15), LAM, "printed")

@@ -12,6 +12,7 @@ from toy_plants import chain
 
 from fusion_sfdia.core.detector import Decision, State, run
 from fusion_sfdia.core.plant import Array, Plant
+from fusion_sfdia.core.plant_groups import Structure, Truth
 from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
@@ -148,12 +149,12 @@ def test_a_change_that_fails_leaves_all_as_it_was() -> None:
     kept = tuple(a.copy() for a in state)
     smaller = power_network(10, loads=())
     count = len(plant().sensors)
-    idle = {"step": lambda t, x, u, dt: x, "output": lambda t, x, u: np.repeat(x[..., :1], count, axis=-1), "operation": None}
+    idle = {"step": lambda t, x, u, dt: x, "output": lambda t, x, u: np.repeat(x[..., :1], count, axis=-1), "truth": Truth()}
     other = power_network(15 + 1, loads=())
     for wrong, message in (
         (smaller, "has other states or sensors than"),
         (other, "has other states or sensors than"),
-        (replace(plant(), areas=None), "says no areas"),
+        (replace(plant(), structure=Structure()), "states no areas"),
         (replace(plant(), inputs=plant().inputs[:-1], **idle), "30 inputs, references then loads"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -166,8 +167,9 @@ def test_a_change_that_fails_leaves_all_as_it_was() -> None:
 
 
 def test_one_diagnoser_takes_another_model() -> None:
-    slow, fast = chain(4), chain(4)
-    fast = replace(fast, step=lambda t, x, u, dt: 0.5 * x, step_jacobian=lambda t, x, u, dt: 0.5 * np.eye(4))
+    slow = chain(4)
+    numerics = replace(slow.numerics, step_jacobian=lambda t, x, u, dt: 0.5 * np.eye(4))
+    fast = replace(slow, step=lambda t, x, u, dt: 0.5 * x, numerics=numerics)
     detector = Chebyshev(slow)
     state, _ = detector.step(detector.init(), 1.0, np.ones(4), np.zeros(0))
     changed, moved = replug(detector, state, fast)

@@ -13,6 +13,7 @@ def test_rules_against_numbers_worked_by_hand() -> None:
     assert false_alarm_of("cantelli", 3.0) == 0.2
     assert false_alarm_of("cantelli-one-sided", 2.0) == pytest.approx(0.2)
     assert false_alarm_of("gaussian", 1.959963984540054) == pytest.approx(0.05)
+    assert false_alarm_of("bound", 1.0) == 0.0
     assert alpha_for("chebyshev", 0.01) == pytest.approx(10.0)
     assert alpha_for("chebyshev", 0.01, components=4) == pytest.approx(20.0)  # Bonferroni
 
@@ -72,6 +73,9 @@ def test_missing_scores_count_as_the_largest() -> None:
         (lambda: false_alarm_of("chebyshev", "2"), "alpha is '2'; expected a number"),
         (lambda: false_alarm_of("conformal", 2.0), "does not tell"),
         (lambda: false_alarm_of("markov", 2.0), "rule is 'markov'; known: chebyshev, cantelli"),
+        (lambda: false_alarm_of("chebyshev", np.inf), "must exceed 1 and be finite"),
+        (lambda: alpha_for("markov", 0.1), "rule is 'markov'; known: chebyshev, cantelli"),
+        (lambda: alpha_for("bound", 0.1), "the rule 'bound' has no false alarms"),
         (lambda: alpha_for("chebyshev", 0.0), "strictly between 0 and 1"),
         (lambda: alpha_for("chebyshev", 1.0), "strictly between 0 and 1"),
         (lambda: alpha_for("gaussian", 0.1, components=0), "has 0 components"),

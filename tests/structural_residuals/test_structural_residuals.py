@@ -20,6 +20,7 @@ from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.plant_groups import Structure
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import simulate
@@ -61,7 +62,11 @@ def test_at_rest_a_residual_is_zero_and_knows_no_reading_that_it_does_not_use(na
     plant = plant_of(name)
     residuals = usable(plant)
     detector = StructuralResiduals(plant, residuals, np.ones(len(residuals)))
-    truth = np.array([plant.modules.nominal[s.measures] for s in plant.sensors]) if plant.modules else np.empty(0)
+    truth = (
+        np.array([plant.structure.modules.nominal[s.measures] for s in plant.sensors])
+        if plant.structure.modules
+        else np.empty(0)
+    )
     u = np.tile(plant.input_at(0.0), (12, 1))
     y = np.tile(truth, (12, 1))
     # the engine's equilibrium is solved to 1e-12 or so, of which 1/0.03 is a sigma; equations magnify by less than 1e3
@@ -122,7 +127,7 @@ def gauge() -> Plant:
     plant = discretise(physics, sensors, dt=1.0, x0=np.ones(1), initial_cov=np.ones(1), process_cov=np.ones(1))
     nominal = {"level": 1.0, "flow": 1.0, "gauge": 2.0}
     modules = Modules(equations, np.zeros(1), nominal, None, ("inflow",), {v: v for v in equations}, {"level": 1.0})
-    return replace(plant, modules=modules)
+    return replace(plant, structure=Structure(modules=modules))
 
 
 def test_false_alarms_are_as_rare_as_asked_for() -> None:

@@ -37,7 +37,7 @@ def test_the_structure_of_two_tanks_by_hand() -> None:
 def test_what_is_computable_is_what_the_toolbox_computes_in_the_equations_own_direction(name: str) -> None:
     """Each equation matched to its own variable, one after the other, states by integration: by the toolbox's matching."""
     plant = plant_of(name)
-    model, modules = structural_model(plant), plant.modules
+    model, modules = structural_model(plant), plant.structure.modules
     assert modules is not None
     variables, count, n = tuple(modules.equations), len(modules.equations), len(plant.sensors)
     own = {v: k for k, v in enumerate(variables)}

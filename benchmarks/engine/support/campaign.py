@@ -94,9 +94,10 @@ def default_envelope(level: float) -> float:
 def engine_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0) -> AdaptiveThreshold:
     """A named detector at a noise level, with the gains of a design times a factor."""
     plant = engine(level, design)
-    if plant.modules is not None:
-        gains = {state: factor * gain for state, gain in plant.modules.gains.items()}
-        plant = replace(plant, modules=replace(plant.modules, gains=gains))
+    if plant.structure.modules is not None:
+        gains = {state: factor * gain for state, gain in plant.structure.modules.gains.items()}
+        modules = replace(plant.structure.modules, gains=gains)
+        plant = replace(plant, structure=replace(plant.structure, modules=modules))
     return replace(adaptive_threshold(plant, name.partition(":")[2]), envelope=default_envelope(level))
 
 
@@ -111,8 +112,8 @@ def moving_detector(name: str, level: float, duration: float, at: float) -> Adap
     for i, sensor in enumerate(plant.sensors):
         room = 2 * sensor.noise_bound
         envelope[sensor.measures] = float(low[i] - room), float(high[i] + room)
-        if plant.modules is not None and sensor.measures in plant.modules.states:
-            drift[sensor.measures] = ROOM * float(most[i]) / plant.modules.nominal[sensor.measures]
+        if plant.structure.modules is not None and sensor.measures in plant.structure.modules.states:
+            drift[sensor.measures] = ROOM * float(most[i]) / plant.structure.modules.nominal[sensor.measures]
     return replace(adaptive_threshold(plant, name.partition(":")[2]), envelope=envelope, drift=drift)
 
 

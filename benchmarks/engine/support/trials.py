@@ -45,12 +45,12 @@ MOST_NOISE = 0.12  # of the nominal values: the envelope is twice as wide and mu
 def engine(noise: float, design: str) -> Plant:
     """The engine at full load with readings of that noise and modules as designed in K24 or K22."""
     plant = marine_engine(noise=noise)
-    assert plant.modules is not None
+    assert plant.structure.modules is not None
     gains, bounds = DESIGNS[design]
-    modules = replace(plant.modules, gains=gains, observer_bounds=bounds)
+    modules = replace(plant.structure.modules, gains=gains, observer_bounds=bounds)
     if design == AT_NOMINAL_SPEED:
         modules = replace(modules, equations=dict(modules.equations) | NOMINAL_SPEED, monitor=None)
-    return replace(plant, modules=modules)
+    return replace(plant, structure=replace(plant.structure, modules=modules))
 
 
 @cache

@@ -214,7 +214,7 @@ def test_who_is_accused_of_a_process_fault_is_told() -> None:
 def test_gains_are_those_of_the_designs() -> None:
     task = {"detector": VALID, "level": 0.05, "onset": 0.3, "duration": 0.5, "seeds": [0], "gains": "K22"}
     found = engine_sensitivity.sensitivity_work(task)
-    gains = engine_detector(VALID, 0.05, "K22").plant.modules.gains
+    gains = engine_detector(VALID, 0.05, "K22").plant.structure.modules.gains
     assert gains == {"fuel": 1.16, "p_receiver": 445.0, "p_charge": 319.98}
     assert found["detected"].shape == (3, engine_sensitivity.SIZES.size, 1) and not found["beyond"].any()
     assert found["detected"][:, -1].all()  # 5 noise bounds

@@ -129,7 +129,7 @@ def test_the_smallest_fault_is_the_slack_where_a_module_does_not_read_its_own_se
     decision = run(detector, detector.init((2,)), healthy.t, healthy.y, u)[1]
     late = healthy.t >= minimum.ONSET
     algebraic = [NAMES.index(m) for m in ("M(2,1)", "M(2,2)", "M(3,2)", "M(3,3)", "M(4,3)")]
-    nominal = np.array([detector.plant.modules.nominal[s.measures] for s in detector.plant.sensors])  # type: ignore[union-attr]
+    nominal = np.array([detector.plant.structure.modules.nominal[s.measures] for s in detector.plant.sensors])  # type: ignore[union-attr]
     slack = smallest_detectable(decision.residual[late], -decision.threshold[late], decision.threshold[late]) / nominal
     found = minimum.smallest(detector, healthy.t, healthy.y, u=healthy.u)
     resolution = minimum.LARGEST / 2**minimum.HALVINGS

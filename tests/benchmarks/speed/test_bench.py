@@ -67,7 +67,7 @@ def test_the_two_sources_of_lorenz_96_are_one_equation() -> None:
 
 @pytest.mark.skipif(find_spec("codac") is None, reason="codac is not installed: pip install 'fusion-sfdia[codac]'")
 def test_codac_bounds_what_healthy_readings_leave_to_the_engine() -> None:
-    modules, sensors = bench_engine.detector().plant.modules, bench_engine.detector().plant.sensors
+    modules, sensors = bench_engine.detector().plant.structure.modules, bench_engine.detector().plant.sensors
     run, rng = truth(1.0), np.random.default_rng(0)
     within = run.signal[0] + rng.uniform(-1, 1, (50, 10)) * [s.noise_bound for s in sensors]
     values = {s.measures: v for s, v in zip(sensors, within.T, strict=True)} | {"fuel_setting": run.u[0, 0]}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -58,17 +56,6 @@ def test_errors_are_as_stated() -> None:
     expected, _ = fit_natural_gas.gerg_2008(p, T)
     for name, value in fit_natural_gas.properties(p, T).items():
         assert np.max(np.abs(value / expected[name] - 1)) < OPERATION[name], name
-
-
-def test_fit_regenerates_the_stored_gas(random_states: tuple[Array, Array]) -> None:
-    pytest.importorskip("pyaga8")
-    p, T = random_states
-    z, cp0, gas_constant = fit_natural_gas.fit()
-    again = natural_gas()._replace(gas_constant=gas_constant, z=z, cp0=cp0)
-    # twelve digits are stored; the coefficients of up to 1700 cancel to about 1, and bases differ in rounding
-    for fitted, stored in zip(gas(p, T, again), gas(p, T, natural_gas()), strict=True):
-        np.testing.assert_allclose(fitted, stored, rtol=1e-7)
-    assert gas_constant == pytest.approx(GAS_CONSTANT, rel=1e-11)
 
 
 def test_coolprop_agrees() -> None:
@@ -136,23 +123,3 @@ def test_thin_gas_is_ideal() -> None:
     z, alpha_1, alpha_2, cp = gas(1e-9 * PRESSURE_SCALE, 300.0, natural_gas())
     assert np.array([z, alpha_1, alpha_2]) == pytest.approx(np.ones(3), abs=2e-9)  # off by B p, B about -0.18/1e7 Pa
     assert cp == pytest.approx(CP0[0], rel=1e-8)
-
-
-@pytest.fixture
-def without_pyaga8(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(sys.modules, "pyaga8", None)
-    yield
-
-
-@pytest.mark.usefixtures("without_pyaga8")
-def test_missing_extra_is_named() -> None:
-    with pytest.raises(ModuleNotFoundError, match=r"fusion-sfdia\[gas\]"):
-        fit_natural_gas.fit()
-
-
-def test_script_prints_coefficients_and_errors(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("pyaga8")
-    fit_natural_gas.main()
-    printed = capsys.readouterr().out
-    assert f"GAS_CONSTANT = {GAS_CONSTANT:.12g}" in printed
-    assert all(name in printed for name in BOX)

@@ -75,8 +75,8 @@ def test_the_inflow_swings_when_asked_and_the_levels_follow_late() -> None:
 
 def test_the_truth_differs_from_the_model_by_less_than_the_noise_and_rests_where_it_is_said_to() -> None:
     plant = two_tanks()
-    assert plant.finer is not None
-    truth, to_states = plant.finer()
+    assert plant.truth.finer is not None
+    truth, to_states = plant.truth.finer()
     rested = truth.step(0.0, truth.x0, plant.input_at(0.0), plant.dt)
     np.testing.assert_allclose(rested, truth.x0, rtol=8 * EPS)
     np.testing.assert_array_equal(to_states(rested), rested)
