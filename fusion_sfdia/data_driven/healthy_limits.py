@@ -46,11 +46,11 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
 def healthy_readings(plant: Plant, healthy: Any) -> Array:
     """Return healthy readings as (K, B, N), absurd ones as NaN.
 
-    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, an array or list: these detectors use no more of it.
+    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, as an array: these detectors use no more of it.
     ValueError for other shapes, infinities, and sensors without a reading in every other sample. A sensor that never moves is
     accepted: a quantised reading at rest is healthy, too. See `noise_floor`.
     """
-    y = floats("y", healthy if isinstance(healthy, np.ndarray | list) else as_log(plant, healthy).y)
+    y = floats("y", healthy if isinstance(healthy, np.ndarray) else as_log(plant, healthy).y)
     count = len(plant.sensors)
     if y.ndim < 2 or y.shape[-1] != count or y.shape[0] < 4 or not y.size:
         raise ValueError(f"y has shape {y.shape}; expected healthy readings (K, ..., {count}) of at least 4 times")
