@@ -20,18 +20,18 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class EwmaLimits(BatchDetector):
-    """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, to add up what is
-    small and lasts, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
+    """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, for small faults
+    that last, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
 
         z_n = (1 - weight) z_(n-1) + weight e_n    z_0 = 0    |z_n| <= average sqrt(1 - (1 - weight)^(2n))
 
     n counts the readings of the sensor; missing ones leave z as it was. The last factor is the growth of the deviation of z
-    when noise is white; of levels that move slowly it is on the safe side. A level beyond its limit enters the average as that
+    when noise is white; for levels that move slowly it is conservative. A level beyond its limit enters the average as that
     limit: its own check finds it, and the average forgets it as soon as it is over.
 
     centre, level, change, average: (N,) in sensor units. The residual is that of the check with the largest ratio to its limit,
-    with its sign. Every sensor beyond a limit is named. measured: the last reading that was not, at first the centre, in place
-    of missing and violating ones. fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
+    with its sign. Every sensor beyond a limit is isolated. measured: the last reading that was not, at first the centre, in
+    place of missing and violating ones. fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
     """
 
     centre: Array

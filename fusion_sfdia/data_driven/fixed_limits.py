@@ -1,4 +1,4 @@
-"""Detector: fixed limits on readings and their rates of change, learnt from healthy data: what plants have without a model."""
+"""Detector: fixed limits of readings and of their changes, learnt from healthy data: the usual one without a model."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class FixedLimits(BatchDetector):
     """Two checks of each sensor, with the limits of `fit`: its level |y - centre|, and its change |y - y_before| from one
     reading to the next, whatever the time between them (not checked after a missing reading).
 
-    centre, level, change: (N,) in sensor units. The residual is that of the check with the larger ratio to its limit, with
-    its sign. Every sensor beyond a limit is named, in that step: a fault that stays within the level limit shows by its
-    onset and its end alone. measured: the last good reading, at first the centre, in place of missing and violating ones.
-    fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
+    centre, level, change: (N,) in sensor units. The residual is that of the check with the larger ratio to its limit, with its
+    sign. Every sensor beyond a limit is isolated, in that step: a fault that stays within the level limit is found at its onset
+    and its end alone. measured: the last good reading, at first the centre, in place of missing and violating ones. fault_size:
+    reading less measured. No state is estimated: estimate is the plant's x0.
 
-    Limits do not know the operating point: they hold all healthy readings of an operation that moves, and hide every fault
-    smaller than that movement.
+    Limits do not depend on the operating point: they contain all healthy readings of an operation that moves, and hide
+    every fault smaller than that movement.
     """
 
     centre: Array
@@ -51,8 +51,8 @@ class FixedLimits(BatchDetector):
         """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
 
         The centre is the mean. A limit is a unit of the sensor and the check times a common factor. Of every other sample in
-        time: the largest deviation is the unit; of a sensor that never moved there, that of as many readings with the noise
-        it declares (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
+        time: the largest deviation is the unit; of a sensor that never moved there, that of as many readings with its stated
+        noise (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
         statistic, at that rate, of the largest deviation of all sensors and both checks in their units. So 2 / false_alarm
         samples set limits, however many sensors there are. ValueError where the data are fewer, or a sensor was never read.
         """

@@ -1,4 +1,4 @@
-"""What detectors that learn from healthy readings share: checked data, limits at a rate, a Decision without an estimate."""
+"""Shared by detectors that learn from healthy readings: checked data, limits at a rate, a Decision without an estimate."""
 
 from __future__ import annotations
 
@@ -71,9 +71,9 @@ def stuck(y: Array) -> Array:
 
 
 def noise_floor(plant: Plant, y: Array, declared: Array) -> Array:
-    """What stands for the spread (N,) of sensors that never moved in training: as declared, at least their resolution.
+    """The assumed spread (N,) of sensors that never moved in training: as declared, at least their resolution.
 
-    declared: (N,), of the noise that the sensors state. The resolution is the smallest step between readings y (K, B, N).
+    declared: (N,), of the stated noise of the sensors. The resolution is the smallest step between readings y (K, B, N).
     """
     step = np.abs(np.diff(y, axis=0))
     resolution = np.min(np.where(step > 0, step, np.inf), axis=(0, 1))

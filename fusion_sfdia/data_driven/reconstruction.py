@@ -1,4 +1,4 @@
-"""What detectors share that judge whole windows by one statistic and isolate by reconstruction of single sensors."""
+"""Shared by detectors that test whole windows by one statistic and isolate by reconstruction of single sensors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ReconstructionDetector(BatchDetector):
     """A detector with a statistic of windows of present and lagged readings; an alarm is an `excess` above 1.
 
     After an alarm the sensors of the largest contribution are reconstructed one by one, at most max_faults, until the statistic
-    is within its limit: then these are isolated, and none where that does not come about. All readings of a sensor in the
+    is within its limit: then these are isolated; none is where it stays beyond. All readings of a sensor in the
     window are reconstructed, so that with lags it stays isolated until a fault that is over has left the window. fault_size:
     reading less its reconstruction. measured: isolated and missing readings reconstructed. residual: each reading less its
     reconstruction from all other sensors. threshold: so that the largest ratio is the excess and the others are to it as the
@@ -54,10 +54,10 @@ class ReconstructionDetector(BatchDetector):
         excess, known = self.excess(found) / self.threshold_scale, np.isfinite(window[..., 0])
         isolated = self._isolate(window, excess > 1, found.contribution)
         measured = self.model.present(found.x)
-        named = isolated.any(axis=-1)
-        if named.any():
-            trusted = np.where(isolated[named][..., None], np.nan, window[named])
-            measured[named] = self.model.present(self.model.reconstruct(trusted).x)
+        some = isolated.any(axis=-1)
+        if some.any():
+            trusted = np.where(isolated[some][..., None], np.nan, window[some])
+            measured[some] = self.model.present(self.model.reconstruct(trusted).x)
         flat = y.reshape(-1, y.shape[-1])
         measured = np.where(known & ~isolated, flat, measured)
         residual = np.where(known, found.error * self.model.scale, np.nan)
