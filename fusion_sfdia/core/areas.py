@@ -1,4 +1,4 @@
-"""Linear areas that share their first states: what the diagnosers of a network know, each of its own area and its border.
+"""Linear areas that share their first states: what each diagnoser of a network knows, its own area and its border.
 
 x_i+ = F_i x_i + b_i u_i + g_i (sum_j P_ij z_j - d_i) + w_i, z the first state, read by its area and by all its neighbours
 (Boem et al. 2018, sec. II; the equations of the diagnosers: consensus_equations).
@@ -23,7 +23,7 @@ class Areas:
     """N areas of n states each, joined at 2E sides of ties, in the layout of network.py.
 
     network: its plugged-in areas and closed ties. states: the names of each area's states (N tuples of n). owners: the
-    name by which a sensor says that the area owns it (N). matrices: (N, n, n + 2) rows [F_i, b_i, g_i]. slope: (2E,) P_ij, 0
+    name of each area as the owner of sensors (N). matrices: (N, n, n + 2) rows [F_i, b_i, g_i]. slope: (2E,) P_ij, 0
     at open ties. shared_gain: (2E,) what the area at a side takes for F_j[0, 0] of its neighbour.
     process_variance: (N, n) of w over a step. noise: (N, n) variances of the areas' own readings; shared_noise: (2E,) of
     what each reads of its neighbour's z.

@@ -1,4 +1,4 @@
-"""Arguments of callers: taken as they come where they can mean one thing only, refused by name where not."""
+"""Arguments of callers: converted where their meaning is unambiguous, otherwise refused with the argument's name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = NDArray[Any]
 
 
 def shown(value: object) -> str:
-    """The value as an error shows it, on one line and not longer than a line takes."""
+    """The value as an error shows it, on one line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -47,7 +47,7 @@ def probability(what: str, value: object) -> float:
 def floats(what: str, value: Any) -> Array:
     """Return an array, or nested lists of numbers, as an array of floats, None and what is masked as NaN.
 
-    ValueError for text, complex numbers, dates, whose numbers are nanoseconds or the like, and rows of unlike length.
+    ValueError for text, complex numbers, dates, whose numbers are nanoseconds or similar units, and rows of different lengths.
     """
     if type(value) is np.ndarray and value.dtype == np.float64:
         return value
@@ -80,7 +80,7 @@ def batch_shape(batch: object) -> tuple[int, ...]:
 
 
 def require_unique(what: str, names: Sequence[str]) -> None:
-    """Raise ValueError where a name stands twice."""
+    """Raise ValueError where a name occurs twice."""
     twice = sorted(n for n, count in Counter(names).items() if count > 1)
     if twice:
         raise ValueError(f"{what}: the names {', '.join(twice)} stand more than once; names must differ")

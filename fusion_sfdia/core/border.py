@@ -1,4 +1,4 @@
-"""Numbers that cannot be readings or inputs: taken as missing, or replaced, before any detector uses them."""
+"""Readings and inputs of impossible magnitude: taken as missing, or replaced, before any detector uses them."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ EPS = float(np.finfo(float).eps)
 
 
 def terms(plant: Plant) -> int:
-    """N + n: of how many terms the sums of an update are."""
+    """N + n, the number of terms in the sums of an update."""
     return len(plant.sensors) + len(plant.states)
 
 
 def largest_readings(plant: Plant) -> Array:
     """The largest magnitude of a reading of each sensor (N,), in its unit: sigma / ((N + n) eps).
 
-    An update takes sums over N readings and n states; one of size |y| rounds them by up to (N + n) eps |y|. Where that exceeds
-    the noise sigma it spoils what all other sensors say. No instrument comes near: its noise would be less than the last digits
-    of what it reads.
+    An update sums over N readings and n states; a term of size |y| rounds the sum by up to (N + n) eps |y|. Where that exceeds
+    the noise sigma, the information of all other sensors is lost. No instrument comes near: its noise would be below the last
+    digits of its reading.
     """
     return plant.sensor_sigma / (terms(plant) * EPS)
 
 
 def possible(plant: Plant, y: Array) -> Array:
-    """Return the readings y (..., N) with NaN in place of the absurd ones, those beyond `largest_readings`."""
-    absurd = np.abs(y) > largest_readings(plant)  # not so where NaN
+    """Return the readings y (..., N) with NaN for the absurd ones, whose magnitude exceeds `largest_readings`."""
+    absurd = np.abs(y) > largest_readings(plant)  # False where NaN
     return np.where(absurd, np.nan, y) if absurd.any() else y
 
 
 class InputLimits:
-    """What the inputs of a plant can be.
+    """The range of the inputs of a plant.
 
-    An input is suspect outside the limits of its signal, beyond which the model is not said to hold, and where none are
-    declared, beyond 1 / ((N + n) eps) times its nominal value or, if that is 0, its unit. A suspect one is absurd where, with
-    the usual values of the other inputs, a step takes the model from x0 out of the limits of its states, or to no number, or
-    to where a state or reading cannot resolve its own scale (see `largest_readings`). An input must be known to go on: the
-    plant's usual one at that time stands for an absurd one.
+    An input is suspect outside the limits of its signal, where the model is not stated to hold. Without stated limits it is
+    suspect beyond 1 / ((N + n) eps) times its nominal value or, if that is 0, its unit. A suspect input is absurd if, with the
+    usual values of the other inputs, a step takes the model from x0 out of the limits of its states, to a value that is not
+    finite, or to a state or reading that cannot resolve its own scale (see `largest_readings`). A step needs an input, so the
+    plant's usual input at that time replaces an absurd one.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -52,7 +52,7 @@ class InputLimits:
         self.low, self.high = np.where(np.isinf(low), -far, low), np.where(np.isinf(high), far, high)
 
     def applied(self, t: float, dt: float, u: Array) -> Array:
-        """Return the inputs u (..., m) over [t, t + dt] with the usual ones in place of the absurd ones."""
+        """Return the inputs u (..., m) over [t, t + dt] with the usual inputs in place of the absurd ones."""
         suspect = (u < self.low) | (u > self.high)
         if not suspect.any():
             return u

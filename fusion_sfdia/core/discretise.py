@@ -1,4 +1,4 @@
-"""From continuous physics to a discretised plant: algebraic variables, Runge-Kutta 4, exponential midpoint."""
+"""Discretised plants from continuous physics: algebraic variables, Runge-Kutta 4 and the exponential midpoint rule."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def runge_kutta_4(slope: Callable[[float, Array], Array], t: float, x: Array, dt
 
 
 def exponential_midpoint(slope: Callable[[float, Array], Array], t: float, x: Array, dt: float, decay: Array) -> Array:
-    """One step of x' = -a x + h by x+ = e^(-a dt) x + (1 - e^(-a dt)) / a h_mid, h_mid at half a step of h held.
+    """One step of x' = -a x + h by x+ = e^(-a dt) x + (1 - e^(-a dt)) / a h_mid; h_mid is h after half a step with h held.
 
-    decay: a (n,) in 1/s, all positive. Of second order, exact for constant h however stiff a is (Hochbruck and Ostermann
-    2010, sec. 2.2). With h at the beginning for h_mid it is exponential Euler (ETD1), of first order.
+    decay: a (n,) in 1/s, all positive. The rule is of second order, and exact for constant h however stiff a is (Hochbruck and
+    Ostermann 2010, sec. 2.2). With h at the beginning in place of h_mid it is exponential Euler (ETD1), of first order.
     """
     middle = x - np.expm1(-decay * dt / 2) / decay * slope(t, x)
     h = slope(t + dt / 2, middle) + decay * middle
@@ -50,10 +50,10 @@ def exponential_midpoint(slope: Callable[[float, Array], Array], t: float, x: Ar
 def solve_algebraic(physics: Physics, t: float, x: Array, u: Array) -> Array:
     """Return z (..., k) with z = phi(t, x, z, u, c), by fixed-point sweeps from the nominal values.
 
-    A variable has settled when a sweep changes it by at most 1e-13 of its value or its nominal value, whichever is larger:
-    one that is zero by cancellation never settles relative to itself. Real and imaginary parts must both have settled, or
-    a Jacobian by the complex step would be that of a sweep and not of the solution. Raises ArithmeticError naming the
-    variables that do not settle.
+    A variable has settled when a sweep changes it by at most 1e-13 of its value or its nominal value, whichever is larger: a
+    variable that is zero by cancellation never settles relative to itself. Real and imaginary parts must both have settled:
+    otherwise a Jacobian by the complex step would be that of a sweep, not of the solution. Raises ArithmeticError with the
+    names of the variables that do not settle.
     """
     nominal = np.array([s.nominal for s in physics.algebraic], dtype=float)
     scale = np.maximum(np.abs(nominal), 1e-300)
@@ -79,7 +79,7 @@ def solve_algebraic(physics: Physics, t: float, x: Array, u: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Integrated:
-    """The functions of a plant that integrates physics; picks: (N,) of the states and algebraic variables."""
+    """The functions of a plant that integrates physics; picks (N,): positions among the states and algebraic variables."""
 
     physics: Physics
     picks: Array
@@ -104,7 +104,7 @@ class _Integrated:
 
 
 def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
-    """Raise ValueError unless f and phi give one number for each state and algebraic variable, which RK4 would broadcast."""
+    """Raise ValueError unless f and phi give one number for each state and algebraic variable: RK4 would broadcast others."""
     x = np.broadcast_to(x0, (2, 1, x0.size)).copy()
     z = np.broadcast_to([s.nominal for s in physics.algebraic], (2, 1, len(physics.algebraic))).astype(float)
     for what, like, kind in (("phi", z, "algebraic variable"), ("f", x, "state")):
@@ -115,7 +115,7 @@ def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
             with np.errstate(all="ignore"):
                 found = np.shape(function(0.0, x, z, u[None], physics.parameters))
         except ArithmeticError:
-            continue  # no number at x0: for the runs to say
+            continue  # fails at x0: left to the runs
         fits = found[-1:] == like.shape[-1:] and len(found) <= 3 and np.broadcast_shapes(found, like.shape) == like.shape
         if not fits:
             raise ValueError(
@@ -127,10 +127,11 @@ def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
 def largest_step(model: _Integrated, dt: float, x0: Array, scale: Array, u: Array) -> float:
     """Largest step (s) for which a step's noise is that of the process: max(dt, 0.1 / |D^-1 A D|), A = df/dx at x0.
 
-    A step adds Q dt' to the covariance, the physics the integral of exp(A s) Q exp(A' s) over it. To first order they differ
-    by (A Q + Q A') dt'^2 / 2, at most |D^-1 A D| dt' of Q in units D = diag(scale) of the states: with 0.1, a tenth of the
-    variance, a twentieth of sigma. There a substep of Runge-Kutta 4 errs by 0.1^5 / 120 of a deviation, far within its
-    stability (2.78). inf for a pure integrator, of which the noise is exact; dt itself is taken as chosen.
+    A step dt' adds Q dt' to the covariance; the physics adds the integral of exp(A s) Q exp(A' s) over the step. To first order
+    they differ by (A Q + Q A') dt'^2 / 2, at most |D^-1 A D| dt' of Q in units D = diag(scale) of the states. With 0.1 that is
+    a tenth of the variance, a twentieth of sigma. The error of a substep of Runge-Kutta 4 is then 0.1^5 / 120 of a deviation,
+    far within its stability (2.78). The result is inf for a pure integrator, whose noise is exact. A dt that the user chose is
+    always admitted.
     """
     with np.errstate(all="ignore"):
         try:
@@ -157,7 +158,7 @@ def discretise(
     decay: Array | None = None,
     max_dt: float | None = None,
 ) -> Plant:
-    """Return the plant that integrates physics by RK4 with inputs held, each sensor reading a state or algebraic variable.
+    """Return the plant that integrates physics by RK4 with held inputs; each sensor reads a state or an algebraic variable.
 
     x0 (n,), covariances (n,) or (n, n) in SI, by default from the signals of the states as in `Plant`; dt in seconds, divided
     into `substeps`. decay: rates a (n,) of states that follow x' = -a x + h, in 1/s; with them the plant is integrated by the

@@ -26,7 +26,7 @@ COMPLEX_STEP = 1e-30  # no subtraction takes place, so any size free of underflo
 def equation(function: F) -> F:
     """Mark a scalar function as an equation: Python for arrays and complex numbers, compiled inside compiled callers.
 
-    There it is always inlined, without which no loop over it is turned into vector instructions.
+    There it is always inlined; otherwise loops over it would not become vector instructions.
     """
     return register_jitable(forceinline=True)(function)  # type: ignore[no-any-return]
 
@@ -59,7 +59,7 @@ def complex_step_jacobian(function: Callable[[Array], Array], x: Array) -> Array
 def complex_step_holds(function: Callable[[Array], Array], x: Array, scale: Array) -> bool:
     """Whether the complex step agrees with central differences along one direction at each of the points x (B, n).
 
-    Not so for abs, sign, interp and whatever else drops the imaginary part or does not take complex numbers. With
+    It does not for abs, sign, interp and other functions that drop the imaginary part or reject complex numbers. With
     D(h) = (f(x + h d) - f(x - h d)) / 2h, the error of D(h/2) is (D(h/2) - D(h)) / 3 to leading order (Richardson) and
     rounding, of f and of x, over h; ten times their sum is allowed, so that a kink between the points passes. scale (n,) is
     the size of a change that matters, of which h = eps^(1/5) balances both. Values that are not finite do not count.
@@ -73,7 +73,7 @@ def complex_step_holds(function: Callable[[Array], Array], x: Array, scale: Arra
             with warnings.catch_warnings():
                 warnings.simplefilter("error", np.exceptions.ComplexWarning)
                 exact = np.imag(function(x + 1j * COMPLEX_STEP * direction)) / COMPLEX_STEP
-        except Exception:  # whatever a function that takes real numbers raises of complex ones
+        except Exception:  # any error that a function of real numbers raises for complex ones
             return False
         wide, narrow = (ahead - behind) / (2 * h), (half_ahead - half_behind) / h
         steepness = np.max(np.abs(x / direction), axis=-1, keepdims=True)  # of f in x, where f changes by `narrow` over d

@@ -23,7 +23,7 @@ CURES = {
 
 
 def explained(error: BaseException) -> str:
-    """Return an error in words: of a file, what it was about, what went wrong and the cure."""
+    """Return an error as text: the purpose of the file, what failed and the cure."""
     if isinstance(error, MemoryError):
         return f"the memory is too small ({error}); ask for fewer steps, seeds or workers, or cut the log"
     if isinstance(error, OverflowError):
@@ -35,15 +35,15 @@ def explained(error: BaseException) -> str:
 
 @contextmanager
 def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
-    """Open a file that takes its name only when the block ends well; otherwise nothing is left behind, new folders neither.
+    """Open a file that takes its name only when the block ends without an error; otherwise no file or new folder remains.
 
-    A file that is there is replaced, its mode kept, behind a link too. A device, a pipe or a stream of this process
-    (/dev/stdout) is written to as it is. An OSError names the file, also where it is of its folder or of the disk.
+    An existing file is replaced and keeps its mode, also behind a link. A device, a pipe or a stream of this process
+    (/dev/stdout) is written to directly. An OSError names the file, also where the folder or the disk caused it.
     """
     try:
         with _through(path, mode) if _is_stream(path) else _temporary(path, mode) as file:
             yield file
-    except FileExistsError as error:  # from mkdir: something on the way is a file
+    except FileExistsError as error:  # from mkdir: a part of the path is a file
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path)) from error
     except OSError as error:
         if error.errno is None:
@@ -53,7 +53,7 @@ def atomic_write(path: Path, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]
 
 @contextmanager
 def made_folder(folder: Path) -> Iterator[None]:
-    """Make a folder and those above it; what is new and still empty when the block ends is taken away again."""
+    """Make a folder and its parents; those that are new and still empty at the end of the block are removed."""
     new = [p for p in (folder, *folder.parents) if not p.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -80,7 +80,7 @@ def _temporary(path: Path, mode: Literal["w", "wb"]) -> Iterator[IO[Any]]:
             raise
 
 
-STREAMS = {Path("/dev/stdout"): 1, Path("/dev/stderr"): 2}  # may stand for a file, in which others write, too
+STREAMS = {Path("/dev/stdout"): 1, Path("/dev/stderr"): 2}  # may be a file to which other processes write
 
 
 def _is_stream(path: Path) -> bool:
@@ -116,9 +116,9 @@ def require_free(out: Path, *, force: bool = False) -> None:
 
 @contextmanager
 def all_or_none(out: Path) -> Iterator[Path]:
-    """Give a folder whose files move into `out` when the block ends well; otherwise `out` stays as it was, or absent.
+    """Yield a folder whose files move into `out` when the block ends without an error; otherwise `out` does not change.
 
-    Files of the same names are replaced, one at a time; where one cannot be, those before are put back. Others stay.
+    Files of the same names are replaced, one at a time; if one fails, those before are restored. Others stay.
     """
     near = next(p for p in (out, *out.parents) if p.exists())  # on the same disk
     with tempfile.TemporaryDirectory(dir=near, prefix=".fusion-sfdia.") as temporary:
@@ -127,7 +127,7 @@ def all_or_none(out: Path) -> Iterator[Path]:
         try:
             yield new
         except OSError as error:
-            if error.filename and Path(error.filename).is_relative_to(new):  # the reader knows no temporary folder
+            if error.filename and Path(error.filename).is_relative_to(new):  # the temporary folder means nothing to the user
                 raise OSError(error.errno, error.strerror, str(out / Path(error.filename).relative_to(new))) from error
             raise
         names = [p.relative_to(new) for p in sorted(new.rglob("*")) if p.is_file()]

@@ -1,4 +1,4 @@
-"""Plants that are matrices: steps and outputs of a linear model, what is constant of others, and an exact hold of inputs."""
+"""Linear plants: steps and outputs by matrices, constant Jacobians, and an exact zero-order hold of inputs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 
 def picked(picks: Array, t: float, x: Array, u: Array) -> Array:
-    """The states x (..., n) at picks (N,): the output of sensors that read states."""
+    """The output of sensors that read states: x (..., n) at the positions picks (N,)."""
     return x[..., picks]
 
 
@@ -53,11 +53,12 @@ def linear_plant(
     states: Sequence[Signal] | None = None,
     inputs: Sequence[Signal] = (),
 ) -> Plant:
-    """Return the plant x+ = F x + G u + c, y = H x + D u + d, its dt fixed; what is not given of G, c, D, d is 0.
+    """Return the plant x+ = F x + G u + c, y = H x + D u + d with a fixed dt (s); G, c, D and d are 0 by default.
 
-    transition F (n, n), input_matrix G (n, m), offset c (n,); readout H (N, n), feedthrough D (N, m), output_offset d (N,): of
-    a model linearised about an operating point (x*, u*), c = f(x*, u*) - F x* - G u* and d likewise. D acts on the input that
-    acted until the reading. ValueError for shapes that do not fit and entries that are not finite.
+    transition F (n, n), input_matrix G (n, m), offset c (n,); readout H (N, n), feedthrough D (N, m), output_offset d (N,). For
+    a model linearised about an operating point (x*, u*), c = f(x*, u*) - F x* - G u*, and d likewise. D multiplies the input
+    that acted until the reading. x0 and the covariances are by default those of the signals of the states, as in `Plant`.
+    Raises ValueError for shapes that do not fit and entries that are not finite.
     """
     f, h = floats("transition", transition), floats("readout", readout)
     n = f.shape[0] if f.ndim else 0
@@ -96,9 +97,9 @@ def linear_plant(
 
 
 def zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
-    """Return F = exp(A dt) and G = integral of exp(A s) B over a step: dx/dt = A x + B u with u held, exactly.
+    """Return F = exp(A dt) and G = integral of exp(A s) B over a step: the exact step of dx/dt = A x + B u with u held.
 
-    A (n, n), B (n, m); ValueError for other shapes or a dt that is not positive and finite.
+    A (n, n), B (n, m), dt in s; ValueError for other shapes or a dt that is not positive and finite.
     """
     if np.ndim(a) != 2 or np.ndim(b) != 2 or not a.shape[0] == a.shape[1] == b.shape[0]:
         raise ValueError(f"A {np.shape(a)} and B {np.shape(b)} do not fit; expected (n, n) and (n, m)")

@@ -1,6 +1,6 @@
 """The structure of a network: named nodes, the links between them, and which nodes are plugged in.
 
-All nodes and links that a network will ever have are declared once, so that arrays keep their shapes for life (Boem 2018,
+All nodes and links that a network will ever have are declared once, so that arrays never change their shapes (Boem 2018,
 sec. II); a link is closed while both its ends are plugged in. Each link has two sides, one at each end; sides are stored node
 after node, and at each node by neighbour (compressed sparse rows).
 """
@@ -25,7 +25,7 @@ MOST_SHOWN = 20  # names in an error
 class Topology:
     """N named nodes and E undirected links between them, (E, 2) positions of their two ends.
 
-    ValueError for names that stand twice, ends that are no nodes, a link from a node to itself, two links between the same
+    ValueError for names that occur twice, ends that are not nodes, a link from a node to itself, two links between the same
     nodes, or a node without any link.
     """
 
@@ -57,7 +57,7 @@ class Topology:
         pairs = list(links)
         unknown = sorted({end for pair in pairs for end in pair if end not in at})
         if unknown:
-            raise ValueError(f"links end at unknown nodes {', '.join(unknown[:MOST_SHOWN])}; known: {listed(names)}")
+            raise ValueError(f"links end at unknown nodes {', '.join(unknown[:MOST_SHOWN])}; known: {_listed(names)}")
         return cls(tuple(names), np.array([(at[a], at[b]) for a, b in pairs], dtype=np.int64).reshape(-1, 2))
 
     @cached_property
@@ -67,12 +67,12 @@ class Topology:
     def index(self, name: str) -> int:
         """Position of a node; ValueError for an unknown name."""
         if name not in self._positions:
-            raise ValueError(f"unknown node {name!r}; known: {listed(self.names)}")
+            raise ValueError(f"unknown node {name!r}; known: {_listed(self.names)}")
         return self._positions[name]
 
     def shown(self, nodes: Array) -> str:
         """The names of nodes, given by their positions, for an error."""
-        return listed([self.names[i] for i in nodes])
+        return _listed([self.names[i] for i in nodes])
 
     @cached_property
     def _order(self) -> Array:
@@ -114,7 +114,7 @@ class Topology:
 
 
 class Change(NamedTuple):
-    """What becomes of a network when nodes join or leave it: only this.
+    """All that changes in a network when nodes join or leave it.
 
     nodes, plugged (M,): those that join (True) or leave. sides, closed (K,): where links close (True) or open. touched: the
     nodes at these sides, in the order of their positions.
@@ -167,7 +167,7 @@ class Network:
         return tuple(at.names[j] for j in at.neighbour[self.sides(at.index(name))])
 
     def change(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:
-        """What changes when nodes join and leave, all at once, at a cost of their links alone.
+        """What changes when nodes join and leave at the same time; the cost grows with their links only.
 
         ValueError for an unknown node, one named twice, one to plug in that is plugged in, one to unplug that is not, or
         nothing to do.
@@ -202,6 +202,6 @@ class Network:
         return Network(self.topology, plugged)
 
 
-def listed(names: Sequence[str]) -> str:
-    """Names for an error, no more than fit."""
+def _listed(names: Sequence[str]) -> str:
+    """Names for an error, at most MOST_SHOWN."""
     return ", ".join(names[:MOST_SHOWN]) + (f", ... ({len(names)} in all)" if len(names) > MOST_SHOWN else "")

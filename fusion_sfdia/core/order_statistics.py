@@ -13,7 +13,7 @@ Array = NDArray[Any]
 def exceedance_rank(count: int, rate: float) -> int:
     """Return k: of `count` exchangeable values a fresh one exceeds the k-th smallest with a probability of at most `rate`.
 
-    k = ceil((count + 1) (1 - rate)); more than `count` where there are too few of them for any to be exceeded so seldom.
+    k = ceil((count + 1) (1 - rate)); larger than `count` where there are too few values for so low a rate.
     """
     return int(np.ceil((count + 1) * (1 - rate) - 1e-9))  # rounding must not pass a whole number
 

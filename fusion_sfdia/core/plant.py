@@ -136,7 +136,7 @@ class Plant:
         return self.sensor_names.index(name)
 
     def input_at(self, t: float) -> Array:
-        """Return the plant's usual input at t, (m,); ValueError where `truth.truth.operation` gives another shape."""
+        """Return the plant's usual input at t, (m,); ValueError where `truth.operation` gives another shape."""
         if self.truth.operation is None:
             return np.array([s.nominal for s in self.inputs])
         u = floats(f"the input that operation of plant {self.name!r} gives", self.truth.operation(t))
@@ -178,7 +178,7 @@ class Plant:
 
     @cached_property
     def _complex_step_holds(self) -> tuple[bool, bool]:
-        """Whether it does for step and for output, at points within the spread of x0: a valve may not act at x0 itself."""
+        """Whether it does for step and for output, at points about x0: at x0 itself a valve, for example, may not act."""
         spread = self.state_scale * np.random.default_rng(0).standard_normal((4, len(self.states)))
         x = self.x0 + (self.guard(self.x0 + spread)[0] - self.x0) / 2  # not on a limit of the model
         u, scale, given = self.input_at(0.0), self.state_scale, self.numerics
@@ -196,10 +196,11 @@ class Plant:
 
     @cached_property
     def state_limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits of the states, (n,) each."""
         return np.array([s.low for s in self.states]), np.array([s.high for s in self.states])
 
     def guard(self, x: Array) -> tuple[Array, Array]:
-        """Return x (..., n) moved into the limits of the states, and whether any had to be moved (...)."""
+        """Return x (..., n) moved into the limits of the states, and whether any state was moved (...)."""
         low, high = self.state_limits
         inside = np.clip(x, low, high)
         return inside, np.any(inside != x, axis=-1)

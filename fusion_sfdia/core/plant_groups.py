@@ -83,7 +83,7 @@ class Structure:
         for what, kind in (("modules", Modules), ("areas", Areas)):
             value = getattr(self, what)
             if not isinstance(value, kind | None):
-                raise ValueError(f"{what} is {shown(value)}; expected a {kind.__name__} object or None")
+                raise ValueError(f"{what} is {shown(value)}; expected {kind.__name__} or None")
 
 
 def _require_functions(group: Any, *names: str) -> None:

@@ -1,4 +1,4 @@
-"""Independent random numbers for each purpose of each seed, whatever else is drawn."""
+"""Independent random numbers for each purpose of each seed, unaffected by other draws."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 def stream(seed: int, *purpose: str | int) -> np.random.Generator:
     """Return the generator of a seed (an integer of at least 0) for a purpose such as ("fault readings", 2).
 
-    It depends on the seed and the purpose alone, so that switching one source of randomness on, or simulating other
-    seeds beside it, leaves every other draw as it was (numpy's SeedSequence keeps the streams independent).
+    It depends only on the seed and the purpose. Another source of randomness, or other seeds in the same run, do not
+    change its draws (numpy's SeedSequence keeps the streams independent).
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise ValueError(f"a seed is {seed!r}; expected an integer of at least 0")
@@ -21,7 +21,7 @@ def stream(seed: int, *purpose: str | int) -> np.random.Generator:
 
 
 def require_seeds(seeds: Sequence[int]) -> tuple[int, ...]:
-    """Return seeds as a tuple; ValueError for none, for one that stands twice and for anything but integers from 0."""
+    """Return seeds as a tuple; ValueError for none, for one that occurs twice and for anything but integers of at least 0."""
     try:
         seeds = tuple(seeds)
     except TypeError as error:

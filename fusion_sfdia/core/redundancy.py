@@ -1,4 +1,4 @@
-"""How many sensors may be isolated at once, whichever they are, before what is left has no say against them."""
+"""How many arbitrary sensors may be isolated at once while the remaining ones still outvote them."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 
-NEGLIGIBLE = 1e-6  # relative: what a mode must show in a reading to be seen, beyond rounding
-LASTING = 100.0  # samples: ours; a mode keeps more than 1/e of an error for longer, or decays
+NEGLIGIBLE = 1e-6  # relative: the smallest part of a mode in a reading, above rounding, that counts as seen
+LASTING = 100.0  # samples, our choice: a mode that keeps more than 1/e of an error for longer lasts, others decay
 
 
 def most_faults(plant: Plant) -> int:
-    """Return the number of sensors that may be out at once by what the plant's redundancy allows, at least 1.
+    """Return how many sensors may be left out at once by the plant's redundancy, at least 1.
 
-    The N - k sensors that stay and the model's prediction, one voice more, must outnumber the k that are out: k <= N / 2;
-    where more contradict the model than agree with it, the model is the suspect. A mode of the plant that lasts has
-    to be read, for its prediction keeps an error: of the m sensors that see it those that stay must outnumber those that are
-    out, k <= (m - 1) / 2 (Fawzi, Tabuada and Diggavi 2014, there for all modes). An error of one that decays is forgotten.
+    The N - k sensors that stay and the model's prediction, one vote more, must outnumber the k that are left out: k <= N / 2.
+    Where more sensors contradict the model than agree with it, the model is suspect. A mode of the plant that does not decay
+    must be measured, because its prediction keeps an error: of the m sensors that see it those that stay must outnumber those
+    left out, k <= (m - 1) / 2 (Fawzi, Tabuada and Diggavi 2014, there for all modes). A decaying mode forgets its error.
 
     The modes are those of the linearisation at x0 under the usual input; by the test of Popov, Belevitch and Hautus they
-    are all that sensors can lose of a state. So the worst choice of k of N sensors takes one count a mode. That is exact for
-    a mode of its own; of several with one eigenvalue, the modes are combined so that few sensors see each, which finds the
-    fewest where groups of sensors see one mode each, and otherwise an upper bound.
+    are all of a state that can become unobservable. So one count for each mode covers the worst choice of k of N sensors. It
+    is exact for a simple eigenvalue. For several modes of one eigenvalue, the modes are combined so that few sensors see each:
+    that finds the minimum where groups of sensors see one mode each, and otherwise an upper bound.
     """
     t, x, u, scale = 0.0, plant.x0, plant.input_at(0.0), plant.state_scale
     step, output = plant.step_jacobian_at(t, x, u, plant.dt), plant.output_jacobian_at(t, x, u)

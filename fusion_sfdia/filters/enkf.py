@@ -4,9 +4,9 @@ With anomalies A (members less mean, one a row) of the state and Y of the predic
 
     K = A'Y/(Ne-1) S^-1 = A' M^-1 Y R^-1,    M = (Ne - 1) I + Y R^-1 Y'
 
-so that only an Ne x Ne matrix is factorised, nothing is rank deficient, and neither n x n nor N x N is formed. A missing
-reading has weight R^-1 = 0. One generator serves a whole batch: draws are (*batch, Ne, ...), so an element's numbers depend
-on the batch around it; give each element its own call where they must not.
+so that only an Ne x Ne matrix of full rank is factorised, and no n x n or N x N matrix is formed. A missing
+reading has weight R^-1 = 0. One generator serves a whole batch: draws are (*batch, Ne, ...), so the numbers of a run depend
+on the batch that contains it. Call the functions run by run where they must not.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Taper(NamedTuple):
 class EnKFSettings:
     """size: members. method: "stochastic" (perturbed readings, Burgers 1998), "deterministic" (Sakov and Oke 2008) or
     "square-root" (symmetric transform, Bishop 2001, Hunt 2007). inflation: factor on the anomalies after each update.
-    rotate: turn the anomalies at random, keeping mean and covariance. localisation: see `taper`; not with "square-root".
+    rotate: rotate the anomalies at random, which keeps mean and covariance. localisation: see `taper`; not with "square-root".
     """
 
     size: int = 40
@@ -111,7 +111,7 @@ def _in_member_space(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R
     M = Y @ Yt
     np.einsum("...ii->...i", M)[...] += over
     if settings.method == "square-root":
-        sound = np.all(np.isfinite(M), axis=(-2, -1), keepdims=True)  # LAPACK gives up on the whole batch otherwise
+        sound = np.all(np.isfinite(M), axis=(-2, -1), keepdims=True)  # LAPACK fails for the whole batch otherwise
         values, vectors = np.linalg.eigh(np.where(sound, M, np.eye(M.shape[-1])))
         vt = np.swapaxes(vectors, -1, -2)
         weights = ((shift @ Yt @ vectors) / values[..., None, :]) @ vt

@@ -187,7 +187,7 @@ class Unscented(_Moments):
 
     def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         start, moved = plant.guard(core[0])
-        points = ukf.draw(self.points, start, core[1])
+        points = ukf.sigma_points(self.points, start, core[1])
         _, ahead, any_moved, stuck, lost = guarded_points(plant, t, points, u, dt)
         x, p = ukf.moments(self.points, ahead, plant.process_cov_over(dt))
         return Prior((x, p), moved | any_moved | stuck, lost, propagated=None if self.redraw else ahead)

@@ -1,7 +1,7 @@
 """From a filterpy filter to a plant: any detector then runs on the user's own model and settings.
 
-filterpy's functions take one state at a time, so the plant loops over a batch, and their Jacobians are central differences
-unless given: writing the model as a `Physics` or `Plant` of array functions is many times faster.
+filterpy's functions take one state at a time, so the plant loops over a batch. Jacobians that are not given are central
+differences. A model written as a `Physics` or `Plant` of array functions is many times faster.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def plant_from_filterpy(
     h_jacobian: One | None = None,
     f_jacobian: One | None = None,
 ) -> Plant:
-    """Return the plant of a filterpy filter as it stands: its model, x, P, Q and R (diagonal).
+    """Return the plant of a filterpy filter in its present state: its model, x, P, Q and R (diagonal).
 
     dt: the step in seconds; an unscented or ensemble filter knows its own, for the others it is 1 unless given, and fixed.
     sensors, states: names, z0, z1, ... and x0, x1, ... unless given. h, h_jacobian: what an ExtendedKalmanFilter takes in
@@ -109,7 +109,7 @@ class _Model(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _OneByOne:
-    """The functions of a plant by those of one state (n,), with central differences where there is no Jacobian."""
+    """The functions of a plant from those of one state (n,), with central differences where no Jacobian is given."""
 
     model: _Model
     f_jacobian: One | None
@@ -135,7 +135,7 @@ class _OneByOne:
 
 
 def _shaped(function: One, shape: tuple[int, ...], x: Array) -> Array:
-    """A function that takes a state of the filter's own shape, of a state (n,)."""
+    """A function of a state (n,), from one that takes a state in the filter's shape."""
     return function(x.reshape(shape))
 
 
@@ -161,7 +161,7 @@ def _extended(source: ExtendedKalmanFilter, h: One | None, dt: float | None) -> 
     if h is None:
         raise ValueError("an ExtendedKalmanFilter takes its measurement function in update; pass it as h=, and h_jacobian=")
     shape = np.shape(source.x)
-    own = copy.deepcopy(source)  # predict_x works on its filter's x; the user's is left alone
+    own = copy.deepcopy(source)  # predict_x changes its filter's x; the user's filter is not changed
     F = np.array(source.F, dtype=float)
     linear = type(source).predict_x is ExtendedKalmanFilter.predict_x
     return _Model(
@@ -178,7 +178,7 @@ def _timed(source: UnscentedKalmanFilter | EnsembleKalmanFilter, dt: float | Non
         _require_plain(source)
     own = float(source._dt if isinstance(source, UnscentedKalmanFilter) else source.dt)
     if dt is not None and dt != own:
-        raise ValueError(f"dt is {dt} s, that of the filter {own} s; leave it out")
+        raise ValueError(f"dt is {dt} s, the filter's is {own} s; omit it")
     return _Model(f=partial(_without_input, source.fx), h=source.hx, dt=own)
 
 
@@ -206,7 +206,7 @@ def _require_plain(source: UnscentedKalmanFilter) -> None:
 
 
 def _inputs(B: Any, n: int) -> tuple[Array | None, tuple[Signal, ...]]:
-    """B as a matrix (n, m), or None where the filter has no inputs, and the signals u0, u1, ..."""
+    """B as a matrix (n, m), None if the filter has no inputs, and the signals u0, u1, ..."""
     if B is None or np.ndim(B) == 0:
         return None, ()
     matrix = np.asarray(B, dtype=float).reshape(n, -1)

@@ -40,7 +40,7 @@ def add(P: Array, Q: Array) -> Array:
 
 
 def cholesky(A: Array) -> Array:
-    """Lower L with L L' = A (..., n, n); an element of the batch that is not positive definite is NaN, it alone."""
+    """Lower L with L L' = A (..., n, n); only elements that are not positive definite are NaN."""
     try:
         return np.linalg.cholesky(A)
     except np.linalg.LinAlgError:
@@ -65,13 +65,13 @@ def sample(cov: Array, rng: np.random.Generator, shape: tuple[int, ...] = ()) ->
 
 
 def inverse(A: Array) -> Array:
-    """A^-1 (..., n, n) of positive definite A; an element of the batch that is not positive definite is NaN, it alone."""
+    """A^-1 (..., n, n) of positive definite A; only elements that are not positive definite are NaN."""
     U = half_inverse(A)
     return U @ np.swapaxes(U, -1, -2)
 
 
 def half_inverse(A: Array, used: Array | None = None) -> Array:
-    """U with U U' = A^-1 (..., n, n); an element of the batch that is not positive definite is NaN, it alone.
+    """U with U U' = A^-1 (..., n, n); only elements that are not positive definite are NaN.
 
     used (..., n): rows and columns of A to leave out as if they did not exist; U and U U' are zero there.
     """

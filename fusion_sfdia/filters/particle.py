@@ -32,7 +32,7 @@ class Particles(NamedTuple):
 
     @property
     def effective_size(self) -> Array:
-        """1 / sum w^2 (...): as many equal weights would estimate as well (Kong, Liu and Wong 1994)."""
+        """Effective sample size 1 / sum w^2 (...): that many equal weights estimate equally well (Kong, Liu and Wong 1994)."""
         return np.asarray(1.0 / np.sum(self.weights**2, axis=-1))
 
     @property
@@ -44,7 +44,7 @@ class Particles(NamedTuple):
 def weighted_moments(members: Array, weights: Array) -> tuple[Array, Array]:
     """Mean (..., n) and covariance (..., n, n) of members (..., M, n) with weights (..., M).
 
-    Members of weight 0 do not count, whatever they are.
+    Members of weight 0 do not count, not even infinite ones.
     """
     w = weights[..., None]
     members = np.where(w == 0, 0.0, members)
@@ -68,7 +68,7 @@ def predict(particles: Particles, f: Model, Q: Array, rng: np.random.Generator) 
 def update(
     particles: Particles, h: Model, y: Array, R: Array, rng: np.random.Generator, threshold: float = 0.5
 ) -> tuple[Particles, Array]:
-    """Weigh the particles by the readings y (..., N), NaN where missing, and resample where few of them count.
+    """Weigh the particles by the readings y (..., N), NaN where missing, and resample where the effective size is small.
 
     R is (N,) or (N, N). Returns the particles and the effective size before resampling (...); see `weigh` and `resample`.
     """

@@ -4,12 +4,12 @@ For sigma points X_0 ... X_2n with the usual weights (Wan and van der Merwe 2000
 
     W_j = 1 / (2 (n + lambda)),  j >= 1,    Wm_0 = lambda / (n + lambda),    Wc_0 = Wm_0 + 1 - alpha^2 + beta,
 
-the small alpha that is customary makes W_0 about -1/alpha^2, and the weighted sums cancel. With D_j = X_j - X_0 and
+the usual small alpha makes W_0 about -1/alpha^2, and the weighted sums cancel. With D_j = X_j - X_0 and
 m = sum_j W_j D_j they are, identically, since the weights of the mean sum to 1,
 
     mean = X_0 + m,    cov = sum_{j >= 1} W_j D_j D_j' + (beta - alpha^2) m m',
 
-a Gram matrix, hence positive semi-definite by construction for beta >= alpha^2.
+a Gram matrix and therefore positive semi-definite by construction for beta >= alpha^2.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class SigmaPoints:
         return self.alpha**2 * (n + self.kappa)
 
 
-def draw(points: SigmaPoints, x: Array, P: Array) -> Array:
+def sigma_points(points: SigmaPoints, x: Array, P: Array) -> Array:
     """Return the sigma points (..., 2n+1, n): x, then x + sqrt(n + lambda) L_j, then x - sqrt(n + lambda) L_j, L L' = P."""
     return _around(points, x, square_root(P))
 
@@ -88,7 +88,7 @@ def predict(points: SigmaPoints, x: Array, P: Array, f: Model, Q: Array) -> tupl
 
     f maps points (..., 2n+1, n) to points; Q is (n,) or (..., n, n).
     """
-    propagated = f(draw(points, x, P))
+    propagated = f(sigma_points(points, x, P))
     return *moments(points, propagated, Q), propagated
 
 
@@ -103,7 +103,7 @@ def joint(points: SigmaPoints, x: Array, P: Array, h: Model, R: Array, propagate
 
     x (..., n), P (..., n, n), h maps points (..., 2n+1, n) to readings (..., 2n+1, N), R (N,) or (..., N, N).
     Without `propagated`, new points are drawn from x, P, as the textbook does. With it, the points that `predict` returned
-    serve again, as Shaheen 2024, sec. III-C3 prints it; S and C then lack the process noise that P contains.
+    are used again, as Shaheen 2024, sec. III-C3 prints it; S and C then lack the process noise that P contains.
     """
     n = x.shape[-1]
     if propagated is None:

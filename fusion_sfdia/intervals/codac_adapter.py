@@ -1,7 +1,7 @@
-"""Set inversion by codac (C++; the optional extra `codac`), with the arguments and the answer of `sivia`.
+"""Set inversion by codac (C++; the optional extra `codac`), with the arguments and the result of `sivia`.
 
 An independent implementation to check against or to use instead. It has no budget and takes one problem at a time. codac
-leaves the processor rounding upward, from its import on: `rounding_to_nearest` sets that right after it was used.
+sets the processor to round upward when it is imported; `rounding_to_nearest` restores the mode after each use.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[Any]
 
 @contextmanager
 def rounding_to_nearest() -> Iterator[None]:
-    """Set the rounding mode back to nearest when left: C's fesetround, whose FE_TONEAREST is 0 on x86 and ARM."""
+    """Restore rounding to nearest at the end of the block: C's fesetround, whose FE_TONEAREST is 0 on x86 and ARM."""
     try:
         yield
     finally:

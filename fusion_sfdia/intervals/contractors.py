@@ -1,7 +1,7 @@
 """Forward-backward contraction (HC4-revise; Benhamou, Goualard, Granvilliers and Puget 1999).
 
 An equation's values are computed forward; a bound on its result is then projected backward through each operation onto
-its arguments. What is cut off holds no solution: of all arguments in the box, those whose result lies in the target remain.
+its arguments. The part that is removed contains no solution: all arguments in the box whose result is in the target remain.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The expression behind an equation, recorded by running the equation once on symbols.
 
-What set inversion needs beyond values is in the order of the operations: to project a bound on the result back onto the
-arguments (`contractors`), to form partial derivatives (`monotone`), to know whether the result is defined on a whole box.
+Set inversion needs more than values. The recorded operations serve to project a bound on the result back onto the arguments
+(`contractors`), to form partial derivatives (`monotone`), and to find whether the result is defined on a whole box.
 """
 
 from __future__ import annotations
@@ -82,15 +82,15 @@ class Symbol(NDArrayOperatorsMixin):
         slots.append(slot)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        if kwargs.get("out") == (inputs[0],):  # x += y, which binds x anew
+        if kwargs.get("out") == (inputs[0],):  # x += y, which binds x to a new slot
             del kwargs["out"]
         if method != "__call__" or kwargs or ufunc not in KERNELS:
             raise TypeError(f"an equation on intervals does not use {ufunc.__name__}")
-        operands = tuple(x.index if isinstance(x, Symbol) else constant(self.slots, x) for x in inputs)
+        operands = tuple(x.index if isinstance(x, Symbol) else add_constant(self.slots, x) for x in inputs)
         return Symbol(self.slots, (ufunc, operands))
 
 
-def constant(slots: list[Any], x: Any) -> int:
+def add_constant(slots: list[Any], x: Any) -> int:
     """Add a constant to the slots and return its index."""
     value = x if isinstance(x, Interval) else Interval(x)
     if value.shape:
@@ -102,7 +102,7 @@ def constant(slots: list[Any], x: Any) -> int:
 def record(function: Callable[..., Any] | Expression, n_arguments: int) -> Expression:
     """Return the expression of an equation of `n_arguments` scalars that returns one result or a tuple of them.
 
-    An expression is returned as it is, so whoever evaluates an equation often records it once.
+    An expression is returned unchanged, so an equation that is evaluated often is recorded once.
 
     Raises ValueError where the equation takes another number of arguments, or holds an array instead of a scalar.
     """
@@ -116,7 +116,7 @@ def record(function: Callable[..., Any] | Expression, n_arguments: int) -> Expre
         except TypeError as error:
             raise ValueError(f"{function!r} does not run on {n_arguments} symbols: {error}") from error
         results = results if isinstance(results, tuple) else (results,)
-        outputs = tuple(x.index if isinstance(x, Symbol) else constant(slots, x) for x in results)
+        outputs = tuple(x.index if isinstance(x, Symbol) else add_constant(slots, x) for x in results)
         expression = Expression(n_arguments, tuple(slots), outputs)
     if expression.n_arguments != n_arguments:
         raise ValueError(f"the equation has {expression.n_arguments} arguments, the box and its parameters {n_arguments}")

@@ -3,12 +3,12 @@
     x = Interval(2.0, 3.0)
     np.sqrt(x) * (1 - x**2)  # an Interval that contains the result for every number in [2, 3]
 
-Bounds are float arrays, a batch is leading axes and broadcasting does the rest. NumPy's operators and elementwise functions
+Bounds are float arrays; a batch is leading axes, which are broadcast. NumPy's operators and elementwise functions
 take intervals (`interval_kernels.KERNELS` lists which), alone and mixed with numbers and arrays, so the equations of the
 physics take them as they are. A literal stands for its nearest float.
 
-The empty set is NaN, NaN: no solution, or no value in the domain; an operation on it gives it again. A missing reading is
-not the empty set but its physical range, so NaN is refused as a bound: `Interval.empty` makes an empty interval on purpose.
+The empty set is NaN, NaN: no solution, or no value in the domain. An operation on it gives the empty set. A missing reading
+is not the empty set but its physical range, so NaN is refused as a bound; `Interval.empty` makes an empty interval.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Interval(NDArrayOperatorsMixin):
     def __init__(self, lo: ArrayLike, hi: ArrayLike | None = None) -> None:
         low = np.asarray(lo, dtype=float)
         if hi is None:
-            high = low  # one array twice: the kernels know a point by it
+            high = low  # one array twice: by this the kernels recognise a point
         else:
             low, high = np.broadcast_arrays(low, np.asarray(hi, dtype=float))
         if (np.isnan(low) | np.isnan(high)).any():
@@ -55,7 +55,7 @@ class Interval(NDArrayOperatorsMixin):
 
     @classmethod
     def unchecked(cls, lo: Array, hi: Array) -> Interval:
-        """Take bounds as they stand in a result, NaN, NaN for empty."""
+        """An interval from bounds that a kernel returned, without checks; NaN, NaN is the empty set."""
         made = cls.__new__(cls)
         made.lo, made.hi = lo, hi
         return made
@@ -73,7 +73,7 @@ class Interval(NDArrayOperatorsMixin):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         if not all(isinstance(x, Interval | int | float | np.number | np.ndarray) for x in inputs):
             return NotImplemented
-        if kwargs.get("out") == (inputs[0],):  # x += y, which binds x anew
+        if kwargs.get("out") == (inputs[0],):  # x += y, which binds x to a new interval
             del kwargs["out"]
         if method != "__call__" or kwargs or ufunc not in kernels.KERNELS:
             raise TypeError(
@@ -137,7 +137,7 @@ class Interval(NDArrayOperatorsMixin):
         return Interval.unchecked(*kernels.hull((self.lo, self.hi), (other.lo, other.hi)))
 
     def contains(self, other: Interval | ArrayLike) -> Array:
-        """Whether every value of other (points or intervals) lies within; the empty set lies within everything."""
+        """Whether the interval contains every value of other (points or intervals); every interval contains the empty set."""
         if isinstance(other, Interval):
             return other.is_empty | ((self.lo <= other.lo) & (other.hi <= self.hi))
         return (self.lo <= np.asarray(other)) & (np.asarray(other) <= self.hi)

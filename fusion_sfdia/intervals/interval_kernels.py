@@ -2,7 +2,7 @@
 
 A kernel maps bounds (lo, hi), two float arrays, to bounds. NaN, NaN is the empty set; a point may come as one array
 twice (lo is hi), which saves half of the corners. The flavour is IEEE 1788's set-based one: an argument is cut to the
-function's domain, and where nothing remains the result is empty. What leaves this file encloses the exact
+function's domain, and where nothing remains the result is empty. Every result encloses the exact
 range, rounded outward as `rounding` does; sums and products that are 0 stay 0.
 
 Kernels expect floating-point warnings to be off, subnormal numbers to be on and rounding to nearest.
@@ -30,12 +30,12 @@ def is_empty(a: Bounds) -> Array:
 
 
 def emptied(a: Bounds, where: Array) -> Bounds:
-    """Return the bounds, empty where told."""
+    """Return the bounds, empty where `condition` holds."""
     return (np.where(where, np.nan, a[0]), np.where(where, np.nan, a[1])) if where.any() else a
 
 
 def intersection(a: Bounds, b: Bounds) -> Bounds:
-    """Return what both have in common."""
+    """Return the intersection of both."""
     lo, hi = np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
     return emptied((lo, hi), lo > hi)
 

@@ -1,7 +1,7 @@
 """Bounds of an explicit equation y = f(x_1, ..., x_n) over a box, from the signs of its partial derivatives.
 
-Where df/dx_i keeps its sign over the whole box (proved with interval derivatives, not looked at in one point), f is least
-and greatest at an end of x_i; with every sign proved the bounds are two corners, tight to rounding (Moore, Kearfott and
+Where df/dx_i keeps its sign over the whole box (proved with interval derivatives, not checked at one point), f is smallest
+and largest at an end of x_i; with every sign proved the bounds are two corners, tight to rounding (Moore, Kearfott and
 Cloud 2009, ch. 6).
 """
 
@@ -53,7 +53,7 @@ def derivative(expression: Expression, values: Sequence[Interval], argument: int
 def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, pieces: int = 1) -> Interval:
     """Return an enclosure (...) of {function(x_1, ..., x_n): x in box}; box: (..., n).
 
-    Variables whose sign is proved are set to the end that counts, which may prove others in turn; what stays an interval is
+    Variables whose sign is proved are set to the end that bounds f, which may prove further signs; what stays an interval is
     bounded by natural inclusion and mean-value form, f(m) + sum_i f_i([x]) ([x_i] - m_i). Where f is not defined on the whole
     box it is the natural inclusion.
 
@@ -107,7 +107,7 @@ def _bounds(expression: Expression, x: Sequence[Interval], pieces: int) -> tuple
 
 
 def _parts(x: Sequence[Interval], pieces: int) -> list[Interval]:
-    """Return each variable cut into pieces along a leading axis of its own, which meet in shared floats."""
+    """Return each variable cut into pieces along a leading axis for each variable; neighbouring pieces share their end."""
     parts = []
     for i, xi in enumerate(x):
         share = np.linspace(0.0, 1.0, pieces + 1).reshape(-1, *(1,) * len(xi.shape))

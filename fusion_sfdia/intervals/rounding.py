@@ -23,13 +23,13 @@ MAX = float(np.finfo(float).max)
 
 
 def rounds_to_nearest() -> bool:
-    """Whether the processor rounds to nearest, as every bound here assumes: some libraries leave another mode behind."""
+    """Whether the processor rounds to nearest, as every bound here assumes: some libraries change the mode for good."""
     return 1.0 + TINY == 1.0 == 1.0 - TINY
 
 
 def below(x: Array, ulps: int = 0) -> Array:
     """Return a lower bound of what x is the rounded value of; ulps 0: correctly rounded."""
-    x = np.minimum(x, MAX)  # the exact value behind an overflow is at least so large
+    x = np.minimum(x, MAX)  # the exact value of an overflow is at least this large
     size = np.abs(x)
     return x - ((ulps + 1) * (size * EPS + TINY) if ulps else size * HALF_ULP + TINY)
 

@@ -1,12 +1,12 @@
 """Set inversion via interval analysis, SIVIA (Jaulin and Walter 1993; Kougiatsos 2024, sec. IV-B, for sensor thresholds).
 
-Which x in a box have f(x, p) in a target? Boxes are kept, dropped or cut in half until they are small. What comes back
-encloses the set from both sides: inner boxes lie in it, and outside the inner and boundary boxes there is none of it.
+Which x in a box have f(x, p) in a target? Boxes are kept, dropped or cut in half until they are small. The result
+encloses the set from both sides: inner boxes are subsets of it, and inner and boundary boxes together contain it.
 
-With parameters p that are intervals, known up to their bounds, the outer side holds every x that some p admits, and the
-inner side those x that every p admits. No x at all is an answer: the measurements contradict the model.
+With parameters p that are intervals, the outer side contains every x that some p admits, and the inner side contains only x
+that every p admits. An empty result has a meaning: the measurements contradict the model.
 
-All boxes of a generation are treated at once, for every problem of a batch (seeds, times); a batch gives what a loop gives.
+All boxes of a generation are treated at once, for every problem of a batch (seeds, times), with the result of a loop.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Boxes:
 
 @dataclass(frozen=True)
 class Paving:
-    """What set inversion found for each problem of a batch (...), in n variables.
+    """The result of set inversion for each problem of a batch (...), in n variables.
 
     hull: (..., n), the least box around inner and boundary boxes, empty where there is no solution.
     inner, boundary: (boxes, n); inner_problem, boundary_problem: (boxes,), the index of the problem in the flattened batch.
@@ -82,7 +82,7 @@ class Paving:
 
     @property
     def is_empty(self) -> Array:
-        """Where no solution exists, for certain: (...)."""
+        """Where it is proved that no solution exists: (...)."""
         return np.asarray(self.hull.is_empty.any(axis=-1))
 
     @property
@@ -108,8 +108,8 @@ def sivia(
 ) -> Paving:
     """Return inner and outer pavings of {x in box: function(x_1, ..., x_n, *parameters) in target}.
 
-    function: an equation, or one that returns a tuple of results which all have to lie in their targets. It is recorded
-        here; whoever inverts it often records it once (`expression.record`).
+    function: an equation, or one that returns a tuple of results, each with its own target. It is recorded
+        here; to invert it often, record it once (`expression.record`).
     target: one for each result, each (...). box: (..., n), finite. parameters: each (...).
     tolerance: width up to which a box is cut, in the units of the variables: one, or (n,).
     budget: boxes that may be examined for each problem; where more are pending, they count as boundary.
@@ -177,7 +177,7 @@ class _Constraint:
         return Boxes(left, work.problem).where(~np.asarray(left.is_empty.any(axis=0)))
 
     def classify(self, work: Boxes) -> tuple[Array, Array]:
-        """Whether each box lies inside the set; whether it lies outside."""
+        """Whether each box is inside the set; whether it is outside."""
         values = self.values(work)
         inside, outside = (
             np.array(np.broadcast_to(self.expression.is_defined(values), len(work))),

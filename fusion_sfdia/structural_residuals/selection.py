@@ -1,4 +1,4 @@
-"""Which residuals to run: those that forget their errors, and of these the simplest that isolate as much as all do."""
+"""Which residuals to run: those whose states forget errors, and of these the simplest with the isolability of all."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from fusion_sfdia.structural_residuals.structure import Residual, computable, mo
 
 Array = NDArray[Any]
 
-FORGETTING = 1 - 1e-9  # a step must leave less of an error; an integrator leaves it whole, to rounding
+FORGETTING = 1 - 1e-9  # a step must shrink an error by more than rounding; an integrator keeps it
 
 
 def usable(plant: Plant) -> tuple[Residual, ...]:
     """Return the computable residuals whose states forget their errors, the simplest first; raises as `structural_model`.
 
     Stability is that of a step of plant.dt at the nominal values. A target that is a state without it, as where a level
-    integrates measured flows, gets the feedback of its observer; the noise of other sensors would be integrated for ever,
-    such a residual is not used.
+    integrates measured flows, gets the feedback of its observer. A residual that would integrate the noise of other
+    sensors for ever is not used.
     """
     found = computable(plant)
     forget = _forget(plant, found)
@@ -53,12 +53,12 @@ def isolable(signatures: Array) -> Array:
 
 
 def selected(plant: Plant) -> tuple[Residual, ...]:
-    """Return, for each two sensors, the simplest usable residual that reads the one and not the other; raises as `usable`.
+    """Return, for each pair of sensors, the simplest usable residual that reads the one and not the other; raises as `usable`.
 
     The simplest has the fewest sensors, then the first of the two as its target, then the fewest equations. Together they
     isolate what all usable ones do. Few sensors rather than few residuals, as a minimal hitting set would have
-    (`TestSelection` of the toolbox): each sensor read adds its noise and hides part of the faults of the others, and the fault
-    of a target is in the residual as it is, that of another as far as the equations pass it on.
+    (`TestSelection` of the toolbox): each sensor that is read adds its noise and hides part of the other sensors'
+    faults. The fault of a target enters the residual in full, that of another sensor as far as the equations transmit it.
     """
     residuals = usable(plant)
     signatures = reads(plant, residuals)

@@ -1,7 +1,7 @@
 """Sequential computation of many residuals at once: each equation is evaluated on all residuals and runs that need it.
 
 A state x' = -rate x + h is integrated with h held over the step, exact for its linear part (exponential Euler), h at the mean
-of the readings before and after; with feedback of the gain L, of the reading y before the step,
+of the readings before and after. With feedback (gain L) of the reading y before the step,
 
     x+ = lam x + (1 - lam) / a (h + L y),   a = rate + L,   lam = exp(-a dt).
 """
@@ -58,7 +58,7 @@ class Sequences:
 
     @cached_property
     def _schedule(self) -> list[Evaluation]:
-        """Evaluations in an order that suits each residual, of as many residuals at once as are ready."""
+        """Evaluations in an order that each residual allows, for as many residuals at once as possible."""
         variables, taken = tuple(self.modules.equations), arguments(self.modules)
         left, schedule = [set(r.computed) for r in self.residuals], []
         while any(left):
@@ -74,7 +74,7 @@ class Sequences:
 
     @cached_property
     def _compared(self) -> list[Evaluation]:
-        """The equations of targets that are read elsewhere."""
+        """The equations of targets whose readings other equations use."""
         own = [r.target not in (*r.integrated, *r.computed) for r in self.residuals]
         return [(int(e), np.flatnonzero(own & (self.target == e))) for e in np.unique(self.target[own])]
 

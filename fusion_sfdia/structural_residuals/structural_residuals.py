@@ -32,14 +32,14 @@ CONTRADICTION = 1e6  # standard deviations: the residual of readings at which th
 
 @dataclass(frozen=True, eq=False)
 class StructuralResiduals(BatchDetector):
-    """Residuals of a plant that says its scalar equations, each with a limit, in standard deviations of its target's noise.
+    """Residuals of a plant that states its scalar equations, each with a limit, in standard deviations of its target's noise.
 
     limits: (R,), as of `fit`. A residual is computed when all readings it takes are there, and is CONTRADICTION where its
     equations have no value at them; its states are integrated with the last readings in place of missing ones. What is shown
     of a sensor is the residual of the largest ratio to its limit among those that read it, as so many deviations of its own.
 
     isolated: the smallest diagnosis of the residuals beyond their limits, of at most max_faults sensors, where there is one
-    alone; none where several are as small. A silent residual exonerates nobody: how much of a fault it shows depends on the
+    alone; none where several are as small. A silent residual clears no sensor: how much of a fault it shows depends on the
     equations and on time. measured: of named and missing readings the value computed without them, or else the last
     trusted, at first nominal. fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
     """
@@ -70,7 +70,7 @@ class StructuralResiduals(BatchDetector):
 
         A limit is the residual's unit times a common factor. Of every other sample in time: the unit is the order statistic
         that the residual exceeds with its share of the rate. Of the rest: the factor is the order statistic of the largest
-        residual in these units. Samples with a missing reading are left out. NotApplicableError for a plant that does not say
+        residual in these units. Samples with a missing reading are left out. NotApplicableError for a plant that does not state
         its scalar equations or has no residual, MissingPackageError without faultdiagnosistoolbox, another ValueError for data
         that do not fit or are too few.
         """

@@ -4,10 +4,10 @@ A set of equations is minimal structurally overdetermined (MSO) when it has one 
 is overdetermined (Krysander, Aslund and Nyberg 2008). The Fault Diagnosis Toolbox of Frisk, Krysander and Jung (2017) finds
 them all. A residual generator computes the unknowns from all equations but one and checks that one.
 
-Here an equation is used in its own direction alone: a state is the integral of its derivative, an algebraic variable its
-equation at its arguments, any variable its sensor. Then the one variable with both an equation and a sensor in the set is the
-target, of which reading and computed value are compared. Sets that ask for an equation to be inverted, for simultaneous
-equations or for a derivative are not computable; a target that its own equation takes is read there.
+Here an equation is used in its stated direction only: a state is the integral of its derivative, an algebraic variable is
+computed by its equation, and any variable may be read by its sensor. The one variable with both an equation and a sensor in
+the set is the target: its reading is compared with its computed value. Sets that need an inverted equation, simultaneous
+equations or a derivative are not computable. A target that its own equation uses is read there.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def modules_of(plant: Plant) -> Modules:
     """Return a plant's scalar equations; NotApplicableError where it has none, or its sensors do not read their variables."""
     if plant.structure.modules is None:
         raise NotApplicableError(
-            f"plant {plant.name!r} does not say its scalar equations, without which it has no structure to analyse; give "
+            f"plant {plant.name!r} does not state its scalar equations, without which it has no structure to analyse; give "
             "Plant(structure=Structure(modules=Modules(...))) or take another detector"
         )
     measured = [s.measures for s in plant.sensors]
@@ -119,7 +119,7 @@ def residual_of(plant: Plant, mso: Any) -> Residual | None:
     read = tuple(s.measures for k, s in enumerate(plant.sensors, count) if k in numbers)
     both = [v for v in used if v in read]
     if len(both) != 1:
-        return None  # a variable has neither, and another equation would have to give it
+        return None  # a variable has neither: another equation would have to be inverted for it
     (target,) = both
     integrated = tuple(v for v in used if v in modules.states)
     algebraic = [v for v in used if v not in modules.states]

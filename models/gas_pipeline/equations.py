@@ -13,9 +13,9 @@ mass, momentum and energy (1)-(3) with the identity (4) read
 Collected in p_s, m_s, T_s this is the matrix (6) but for its entry A_21, which as printed lacks the pressure gradient and
 squares the wrong alpha: it must be A - m^2 alpha_2 R T z / (A p^2). Then the eigenvalues are v, v + a, v - a.
 
-The boundary node follows what leaves the pipe: with r the rates that the one-sided differences give, the inlet (p, T
-prescribed) keeps p_t - rho a v_t of the wave that runs out against the flow, the outlet (m prescribed) keeps
-p_t + rho a v_t and T_t - (alpha_1 / (rho C_p)) p_t of those that run out with it.
+The boundary node follows the outgoing characteristics: of the rates that one-sided differences give, the inlet (p, T
+prescribed) keeps p_t - rho a v_t of the wave that leaves against the flow, and the outlet (m prescribed) keeps
+p_t + rho a v_t and T_t - (alpha_1 / (rho C_p)) p_t of the waves that leave with it.
 
 The pipe is horizontal. Everything holds, and is analytic, for turbulent flow from inlet to outlet (m > 0), where
 v |v| = v^2; so it takes complex numbers as well. For m <= 0 the logarithm of Colebrook and White has no real value: the
@@ -42,7 +42,7 @@ LN10 = float(np.log(10.0))
 
 
 class PipelineParameters(NamedTuple):
-    """What the equations need to know of pipe, surroundings and gas, in SI."""
+    """Parameters of pipe, surroundings and gas in the equations, in SI."""
 
     length: float  # m
     diameter: float  # m
@@ -99,8 +99,8 @@ def friction_factor(m: Any, c: PipelineParameters) -> Any:
 
     Three Newton steps in 1/sqrt f from 10 (f = 0.01): exact to 1e-12 from 10 kg/s in the paper's pipe, to 1e-10 at 1 kg/s.
     One logarithm is taken; from step to step it grows by ln(after/before) = 2 artanh s, s = (after - before)/(after + before),
-    whose series to s^19 leaves 1e-14 where 1/sqrt f lies between 6 and 17. Where the parameters give a factor it is that one,
-    for any turbulent flow; the logarithm makes it NaN for m <= 0, too.
+    whose series to s^19 leaves 1e-14 where 1/sqrt f is between 6 and 17. A friction factor among the parameters replaces it
+    for any turbulent flow; the logarithm makes that NaN for m <= 0, too.
     """
     if c.friction > 0.0:
         return c.friction + 0.0 * np.log(m)
@@ -167,7 +167,7 @@ def outlet_rates(
 
 
 # The driver takes states in lanes of up to LANES, (3n, LANES) with the lane last, and a node's operands lie in one flat array
-# `w` at known distances: so the compiler makes vector instructions of the loops over lanes, whose bits are those of one lane.
+# `w` at known distances: the compiler vectorises the loops over lanes, and a lane has the bits that it has alone.
 LANES = 32
 
 
@@ -175,7 +175,7 @@ LANES = 32
 def slope(lanes: int, x: Any, given: Any, c: PipelineParameters, stencil: Array, w: Any, out: Any) -> None:
     """Write to out (3n, LANES) dx/dt of states [p, m, T], with the rates `given` (3, LANES) at the boundaries (p, T in, m out).
 
-    w (13 LANES,) is room for a node's p, m, T, p_s, m_s, T_s, f, given rates and result.
+    w (13 LANES,) is workspace for a node's p, m, T, p_s, m_s, T_s, f, given rates and result.
     """
     n = x.shape[0] // 3
     for i in range(n):

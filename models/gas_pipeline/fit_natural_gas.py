@@ -4,7 +4,7 @@
 
 needs pyaga8 (the extra "gas"), an implementation of ISO 20765-2. One linear least squares for compressibility, its two
 logarithmic derivatives and the heat capacity together: all are linear in the coefficients of z and of the ideal-gas C_p,
-because C_p = C_p0 - T int v_TT dp. R is that of GERG-2008 over the molar mass of the mixture. The result stands in
+because C_p = C_p0 - T int v_TT dp. R is that of GERG-2008 over the molar mass of the mixture. The result is stored in
 natural_gas.py.
 """
 
@@ -27,7 +27,7 @@ from fusion_sfdia.models.gas_pipeline.natural_gas import COMPOSITION, PRESSURES,
 
 Array = NDArray[Any]
 
-# one part in: z 1e4, its derivatives 2e3, C_p 2e3; what each may contribute to the wave speed, which is what counts
+# one part in: z 1e4, its derivatives 2e3, C_p 2e3; what each may contribute to the error of the wave speed, which matters most
 WEIGHTS = (1e4, 2e3, 2e3, 2e3)
 QUANTITIES = ("z", "alpha_1", "alpha_2", "cp", "wave_speed", "joule_thomson")
 
@@ -57,8 +57,8 @@ def gerg_2008(p: Array, T: Array, composition: dict[str, float] = COMPOSITION) -
     return dict(zip(QUANTITIES, np.array(rows).T, strict=True)), 8.314472 / molar_mass
 
 
-def box(points: int, chebyshev: bool) -> tuple[Array, Array]:
-    """Pressures and temperatures of a grid over the box; Chebyshev nodes for the fit, equal steps to judge it."""
+def grid(points: int, chebyshev: bool) -> tuple[Array, Array]:
+    """Pressures and temperatures of a grid over the box; Chebyshev nodes for the fit, equal steps to check it."""
     axis = np.cos(np.pi * (np.arange(points) + 0.5) / points) if chebyshev else np.linspace(-1, 1, points)
     sides = [(low + high) / 2 + (high - low) / 2 * axis for low, high in (PRESSURES, TEMPERATURES)]
     p, T = np.meshgrid(*sides, indexing="ij")
@@ -66,8 +66,8 @@ def box(points: int, chebyshev: bool) -> tuple[Array, Array]:
 
 
 def fit() -> tuple[Array, Array, float]:
-    """Return the coefficients z (6, 7) and cp0 (3,) of `gas_pipeline_equations.gas`, and the specific gas constant."""
-    p, T = box(24, chebyshev=True)
+    """Return the coefficients z (6, 7) and cp0 (3,) of `equations.gas`, and the specific gas constant."""
+    p, T = grid(24, chebyshev=True)
     expected, R = gerg_2008(p, T)
     x, tau = p / PRESSURE_SCALE, TEMPERATURE_SCALE / T
     powers = [np.polynomial.Polynomial.basis(j) for j in range(POWERS_OF_TAU + 1)]
@@ -94,7 +94,7 @@ def fit() -> tuple[Array, Array, float]:
 
 
 def properties(p: Array, T: Array) -> dict[str, Array]:
-    """What the fitted gas says, by the names of QUANTITIES."""
+    """Properties of the fitted gas, by the names of QUANTITIES."""
     c = natural_gas()
     z, alpha_1, alpha_2, cp = gas(p, T, c)
     rho = p / (z * c.gas_constant * T)
@@ -104,7 +104,7 @@ def properties(p: Array, T: Array) -> dict[str, Array]:
 
 def largest_errors(points: int = 33) -> dict[str, float]:
     """Largest relative deviation of the gas in natural_gas.py from GERG-2008 over the box, by quantity."""
-    p, T = box(points, chebyshev=False)
+    p, T = grid(points, chebyshev=False)
     expected, _ = gerg_2008(p, T)
     return {name: float(np.max(np.abs(value / expected[name] - 1))) for name, value in properties(p, T).items()}
 

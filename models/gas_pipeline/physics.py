@@ -25,9 +25,9 @@ STENCIL = np.array(  # times 12 ds: Shaheen 2024, below (8)
 
 
 def pipeline_parameters(**changes: Any) -> PipelineParameters:
-    """The paper's pipe (Shaheen 2024, Table II) with our viscosity and gas; changes replace single values (SI).
+    """The paper's pipe (Shaheen 2024, Table II) with our viscosity and gas; `changes` replaces single values (SI).
 
-    friction: a Darcy friction factor in place of that which follows from the roughness (four times Fanning's).
+    friction: a Darcy friction factor (four times Fanning's) that replaces the one computed from the roughness.
     """
     gas = natural_gas()
     values: dict[str, Any] = {
@@ -49,9 +49,9 @@ def pipeline_parameters(**changes: Any) -> PipelineParameters:
 
 
 def require_parameters(c: PipelineParameters) -> PipelineParameters:
-    """Return c, or raise ValueError for values that no pipe has; a smooth or insulated pipe (0) is one.
+    """Return c, or raise ValueError for values that no pipe has; 0 is valid for a smooth or an insulated pipe.
 
-    A friction factor of 1 or more is refused as a slip: Colebrook and White give at most 0.1.
+    A friction factor of 1 or more is refused as a mistake: Colebrook and White give at most 0.1.
     """
     for name, value in c._asdict().items():
         least = 0.0 if name in {"roughness", "heat_transfer", "friction"} else np.finfo(float).tiny
@@ -74,8 +74,8 @@ def steady_state(
 ) -> Array:
     """State (3 nodes,) at constant mass flow (kg/s) from the inlet's Pa and K: integrated along the pipe to 1e-12.
 
-    A p_s + m v_s = -w and v (T_s - kappa p_s) = what heats, with v_s as in gas_pipeline_equations at m_s = 0. Raises
-    ArithmeticError where the pressure falls out of the gas model before the outlet, or the flow reaches the speed of sound.
+    A p_s + m v_s = -w and v (T_s - kappa p_s) = the heating term, with v_s as in `equations` at m_s = 0. Raises
+    ArithmeticError where the pressure leaves the gas model before the outlet, or the flow reaches the speed of sound.
     """
     c = parameters
     area = np.pi / 4 * c.diameter**2
@@ -112,7 +112,7 @@ def steady_state(
 
 
 def initial_state(nodes: int, flow: float, parameters: PipelineParameters) -> Array:
-    """The steady state (3 nodes,) at that flow (kg/s); ValueError with the largest flow for which there is one."""
+    """The steady state (3 nodes,) at that flow (kg/s); ValueError with the largest possible flow."""
     if not FLOW[0] <= flow <= FLOW[1]:
         raise ValueError(f"a flow of {flow:g} kg/s; the model holds from {FLOW[0]:g} to {FLOW[1]:g} kg/s")
     if (found := _carried(nodes, flow, parameters)) is not None:
@@ -133,18 +133,18 @@ def initial_state(nodes: int, flow: float, parameters: PipelineParameters) -> Ar
 
 
 def _carried(nodes: int, flow: float, parameters: PipelineParameters) -> Array | None:
-    """The steady state, None where there is none within the limits of the gas model."""
+    """The steady state; None where none exists within the limits of the gas model."""
     try:
         with np.errstate(all="ignore"):
             x = steady_state(nodes, float(flow), parameters)
-    except (ArithmeticError, ValueError):  # the pressure falls out of the model, or the flow reaches the speed of sound
+    except (ArithmeticError, ValueError):  # the pressure leaves the gas model, or the flow reaches the speed of sound
         return None
     p, T = x[:nodes], x[2 * nodes :]
     inside = np.all((p >= PRESSURES[0]) & (p <= PRESSURES[1]) & (T >= TEMPERATURES[0]) & (T <= TEMPERATURES[1]))
     return x if inside else None
 
 
-def largest_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
+def courant_step(nodes: int, parameters: PipelineParameters, x: Array) -> float:
     """Largest step (s) by Courant, Friedrichs and Lewy (9).
 
     At the fastest sound in the gas model's box and twice the largest velocity of x, so that it holds all along a transient.
@@ -173,7 +173,7 @@ def pipeline_physics(nodes: int, parameters: PipelineParameters, flow: float = 3
 
     Inputs are the rates at which the boundary values change.
 
-    The same scalar equations as the compiled drivers: what tests hold against each other.
+    These are the scalar equations of the compiled drivers; tests compare both.
     """
     first = np.clip(np.arange(nodes) - 2, 0, nodes - 5)
     derivative = np.zeros((nodes, nodes))

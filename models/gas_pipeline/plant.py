@@ -1,20 +1,20 @@
 """The plant `gas-pipeline`: 150 km of high-pressure natural gas under transient flow (Shaheen 2024, sec. II and IV).
 
-State [p_0 .. p_{n-1}, m_0 .., T_0 ..] at n equally spaced nodes, a sensor for each. The pressure and temperature at the
-inlet and the mass flow at the outlet are given: the inputs are their values at the end of a step, to which they run
-linearly. So a finer truth takes the same dt in more substeps, not a smaller dt with the input held:
+State [p_0 .. p_{n-1}, m_0 .., T_0 ..] at n equally spaced nodes, with a sensor for each. The pressure and temperature at the
+inlet and the mass flow at the outlet are inputs: their values at the end of a step, which they approach linearly within the
+step. A high-fidelity model on a finer grid therefore takes the same dt in more substeps, not a smaller dt with a held input:
 gas_pipeline(nodes=81, stations=21) has the sensors of gas_pipeline(), and `coarse_state` picks its 63 states.
 
-What the paper misprints or leaves out, and what stands here instead:
-- (6), A_21: see gas_pipeline_equations. theta = pi is a horizontal pipe, as here. "log" in Colebrook-White is log10 and
-  f the Darcy factor; R is the specific gas constant. D in (8) needs one block for each of p, m, T, and boundary rows.
-- Boundary rows by plain one-sided differences are stable with 41 nodes and unstable with 81 (an eigenvalue of +0.007/s):
-  characteristic conditions stand instead.
-- The fits, composition and viscosity of the gas are not given: natural_gas.py, and 1.25e-5 Pa s. Neither is the demand
-  f(t) in numbers: `demand` is ours, with ramps slow enough (300 s and more) not to ring on 21 nodes.
+Misprints and omissions of the paper, and what is used here:
+- (6), A_21: see equations.py. theta = pi is a horizontal pipe, as here. "log" in Colebrook-White is log10 and f the Darcy
+  factor; R is the specific gas constant. D in (8) needs one block for each of p, m, T, and boundary rows.
+- Boundary rows by one-sided differences are stable with 41 nodes and unstable with 81 (an eigenvalue of +0.007/s):
+  characteristic conditions are used instead.
+- The fits, composition and viscosity of the gas are not given: see natural_gas.py, and 1.25e-5 Pa s. The demand f(t) is not
+  given in numbers either: `demand` is our choice, with ramps slow enough (300 s and more) not to ring on 21 nodes.
 - Table III gives noise in MPa, kg/s, K. "Standard deviation of the process noise 10 % lower than that of the measurement
-  noise" is 0.9 sigma as printed, 0.1 sigma if "10 % of" is meant; both are named. The scenarios give the paper's filters
-  the first and show the other beside it, which is nearer to most of Table IV; "tenth" is the plant's own. P = I in the
+  noise" is 0.9 sigma as printed, 0.1 sigma if "10 % of" is meant; both have a name. The scenarios give the paper's filters
+  the first and show the second beside it, which is nearer to most of Table IV; "tenth" is the plant's default. P = I in the
   paper's units is named "identity".
 - N_s = L / ds = 20, but there are 21 nodes.
 """
@@ -41,8 +41,8 @@ from fusion_sfdia.models.gas_pipeline.physics import (
     INLET_PRESSURE,
     INLET_TEMPERATURE,
     STENCIL,
+    courant_step,
     initial_state,
-    largest_step,
     pipeline_parameters,
     require_parameters,
     signals,
@@ -57,13 +57,13 @@ SIGMA = {  # Pa, kg/s, K: Shaheen 2024, Table III
 }
 PROCESS_NOISE = {"tenth": 0.1, "nine-tenths": 0.9}  # of the sensors' sigma, see above
 IDENTITY = (1e6, 1.0, 1.0)  # Pa, kg/s, K: one of each of the paper's units
-FINER = 4  # cells of the finer twin in one of the grid: errors 4^4 times smaller
-DENSE_NODES = 600  # with all intermediate results about 200 MB
+FINER = 4  # cells of the high-fidelity model in one of the grid: errors are 4^4 times smaller
+DENSE_NODES = 600  # about 200 MB with all intermediate results
 QUANTITIES = ("pressure", "mass flow", "temperature")
 
 
 def demand(t: float) -> float:
-    """Mass flow asked for at the outlet, kg/s: 300 to 450 in 600 s, back to 350 between 1800 and 2700 s, cosine ramps. Ours."""
+    """Demand at the outlet, kg/s, our choice: 300 to 450 within 600 s, to 350 between 1800 and 2700 s, by cosine ramps."""
 
     def ramp(start: float, stop: float) -> float:
         return 0.5 * (1.0 - float(np.cos(np.pi * np.clip((t - start) / (stop - start), 0.0, 1.0))))
@@ -86,12 +86,12 @@ def gas_pipeline(
     """Return the pipeline as a plant.
 
     nodes: of the grid, at least 7. dt: seconds between readings. substeps: of RK4 in dt; None for the fewest that (9)
-    allows; too few are a ValueError that names the limit. stations: places with sensors, at every k-th node (None: all),
-    named as on the coarse grid. snr: "high", "moderate", "low" (Table III). process_noise: "tenth" or "nine-tenths" of
-    sigma. initial: "noise" for P0 = R, "identity" for one squared unit of the paper (MPa, kg/s, K). outlet_flow: mass flow
-    asked for at the outlet, kg/s, as a number or a function of time, at whose value at 0 the pipe is at rest at first; None
-    for `demand`. parameters: as of pipeline_parameters(...), with a roughness or a friction factor. ValueError where no pipe
-    of these parameters carries that flow at rest, with the largest one that it does.
+    allows. stations: places with sensors, at every k-th node (None: all), named as on the coarse grid. snr: "high",
+    "moderate", "low" (Table III). process_noise: "tenth" or "nine-tenths" of sigma. initial: "noise" for P0 = R, "identity"
+    for one squared unit of the paper (MPa, kg/s, K). outlet_flow: demand at the outlet, kg/s, as a number or a function of
+    time (s); the initial state is the steady state for its value at 0; None for `demand`. parameters: from
+    pipeline_parameters(...), with a roughness or a friction factor. Raises ValueError for too few substeps, with the limit,
+    and for a flow that no pipe of these parameters carries in steady state, with the largest possible flow.
     """
     c = pipeline_parameters() if parameters is None else require_parameters(parameters)
     for what, value, known in (
@@ -110,7 +110,7 @@ def gas_pipeline(
     flow = asked if callable(asked) else partial(_constant, number("outlet_flow", asked))
     first = number("outlet_flow at 0 s", flow(0.0))
     x0 = initial_state(nodes, first, c)
-    limit = largest_step(nodes, c, x0)
+    limit = courant_step(nodes, c, x0)
     needed = int(np.ceil(dt / limit - 1e-9))
     count = needed if substeps is None else substeps
     if count < needed:
@@ -153,7 +153,7 @@ def gas_pipeline(
 
 @dataclass(frozen=True, eq=False)
 class _Pipe:
-    """The functions of the plant; count: substeps, picks: (N,) of the states that are read."""
+    """The functions of the plant; count: substeps; picks (N,): positions of the measured states."""
 
     nodes: int
     count: int
@@ -203,7 +203,7 @@ def _operation(dt: float, flow: Callable[[float], float], t: float) -> Array:
 
 
 def require_dense(nodes: int) -> None:
-    """Raise ValueError where matrices of all states by all states would fill the memory."""
+    """Raise ValueError where (n, n) matrices would fill the memory."""
     if nodes > DENSE_NODES:
         raise ValueError(
             f"Jacobians of {3 * nodes} states are dense and too large here; use the ensemble filter, which needs none, "
@@ -212,7 +212,7 @@ def require_dense(nodes: int) -> None:
 
 
 def coarse_state(x: Array, stations: int) -> Array:
-    """The state (..., 3 stations) at the stations of a fine state (..., 3 nodes); ValueError where they are not nodes."""
+    """The state (..., 3 stations) at the stations of a fine state (..., 3 nodes); ValueError for stations that are no nodes."""
     nodes = x.shape[-1] // 3
     if x.shape[-1] != 3 * nodes or stations < 2 or (nodes - 1) % (stations - 1):
         raise ValueError(f"a state of {x.shape[-1]} values has no {stations} stations; expected nodes = 1 + k (stations - 1)")

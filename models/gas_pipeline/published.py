@@ -1,6 +1,6 @@
 """What Shaheen 2024 publishes of its pipeline, in SI: Tables IV to VII.
 
-Sources name the table; they name no page, since the text that the numbers were taken from has none. Its Fig. 5 to 7 (ROC
+Sources name the table and no page: the text from which the numbers were taken has no pages. Its Fig. 5 to 7 (ROC
 curves, isolation matrices, RMSE under faults) have no numbers.
 """
 
@@ -48,7 +48,7 @@ _ACCURACY = {
 
 
 def rmse(snr: str, filter_name: str, quantity: str) -> Published | None:
-    """Table IV: RMSE of a filter ("fusing-ekf", "ekf", ...) in Pa, kg/s or K; None for filters it does not have."""
+    """Table IV: RMSE of a filter ("fusing-ekf", "ekf", ...) in Pa, kg/s or K; None for filters that it does not list."""
     if filter_name not in FILTERS:
         return None
     i = QUANTITIES.index(quantity)
@@ -57,7 +57,7 @@ def rmse(snr: str, filter_name: str, quantity: str) -> Published | None:
 
 
 def accuracy(snr: str, filter_name: str, quantity: str, fault: str) -> Published | None:
-    """Tables V to VII: detection accuracy as a fraction; None for filters they do not have."""
+    """Tables V to VII: detection accuracy as a fraction; None for filters that they do not list."""
     if filter_name not in FILTERS[:3]:
         return None
     table, values = _ACCURACY[snr]

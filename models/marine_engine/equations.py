@@ -1,7 +1,8 @@
 """Mean-value model of a marine diesel engine: scalar equations and the compiled drivers that join them.
 
 Kougiatsos and Reppa 2024 (K24), appendix, (27)-(49), with Kougiatsos et al. 2022 (K22), who take the model from Geertsma et
-al. 2017. As printed it does not run; each docstring names the equation and what was wrong with it. Symbols of the papers:
+al. 2017. As printed it cannot be evaluated; each docstring names the equation and the misprint that was corrected. Symbols of
+the papers:
 
     fuel         x(1)    kg per cylinder and cycle       p_receiver    x(3)    Pa, exhaust receiver, before the turbine
     p_cylinder   z1(2)   Pa, when the exhaust opens      T_receiver    z1(3)   K, before the turbine
@@ -9,10 +10,10 @@ al. 2017. As printed it does not run; each docstring names the equation and what
     torque       z3(2)   N m at the shaft                p_charge      x(4)    Pa, after the compressor
     T_charge     z1(4)   K, after the intercooler        T_compressor  z2(4)   K, before the intercooler
 
-K24's text swaps the labels of z1(4) and z2(4); its equations do not. The engine's speed is no variable: the propeller law
-ties it to the torque, n = sqrt(2 pi torque / load). The argument names of an equation, but for the parameters c, are its
-structure. Nothing branches on a value and everything is analytic, but for a kink where the slip stops, so floats, complex
-numbers, batches and intervals serve.
+K24's text swaps the labels of z1(4) and z2(4); its equations do not. The engine's speed is not a variable: the propeller law
+determines it from the torque, n = sqrt(2 pi torque / load). The argument names of an equation, without the parameters c, are
+its structure. Nothing branches on a value, and everything is analytic except for a kink where the slip stops, so the equations
+take floats, complex numbers, batches and intervals.
 Where the model has no solution (a negative pressure) real numbers give NaN.
 """
 
@@ -35,7 +36,7 @@ CHORDS = 5  # steps of the chord method for the torque: to rounding, also from a
 
 
 class EngineParameters(NamedTuple):
-    """What the equations need to know, in SI; marine_engine_parameters makes it from a file."""
+    """Parameters of the equations, in SI; `parameters` makes them from a file."""
 
     fuel_delay: float  # s, tau_X
     receiver_delay: float  # s, tau_pd
@@ -133,7 +134,7 @@ def cylinder_pressure(fuel: Any, torque: Any, p_charge: Any, c: EngineParameters
 
 @equation
 def cylinder_temperature(fuel: Any, torque: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
-    """T_6 = T_4 (r_eo r_c / (b c))^(1-n), K: K24 (32), K22 (8), derived anew since neither is legible."""
+    """T_6 = T_4 (r_eo r_c / (b c))^(1-n), K: K24 (32), K22 (8), derived by us since neither is legible."""
     return T_charge * end_of_cycle(fuel, speed_ratio(torque, c), p_charge, c)
 
 
@@ -166,7 +167,7 @@ def shaft_torque(fuel: Any, T_cylinder: Any, torque: Any, p_charge: Any, T_charg
 def nozzle(ratio: Any, c: EngineParameters) -> Any:
     """Psi of isentropic flow through a nozzle, its square cut off where the pressure behind is no lower.
 
-    Subcritical, which a slip is: behind it stands more than half the pressure before it.
+    Subcritical, as slip flow is: the pressure behind is more than half the pressure before.
     """
     k = c.kappa_air
     square = 2.0 * k / (k - 1.0) * ratio ** (2.0 / k) * (1.0 - ratio ** ((k - 1.0) / k))
@@ -177,7 +178,7 @@ def nozzle(ratio: Any, c: EngineParameters) -> Any:
 def slip_law(torque: Any, p_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
     """Slip air over trapped air: s = s_nom (n_nom / n) sqrt(T_1 / T_1nom) Psi(x(3)/x(4)) / Psi_nom.
 
-    The papers refer to Geertsma et al. 2017. The law is what flows through the valves while both are open.
+    The papers refer to Geertsma et al. 2017. The law is the flow through the valves while both are open.
     """
     psi = nozzle(p_receiver / p_charge, c) / nozzle(c.p_receiver_nominal / c.p_charge_nominal, c)
     return c.slip_nominal * psi * np.sqrt(T_charge / c.T_charge_nominal) / speed_ratio(torque, c)
@@ -254,7 +255,7 @@ def charge_inflow_at(
 ) -> Any:
     """h(4) = p_amb (1 + chi_g delta_f eta_TC r_TC (1 - Pi_tur))^(kappa/(kappa-1)) / tau_TC, Pa/s: (46), (47).
 
-    Printed with the exponent turned over. r_TC = z1(3) / T_amb, chi_g = c_pg / c_pa.
+    Printed with the inverse of the exponent. r_TC = z1(3) / T_amb, chi_g = c_pg / c_pa.
     """
     delta_f = gas_over_air(fuel, slip, p_charge, T_charge, c)
     eta = efficiency(c.turbocharger_efficiency, p_charge, c)
@@ -266,17 +267,17 @@ def charge_inflow_at(
 def compressor_temperature_at(
     fuel: Any, slip: Any, p_receiver: Any, T_receiver: Any, p_charge: Any, T_charge: Any, c: EngineParameters
 ) -> Any:
-    """z2(4) = T_amb + chi_g delta_f eta_com (z1(3) - z2(3)), K: (49b), what the turbine gives heats the air.
+    """z2(4) = T_amb + chi_g delta_f eta_com (z1(3) - z2(3)), K: (49b), the turbine's power heats the air.
 
-    Printed with a stray eta_tur and x(3), delta_f + eta_com for the product, and the difference turned over. With z2(3) =
-    psi_4 z1(3) put in, as here, its structure is that of Table III.
+    Printed with a stray eta_tur and x(3), delta_f + eta_com for the product, and the difference with the opposite sign. With
+    z2(3) = psi_4 z1(3) put in, as here, its structure is that of Table III.
     """
     delta_f = gas_over_air(fuel, slip, p_charge, T_charge, c)
     drop = T_receiver * efficiency(c.turbine_efficiency, p_charge, c) * (1.0 - expansion_ratio(p_receiver, c))
     return c.T_ambient + c.cp_gas / c.cp_air * c.compressor_efficiency * delta_f * drop
 
 
-# The same with the slip by its law: each then depends on the torque and both pressures.
+# The same with the slip by its law: each equation then depends on the torque and both pressures.
 
 
 @equation
@@ -315,7 +316,7 @@ def compressor_temperature(
     return compressor_temperature_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
 
 
-# And with the nominal slip: they no longer depend on what only the slip needs.
+# The same with the nominal slip: the equations no longer depend on the variables of the slip alone.
 
 
 @equation
@@ -348,7 +349,7 @@ def compressor_temperature_constant(
     return compressor_temperature_at(fuel, c.slip_nominal, p_receiver, T_receiver, p_charge, T_charge, c)
 
 
-# And at nominal speed.
+# The same at nominal speed.
 
 
 @equation
@@ -397,21 +398,21 @@ def variables_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 @equation
 def swept_torque(fuel: Any, torque: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
-    """The shaft_torque at the speed of the torque given, N m, in T_6 as well: this shrinks errors by 0.08 at full load."""
+    """The shaft_torque at the speed of the given torque, N m, also in T_6: it multiplies errors by 0.08 at full load."""
     return shaft_torque(fuel, cylinder_temperature(fuel, torque, p_charge, T_charge, c), torque, p_charge, T_charge, c)
 
 
 @equation
 def solved_torque(fuel: Any, p_charge: Any, T_charge: Any, c: EngineParameters) -> Any:
-    """The fixed point of swept_torque: one sweep, then the chord method, which shrinks errors by 1e-3 each time.
+    """The fixed point of swept_torque: one sweep, then the chord method, which multiplies errors by 1e-3 each time.
 
-    A fixed number of times, so that a derivative by complex numbers has settled as well as the value.
+    The number of steps is fixed, so that a derivative by the complex step settles with the value.
     """
     start = c.load * c.speed_nominal**2 / (2.0 * np.pi * c.fuel_nominal) * fuel
     torque = swept_torque(fuel, start, p_charge, T_charge, c)
-    beside = 1.001 * torque
-    rise = swept_torque(fuel, beside, p_charge, T_charge, c) - swept_torque(fuel, torque, p_charge, T_charge, c)
-    slope = rise / (beside - torque)
+    nearby = 1.001 * torque
+    rise = swept_torque(fuel, nearby, p_charge, T_charge, c) - swept_torque(fuel, torque, p_charge, T_charge, c)
+    slope = rise / (nearby - torque)
     for _ in range(CHORDS):
         torque = torque + (swept_torque(fuel, torque, p_charge, T_charge, c) - torque) / (1.0 - slope)
     return torque
@@ -536,7 +537,7 @@ def inside_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineP
 def monitor(
     x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Any, c: EngineParameters, law: bool
 ) -> Any:
-    """What monitoring.monitor gives, compiled."""
+    """The result of monitoring.monitor, compiled."""
     size = x.shape[0]
     ahead, bound = np.empty((size, 3)), np.empty((size, 3))
     lower, upper = np.empty((size, 7)), np.empty((size, 7))
@@ -552,7 +553,7 @@ def monitor(
             m, r = middle[e], radius[e]
             middle[e] = x[b, e]
             h = value_at(e, middle, c, law)
-            low, high = min(m - r, x[b, e]), max(m + r, x[b, e])  # holds the truth and the estimate
+            low, high = min(m - r, x[b, e]), max(m + r, x[b, e])  # contains the truth and the estimate
             middle[e], radius[e] = (low + high) / 2, (high - low) / 2
             least, most = bounds_at(e, middle, radius, v, s, c, law)
             if not np.isfinite(h + least + most):

@@ -13,7 +13,7 @@ from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, Engin
 
 Array = NDArray[Any]
 
-LOADS = (0.2, 1.0)  # fuel setting; below, the turbocharger gives next to nothing and the law of the slip loses its sense
+LOADS = (0.2, 1.0)  # fuel setting; below, the turbocharger delivers almost nothing and the law of the slip does not hold
 ITERATIONS = 30
 TOLERANCE = 1e-12  # of the equilibrium's residual, relative
 CONTINUATION = 0.05  # in load, from full load, where the solution is known
@@ -35,7 +35,7 @@ def engine_variables(x: Array, c: EngineParameters, slip: str = "law") -> dict[s
     bad = [name for i, name in enumerate(ALGEBRAIC) if not np.all(z[..., i] > 0)]
     if bad:
         raise ValueError(
-            f"the states {x.tolist()} give no positive {', '.join(bad)}; they are no operation of this engine: give more fuel "
+            f"the states {x.tolist()} give no positive {', '.join(bad)}; the engine cannot run there: give more fuel "
             "or less air"
         )
     found = dict(zip((*STATES, *ALGEBRAIC), np.moveaxis(np.concatenate([x, z], axis=-1), -1, 0), strict=True))
@@ -53,8 +53,8 @@ def follows_law(slip: str) -> bool:
 def equilibrium(load: float, c: EngineParameters, slip: str = "law") -> Array:
     """States (3,) at rest at a constant fuel setting `load` (1 is full load), to 1e-12.
 
-    x(3) = tau_pd h(3) and x(4) = tau_TC h(4) by Newton's method in the logarithms of the pressures, followed from full load
-    down. Raises ValueError for a load out of range, ArithmeticError with the residual where there is none.
+    x(3) = tau_pd h(3) and x(4) = tau_TC h(4) by Newton's method in the logarithms of the pressures, by continuation
+    from full load. Raises ValueError for a load out of range, ArithmeticError with the residual where no equilibrium is found.
     """
     if not LOADS[0] <= load <= LOADS[1]:
         raise ValueError(f"load is {load}; the engine's model holds from {LOADS[0]} to {LOADS[1]} of full load")

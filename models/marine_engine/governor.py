@@ -1,6 +1,6 @@
 """A speed governor for load transients of the marine engine: a PI loop with limits.
 
-The papers run at a constant fuel setting; there u is known and no sensor acts on the engine. In the model the speed follows
+The papers run at a constant fuel setting; there u is known and no reading acts on the engine. In the model the speed follows
 the torque by the propeller law at once, without inertia, so the loop must be slower than the fuel pump. Gains are ours.
 """
 
@@ -24,7 +24,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Governor:
-    """u = proportional e + integral of e, within the limits of the load, e the speed that is missing (1/s).
+    """u = proportional e + integral of e, within the limits of the load, with the speed error e = reference - speed (1/s).
 
     proportional in setting per 1/s of speed, integral in setting per revolution.
     """
@@ -49,10 +49,10 @@ def governed_settings(
     parameters: EngineParameters | None = None,
     process_faults: Sequence[ProcessFault] = (),
 ) -> Array:
-    """Fuel settings (K, 1) by which a governor holds the speed (1/s) asked for at each time (s), for `simulate(inputs=...)`.
+    """Fuel settings (K, 1) by which a governor holds the reference speed (1/s) at each time (s), for `simulate(inputs=...)`.
 
     The other arguments are those of `marine_engine`: the engine that is governed, from its equilibrium at `load`. The governor
-    is told the true speed, starts in balance, and stops integrating at a limit of the load. Raises ValueError for a speed
+    measures the true speed, starts in balance, and stops integrating at a limit of the load. Raises ValueError for a speed
     that is not positive and finite.
     """
     law = governor or Governor()
@@ -67,7 +67,7 @@ def governed_settings(
         t = k * dt
         expected = speed(t)
         if not (np.isfinite(expected) and expected > 0):
-            raise ValueError(f"the speed asked for at {t:g} s is {expected}; expected a positive number in 1/s")
+            raise ValueError(f"the reference speed at {t:g} s is {expected}; expected a positive number in 1/s")
         missing = expected - float(np.sqrt(2 * np.pi / parameters_at(t).load * plant.output(t, x, u)[torque]))
         free = memory + law.integral * missing * dt + law.proportional * missing
         u = np.clip([free], *LOADS)

@@ -1,7 +1,7 @@
 """Parameters of the marine engine: a file of values with unit and provenance, and what follows from them.
 
-An engine is a TOML file with one line a value, as in marine_engine_parameters.toml. What the papers do not state follows from
-the values at full load being in equilibrium: the cycle's share at constant volume from the peak pressure, the losses from the
+An engine is a TOML file with one line for each value, as in marine_engine_parameters.toml. What the papers do not state
+follows from the equilibrium at full load: the cycle's share at constant volume from the peak pressure, the losses from the
 rated power, the turbine's area from the receiver's pressure, the turbocharger's efficiency from the charge-air pressure.
 """
 
@@ -124,7 +124,7 @@ def _value(where: str, name: str, entry: Any) -> Value:
     if provenance not in PROVENANCE:
         raise ValueError(f"{where} has the provenance {provenance!r}; expected one of {', '.join(PROVENANCE)}")
     if not isinstance(source, str) or not source.strip():
-        raise ValueError(f"{where} names no source; say where the number comes from")
+        raise ValueError(f"{where} names no source; state where the number comes from")
     require_range(where, name, number * factors[unit])
     return Value(float(number) * factors[unit], si, provenance, source)
 
@@ -193,7 +193,7 @@ def closed(c: EngineParameters, peak_pressure: float) -> EngineParameters:
     """Return c with the five values that put full load in equilibrium.
 
     T_1 from (49a); X_cv from p_3 = p_1 r^kappa (1 + X_cv q / (c_v T_2)); the losses from (33), the turbine's area from (36),
-    the turbocharger's efficiency from (46). Raises ValueError where one of them comes out as no engine has it.
+    the turbocharger's efficiency from (46). Raises ValueError where one of them is outside the range of any engine.
     """
     fuel, p_d, p_1 = c.fuel_nominal, c.p_receiver_nominal, c.p_charge_nominal
     torque = c.load * c.speed_nominal**2 / (2 * np.pi)
@@ -216,7 +216,5 @@ def closed(c: EngineParameters, peak_pressure: float) -> EngineParameters:
         ("efficiency of the turbocharger", c.turbocharger_efficiency, 1.0, "p_charge, p_receiver or T_ambient"),
     ):
         if not 0 <= value <= most:
-            raise ValueError(
-                f"full load does not close: the {name} comes out as {value:g}, expected 0 to {most:g}; correct {cure}"
-            )
+            raise ValueError(f"full load does not close: the {name} would be {value:g}, expected 0 to {most:g}; correct {cure}")
     return EngineParameters(*(float(x) for x in c))

@@ -1,19 +1,20 @@
 """The plant `marine-engine`: mean-value model of a four-stroke marine diesel engine with turbocharger (K24, appendix).
 
 Kougiatsos and Reppa 2024, "A distributed cyber-physical framework for sensor fault diagnosis of marine internal combustion
-engines". Equations and their misprints: marine_engine_equations. Parameters and their provenance:
-marine_engine_parameters.toml. Four blocks with ten sensors, S(I){j} the j-th of block I:
+engines". Equations and their misprints: equations.py. Parameters and their provenance: parameters.toml. Four subsystems with
+ten sensors, S(I){j} the j-th sensor of subsystem I:
 
     fuel pump                 S(1){1} fuel
     thermomechanical process  S(2){1} p_cylinder, S(2){2} T_cylinder, S(2){3} torque
     exhaust gas path          S(3){1} p_receiver, S(3){2} T_receiver, S(3){3} T_turbine
     air path                  S(4){1} p_charge,   S(4){2} T_charge,   S(4){3} T_compressor
 
-The input is the fuel setting u, 1 at full load. Noise is uniform within `noise` of each variable's value at the load of x0,
-drawn anew at each sample. Initial and process noise of filters are ours: the papers have neither, and a recording has
-process noise only when it is asked for. With them a Kalman filter forgets its beginning slowly, since p_charge hardly moves:
-with a time constant of 145 samples. Innovations have the variance that it says from the first sample on, but uniform noise ends
-where it does, so that the largest ones are those of the estimate's own error: their rate is steady after some 400 samples.
+The input is the fuel setting u, 1 at full load. Noise is uniform within `noise` times each variable's value at the load of x0
+and independent from sample to sample. The initial covariance and the process noise of filters are our choice, as the papers
+have neither; a recording has process noise on request only. With them a Kalman filter forgets its initial state slowly, with a
+time constant of 145 samples, since p_charge hardly moves. Innovations have the predicted variance from the first sample on.
+Uniform noise is bounded, however, so that the largest innovations are due to the error of the estimate: their rate is steady
+after about 400 samples.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 Array = NDArray[Any]
 
 LONGEST_STEP = 0.005  # s: errors of at most 4e-4 in a load step from 100 to 80 %
-FINER = 4  # substeps of the finer twin in one
-INITIAL = 0.01  # standard deviation of x0, relative; ours
-PROCESS = (1e-3, 1e-3, 1e-4)  # standard deviation of the process noise in 0.01 s, relative; ours
+FINER = 4  # substeps of the high-fidelity model in one of the model
+INITIAL = 0.01  # standard deviation of x0, relative; our choice
+PROCESS = (1e-3, 1e-3, 1e-4)  # standard deviation of the process noise in 0.01 s, relative; our choice
 UNIT = {"f": "kg", "p": "Pa", "T": "K", "t": "N m"}
 QUANTITY = {"f": "fuel", "p": "pressure", "T": "temperature", "t": "torque"}
 SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
@@ -88,17 +89,17 @@ MODULES = {
 }
 
 
-GAINS = {"fuel": 1.16, "p_receiver": 900.0, "p_charge": 499.98}  # 1/s, L of the observers: K24, sec. VII
-OBSERVER_BOUNDS = {  # K24, sec. VII; rho < 1 and rho_d < L, of the last two, contradict what they stand for
+GAINS = {"fuel": 1.16, "p_receiver": 900.0, "p_charge": 499.98}  # 1/s, gains L of the observers: K24, sec. VII
+OBSERVER_BOUNDS = {  # K24, sec. VII; rho < 1 and rho_d < L of the last two contradict their definitions
     "fuel": ObserverBound(1.0, 25.0, 2.0, 20.0),
     "p_receiver": ObserverBound(0.05, 600.0, 900.0, 1000.0),
     "p_charge": ObserverBound(0.03, 500.0, 320.0, 450.0),
 }
-DRIFT = {"p_receiver": 0.0}  # at a steady load, as in the papers; for one that moves see receiver_drift
-LOAD_RANGE = 0.03  # of the load: within a range so wide the fuel setting may move, see receiver_drift
+DRIFT = {"p_receiver": 0.0}  # at a steady load, as in the papers; for a changing load see receiver_drift
+LOAD_RANGE = 0.03  # width of the range within which the fuel setting may change, see receiver_drift
 RECEIVER_PER_FUEL, RECEIVER_PER_CHARGE = 0.87, 1.25  # A_1 and A_4 over 1 - A_3 there; proved in test_engine_drift
-CHARGE_IMBALANCE = 0.3  # above |g_4 - x_4| there
-MARGINS = {  # by which thresholds are wider where the paper's pattern of modules that fire is to be shown; ours
+CHARGE_IMBALANCE = 0.3  # upper bound of |g_4 - x_4| there
+MARGINS = {  # added to thresholds to reproduce the paper's pattern of modules that fire; our choice
     "p_receiver": 0.037,  # 2.95 noise bounds in all
     **dict.fromkeys(("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_compressor"), 0.03),
 }
@@ -116,11 +117,11 @@ def marine_engine(
 ) -> Plant:
     """Return the engine as a plant with the states fuel (kg), p_receiver (Pa), p_charge (Pa).
 
-    load: fuel setting of x0 and of the nominal values, 0.2 to 1. dt: seconds between readings, which the exponential
-    midpoint rule divides into as many equal steps of at most 5 ms, times `substeps`. noise: bound of each sensor's error
-    over its nominal value (K24: 0.05, 0.01 to 0.1 in Fig. 5; 0.03 in K22). slip: "law" or "constant". parameters: of
-    another engine. process_faults: of an engine that starts from healthy rest; as truth, for a detector on a healthy one.
-    Raises ValueError for settings that do not fit, ArithmeticError where there is no equilibrium.
+    load: fuel setting of x0 and of the nominal values, 0.2 to 1. dt: seconds between readings; the exponential midpoint rule
+    divides it into the fewest equal steps of at most 5 ms, times `substeps`. noise: bound of each sensor's error over its
+    nominal value (K24: 0.05, 0.01 to 0.1 in Fig. 5; K22: 0.03). slip: "law" or "constant". parameters: of another engine.
+    process_faults: of an engine that starts from a healthy steady state; such a plant is a truth for the detectors of a healthy
+    one. Raises ValueError for settings that do not fit, ArithmeticError where there is no equilibrium.
     """
     c = engine_parameters() if parameters is None else parameters
     law = follows_law(slip)
@@ -159,7 +160,7 @@ def marine_engine(
 
 @dataclass(frozen=True, eq=False)
 class _Compiled:
-    """The functions of the plant by the compiled drivers; parameters_at: as a function of time (s)."""
+    """The functions of the plant by the compiled drivers; parameters_at: the parameters as a function of time (s)."""
 
     parameters_at: Callable[[float], EngineParameters]
     law: bool
@@ -181,10 +182,10 @@ class _Compiled:
 
 
 def receiver_drift(c: EngineParameters, dt: float) -> float:
-    """Share of its nominal value by which p_receiver moves at most within dt, the fuel setting anywhere in LOAD_RANGE.
+    """Largest change of p_receiver within dt (s), over its nominal value, for any fuel setting within LOAD_RANGE.
 
-    The drift of an AdaptiveThreshold for such loads: 0.013 in 0.01 s, for which the threshold of M(3,1) is 2.47 instead of
-    2.22 noise bounds. (By 0.04 the load step from 100 to 80 % moves it, which leaves the usual envelope.)
+    This is the drift of an AdaptiveThreshold for such loads: 0.013 in 0.01 s, for which the threshold of M(3,1) is 2.47 instead
+    of 2.22 noise bounds. (The load step from 100 to 80 %, which leaves the usual envelope, changes it by 0.04.)
 
     With D_i(t) = x_i(t + h) - x_i(t), h <= dt, over nominal values, tau_pd x_3' = g - x_3, tau_TC x_4' = g_4 - x_4, and bounds
     A_i of the slopes dg/dx_i over the envelope:
@@ -192,7 +193,7 @@ def receiver_drift(c: EngineParameters, dt: float) -> float:
         |D_1| <= (1 - exp(-dt/tau_X)) LOAD_RANGE        |D_4| <= (1 - exp(-dt/tau_TC)) sup |g_4 - x_4|
         tau_pd d|D_3|/dt <= A_1 |D_1| + A_4 |D_4| - (1 - A_3) |D_3|
 
-    so that from rest on |D_3| <= (A_1 |D_1| + A_4 |D_4|) / (1 - A_3).
+    so that |D_3| <= (A_1 |D_1| + A_4 |D_4|) / (1 - A_3) after a steady state.
     """
     fuel, charge = -np.expm1(-dt / c.fuel_delay), -np.expm1(-dt / c.charge_delay)
     return float(RECEIVER_PER_FUEL * LOAD_RANGE * fuel + RECEIVER_PER_CHARGE * CHARGE_IMBALANCE * charge)
@@ -227,17 +228,17 @@ def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:
 
 
 def decay_rates(c: EngineParameters) -> Array:
-    """1 / tau (3,) of the states, 1/s: the A of x' = A x + h is minus these."""
+    """1 / tau (3,) of the states, 1/s: A in x' = A x + h is their negative."""
     return 1.0 / np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
 
 
 def engine_equations(slip: str) -> Mapping[str, Callable[..., Any]]:
-    """The equations of the ten variables with the slip by its "law" or "constant"."""
+    """The equations of the ten variables, with the slip by its "law" or "constant"."""
     return EQUATIONS if follows_law(slip) else EQUATIONS | CONSTANT_SLIP
 
 
 def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Physics:
-    """The equations on arrays (..., 3): what the compiled drivers are held against."""
+    """The equations on arrays (..., 3), the reference for the compiled drivers."""
     table = engine_equations(slip)
     scalar = _Scalar(table, {name: equations.variables_of(function) for name, function in table.items()}, decay_rates(c))
     nominal = engine_variables(x0, c, slip)
@@ -255,7 +256,7 @@ def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Ph
 
 @dataclass(frozen=True, eq=False)
 class _Scalar:
-    """The functions of the physics by the scalar equations; names: their arguments. rates: (3,) of the states, 1/s."""
+    """The functions of the physics by the scalar equations; names: their arguments; rates (3,): of the states, 1/s."""
 
     table: Mapping[str, Callable[..., Any]]
     names: Mapping[str, Sequence[str]]

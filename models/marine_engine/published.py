@@ -1,7 +1,7 @@
 """What is published of the marine engine: scenarios, detection times, indicators, fault sizes, signature matrices.
 
 K24: Kougiatsos and Reppa 2024, sec. VII, Fig. 4 and 5, Tables I to VI. K22: Kougiatsos, Negenborn and Reppa 2022, sec. 5,
-Fig. 3, Tables 1 to 3. Sources name figure, table or section, and no page: the text that the numbers were taken from has none.
+Fig. 3, Tables 1 to 3. Sources name figure, table or section and no page: our text of the papers has no pages.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Offset(NamedTuple):
 
 
 class Experiment(NamedTuple):
-    """A run as it is told: faults, length (s), noise bound over the nominal value, and when modules fired (s)."""
+    """A published run: faults, length (s), noise bound over the nominal value, and when modules fired (s)."""
 
     faults: tuple[Offset, ...]
     duration: float
@@ -66,7 +66,7 @@ _TABLE_V = {
 
 
 def minimum_fault(module: str) -> Published:
-    """Table V: smallest detectable fault of the module's sensor at 5 % noise, percent; of its nominal value, we take it."""
+    """Table V: smallest detectable fault of the module's sensor at 5 % noise, percent, as we read it of its nominal value."""
     return Published(_TABLE_V[module], f"{K24}, Table V")
 
 
@@ -98,7 +98,7 @@ K22_OBSERVER_BOUNDS = {
     "p_receiver": ObserverBound(1.0, 541.0, 465.0, 2.0),
     "p_charge": ObserverBound(1.0, 301.0, 320.0, 1.0),
 }
-AT_NOMINAL_SPEED = "K24 (30)"  # the design of K24 with p_6 and T_6 as printed there: at nominal speed, whatever the torque
+AT_NOMINAL_SPEED = "K24 (30)"  # the design of K24 with p_6 and T_6 as printed there: at nominal speed for any torque
 DESIGNS = {
     "K24": (GAINS, OBSERVER_BOUNDS),
     AT_NOMINAL_SPEED: (GAINS, OBSERVER_BOUNDS),

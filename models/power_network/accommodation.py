@@ -1,4 +1,4 @@
-"""What is done about a fault once it is known: the controller makes up for it, or the area is unplugged (a Switch).
+"""Accommodation of an isolated fault: the controller compensates for it, or the area is unplugged (a Switch).
 
 Boem et al. 2018, sec. VII and VIII-B: after a sign flip has been isolated the command is inverted.
 """
@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 @dataclass(eq=False)
 class Compensated:
-    """A controller that divides its references by `gain` (B, N), what they are multiplied with on their way; within limits.
+    """A controller that divides its references, within limits, by `gain` (B, N), the faulty gain of their actuators.
 
     Set gain[run, area] once the fault is isolated: it acts from the next reference on. ValueError for a gain of 0.
     """
@@ -29,7 +29,7 @@ class Compensated:
 
     def __call__(self, model: NetworkModel, y: Array, load: Array) -> Array:
         if np.any(self.gain == 0) or not np.all(np.isfinite(self.gain)):
-            raise ValueError("a reference that is multiplied with 0 cannot be made up for; unplug the area")
+            raise ValueError("a gain of 0 cannot be compensated; unplug the area")
         limit = model.parameters.reference_limit
         reference: Array = np.clip(self.control(model, y, load) / self.gain, -limit, limit)
         return reference

@@ -23,7 +23,7 @@ Control = Callable[[NetworkModel, Array, Array], Array]
 BY_ANGLE, BY_SPEED = 0.8, 1.0  # per unit of power per rad and per rad/s
 STATE_WEIGHT = (100.0, 1.0, 0.01, 0.01)  # of theta, omega, p_m, p_v
 REFERENCE_WEIGHT = 1.0
-EXCESS_WEIGHT = 1e4  # of an angle's square beyond its limit: what cannot be kept is exceeded by as little as can be
+EXCESS_WEIGHT = 1e4  # of the square of an angle beyond its limit: a limit that cannot be kept is exceeded as little as possible
 HORIZON = 10  # steps
 TOLERANCE = 1e-6
 
@@ -41,16 +41,16 @@ def generation_control(model: NetworkModel, y: Array, load: Array) -> Array:
 class _AreaProblem(NamedTuple):
     row: bytes  # the area's model for which it was set up
     solver: Any
-    equality: Array  # (4, 5): what of [x, e] stands on the right of the first step and of the others
+    equality: Array  # (4, 5): the share of [x, e] in the right-hand sides of the first step and of the others
 
 
 @dataclass(eq=False)
 class PredictiveControl:
-    """Model predictive control of each area by itself, which keeps |P_ref| and, as far as can be, |theta| within limits.
+    """Model predictive control of each area by itself, which keeps |P_ref| and, as far as possible, |theta| within limits.
 
     Over `horizon` steps it minimises sum |x - x_e|^2_Q + R (u - P_L)^2 + excess, x_e = (0, 0, P_L, P_L), by the area's own
-    model with the load and the neighbours' angles held as read. References are within their limits for certain, angles but for
-    a quadratic penalty, since noise alone may leave no other solution. An area whose model changes is set up anew, no other.
+    model with the load and the neighbours' angles held as read. References always keep their limits. Angles beyond theirs have
+    a quadratic penalty, since noise alone may make hard limits infeasible. Only an area whose model changes is set up again.
     Needs osqp (pip install 'fusion-sfdia[mpc]'): ImportError without. ArithmeticError where a problem is not solved.
     """
 

@@ -4,10 +4,10 @@ Boem et al. 2018 (B18), sec. VIII, after Riverso 2014; linear, all variables dev
 
     theta   rad     angle                        reference  per unit  P_ref, set point of the power
     omega   rad/s   speed                        load       per unit  P_L
-    p_m     pu      mechanical power             external   per unit  sum_j P_ij theta_j - P_L: what comes from outside
+    p_m     pu      mechanical power             external   per unit  sum_j P_ij theta_j - P_L: power from outside
     p_v     pu      steam valve                  stiffness  1/rad     sum_j P_ij over the closed ties
 
-The tie lines stand twice in an area: in `external` by the neighbours' angles and in `stiffness` by its own, so closing or
+The tie lines enter an area twice: in `external` by the neighbours' angles and in `stiffness` by its own, so closing or
 opening a tie changes both at once. `external` is all that an area needs of its neighbours. Where it is held over a step
 (area by area), it acts as an input does; exactly, it changes with the angles during the step.
 """

@@ -15,7 +15,7 @@ Array = NDArray[Any]
 
 
 def fault_function(model: NetworkModel, fault: AreaFault) -> Callable[[Array, Array, Array], Array]:
-    """phi(x (..., 4), reference (...), external (...)) -> (..., 4) of a fault, whenever it acts: x+ = f + phi.
+    """phi(x (..., 4), reference (...), external (...)) -> (..., 4) of a fault while it acts: x+ = f + phi.
 
     external: sum_j P_ij theta_j - P_L, by the neighbours' angles and the load as they are known. Affine for all kinds:
     governor      phi = (F' - F) x + (b' - b) u + (g' - g) e, of the model with the other time constant

@@ -1,8 +1,8 @@
-"""The discretised power network: arrays over all areas, changed in the rows that a change touches and nowhere else.
+"""The discretised power network: arrays over all areas; a change touches only the rows of the areas concerned.
 
 Discretisations, both with reference and load held over dt:
-- "area-by-area": each area exactly, its neighbours' angles held too. Sparse for any number of areas, and what each area can
-  do by itself; but the coupling is of first order in dt. At dt = 1 s the largest differences of its transition matrix to the
+- "area-by-area": each area exactly, its neighbours' angles held too. Sparse for any number of areas, and possible for
+  each area alone; but the coupling is of first order in dt. At dt = 1 s the largest differences of its transition matrix to the
   exact one, in the rows of theta, omega, p_m, p_v, are 0.04, 0.11, 0.73 and 1.86 for the 15 areas.
 - "exact": the matrix exponential of the whole network, dense.
 """
@@ -27,14 +27,14 @@ Array = NDArray[Any]
 DISCRETISATIONS = ("area-by-area", "exact")
 DENSE_AREAS = 250  # 1000 states: matrices of 8 MB
 PROCESS_VARIANCE = {  # of theta, omega, p_m, p_v in 1 s; B18, sec. VIII, can be read in two ways
-    "lit": (1e-4, 1e-4, 1e-4, 1e-4),  # as it is printed: "sigma_w^2 = 0.0001" of all states
+    "lit": (1e-4, 1e-4, 1e-4, 1e-4),  # as printed: "sigma_w^2 = 0.0001" of all states
     "small": (1e-5, 1e-5, 1e-4, 1e-4),  # the smaller variance of angle and speed meant for w as well
 }
 NOISE_VARIANCE = (1e-5, 1e-5, 1e-4, 1e-4)  # of the readings of theta, omega, p_m, p_v
 
 
 class AreaModel(NamedTuple):
-    """What the diagnoser of one area needs, and what crosses its border; k neighbours that are joined to it at present.
+    """The model of one area for its diagnoser, with what crosses its border; k neighbours are joined to it at present.
 
     Continuous: dx/dt = A x + B P_ref + L P_L + sum_j coupling[j] x_j. Over dt, the angles of the neighbours held:
     x+ = transition x + by_reference P_ref + by_load P_L + by_angles theta.
@@ -122,7 +122,7 @@ class NetworkModel:
         return after.reshape(*batch, n, 4)
 
     def switched(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> NetworkModel:
-        """The model after areas joined and left the network, at once: the ties and the stiffness at both their ends.
+        """The model after areas joined and left the network at the same time: ties and the stiffness at both their ends change.
 
         Area by area only the rows of these areas and of their neighbours change; all others keep their bits.
         """
@@ -132,7 +132,7 @@ class NetworkModel:
         return self._changed(change.touched, network=self.network.after(change), side_slope=slope)
 
     def altered(self, area: str, **constants: float) -> NetworkModel:
-        """The model with other constants of one area, such as governor_time=1000.0; ValueError for what is no constant."""
+        """The model with other constants of one area, such as governor_time=1000.0; ValueError for an unknown constant."""
         unknown = [name for name in constants if name not in DYNAMIC]
         if unknown:
             raise ValueError(f"unknown constants {', '.join(unknown)} of area {area!r}; known: {', '.join(DYNAMIC)}")

@@ -1,6 +1,6 @@
 """How a power network is run: steps of its loads, faults of its areas, areas that join and leave, as functions of time.
 
-An event of time T acts from T on: on the step that begins at T, and on what is read of the ties at T.
+An event at time T acts from T on: on the step that begins at T, and on the readings of the ties at T.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 AREA_FAULTS = {  # kind: what a value does
     "governor": "the governor's time constant is `value` s (B18, scenario 1: 1000 instead of 0.1)",
     "input-gain": "`value` times the reference reaches the area (B18, scenario 2: -1, or 2 or 10)",
-    "load-loss": "`value` per unit of the load that the area reckons with is lost",
+    "load-loss": "`value` per unit of the load known to the area is lost",
 }
 
 
@@ -43,7 +43,7 @@ class AreaFault:
         if not np.isfinite(self.value) or (self.kind == "governor" and self.value <= 0):
             raise ValueError(f"{who}: value is {self.value}; expected a finite number, positive for a time constant")
         if self.value == {"input-gain": 1.0, "load-loss": 0.0}.get(self.kind):
-            raise ValueError(f"{who}: a value of {self.value:g} is no fault; give another")
+            raise ValueError(f"{who}: a value of {self.value:g} means no fault; give another")
         if not (np.isfinite(self.onset) and self.end > self.onset):
             raise ValueError(f"{who}: onset {self.onset} s, end {self.end} s; expected a finite onset before the end")
 
@@ -57,8 +57,8 @@ class Switch:
     unplug: tuple[str, ...] = ()
 
 
-class Condition(NamedTuple):
-    """The network at a time: its model as all know it, the true one, and what acts on the true inputs, (N,) each."""
+class NetworkCondition(NamedTuple):
+    """The network at a time: its known model, the true one, and the faults of the true inputs, (N,) each."""
 
     known: NetworkModel
     true: NetworkModel
@@ -66,13 +66,13 @@ class Condition(NamedTuple):
     lost: Array  # load, per unit
 
     def step(self, x: Array, reference: Array, load: Array) -> Array:
-        """The true state (..., N, 4) after dt, of the reference that was commanded and the load as it is known."""
+        """The true state (..., N, 4) after dt, from the commanded reference and the known load."""
         return self.true.step(x, self.gain * reference, load - self.lost)
 
 
-def conditions(
+def network_conditions(
     model: NetworkModel, faults: Sequence[AreaFault] = (), switches: Sequence[Switch] = ()
-) -> Callable[[float], Condition]:
+) -> Callable[[float], NetworkCondition]:
     """The condition of a network as a function of time (s); each is made once.
 
     ValueError for an unknown area, a switch that does not fit what is plugged in by then, or faults of a kind that overlap
@@ -81,8 +81,8 @@ def conditions(
     for j, fault in enumerate(faults):
         model.network.topology.index(fault.area)
         for other in faults[:j]:
-            alike = (fault.kind, fault.area) == (other.kind, other.area)
-            if alike and fault.onset < other.end and other.onset < fault.end:
+            same = (fault.kind, fault.area) == (other.kind, other.area)
+            if same and fault.onset < other.end and other.onset < fault.end:
                 raise ValueError(f"two faults {fault.kind!r} of area {fault.area} overlap in time; give one after the other")
     ordered = sorted(switches, key=lambda s: s.time)
     times = sorted({s.time for s in ordered} | {f.onset for f in faults} | {f.end for f in faults if np.isfinite(f.end)})
@@ -90,11 +90,11 @@ def conditions(
     return partial(_at, times, made)
 
 
-def _at(times: Sequence[float], made: Sequence[Condition], t: float) -> Condition:
+def _at(times: Sequence[float], made: Sequence[NetworkCondition], t: float) -> NetworkCondition:
     return made[bisect_right(times, t + 1e-9)]
 
 
-def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Sequence[Switch], t: float) -> Condition:
+def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Sequence[Switch], t: float) -> NetworkCondition:
     known = model
     for switch in switches:
         if switch.time <= t:
@@ -110,7 +110,7 @@ def _condition(model: NetworkModel, faults: Sequence[AreaFault], switches: Seque
                     gain[i] = fault.value
                 case "load-loss":
                     lost[i] = fault.value
-    return Condition(known, true, gain, lost)
+    return NetworkCondition(known, true, gain, lost)
 
 
 def load_profile(model: NetworkModel, steps: Sequence[LoadStep]) -> Callable[[float], Array]:

@@ -85,7 +85,7 @@ def load_network(path: str | Path = NETWORK_FILE) -> NetworkParameters:
     """Read a network's file.
 
     Raises ValueError naming the file and the entry where it is no TOML, an entry is missing or unknown or lacks value, unit,
-    provenance or source, the unit is another, names an unknown area, or the number is outside what an area or a tie has.
+    provenance or source, the unit is another, names an unknown area, or the number is outside its valid range.
     """
     document = _document(path)
     names = document["names"]
@@ -156,7 +156,7 @@ def _entry(where: str, entry: Any, key: str, unit: str) -> Any:
     if entry["provenance"] not in PROVENANCE:
         raise ValueError(f"{where} has the provenance {entry['provenance']!r}; expected one of {', '.join(PROVENANCE)}")
     if not isinstance(entry["source"], str) or not entry["source"].strip():
-        raise ValueError(f"{where} names no source; say where the number comes from")
+        raise ValueError(f"{where} names no source; state where the number comes from")
     return entry[key]
 
 

@@ -1,24 +1,24 @@
 """The plant `power-network`: generation areas joined by tie lines (Boem et al. 2018, "B18", sec. VIII).
 
-Each area i has the states theta_i, omega_i, p_m_i, p_v_i and a sensor of each; its neighbours j read theta_i too, by the
-sensors theta_i@j: 60 + 34 sensors for 15 areas with 17 ties, the 94 states of B18's diagnosers. Inputs are the references and
-the loads, reference_i and load_i. Equations: power_network_equations; parameters and their provenance:
-power_network_parameters.toml.
+Each area i has the states theta_i, omega_i, p_m_i, p_v_i with a sensor for each. Its neighbours j read theta_i too, by the
+sensors theta_i@j: 60 + 34 sensors for 15 areas with 17 ties, the 94 states of B18's diagnosers. The inputs are the references
+and the loads, reference_i and load_i. Equations: equations.py. Parameters and their provenance: parameters.toml.
 
-What the paper leaves out or gets wrong, and what stands here instead:
-- The slopes of the ties stand in a figure that its text lacks: recalled for the first five areas, ours for the others. So
-  are the steps of the loads.
+Omissions and errors of the paper, and what is used here:
+- The slopes of the ties are in a figure that the text at hand lacks: recalled for the first five areas, our choice for the
+  others. The same holds for the steps of the loads.
 - "sigma_w^2 = 0.0001 and sigma_rho^2 = 0.0001 for noises associated with P_m and P_v, and sigma_rho^2 = 0.00001 for theta and
   omega" can be read in two ways: noise="lit" for a process variance of 1e-4 in all states, "small" for 1e-5 in theta, omega.
-- How it is discretised is not said. Area by area at dt = 1 s (the default) is what local diagnosers can do; "exact" is the
-  truth of a simulation unless another is asked for.
-- With the reference and the neighbours' angles held, theta_i+ depends on all of x_i, P_ref, P_L and these angles, so those
-  who share theta_i need of area i one number more: theta_i+ without the term of theta_i itself. And they must know the loads.
+- The discretisation is not stated. Local diagnosers can discretise area by area at dt = 1 s (the default); "exact" is the
+  high-fidelity model of simulations.
+- With the reference and the neighbours' angles held, theta_i+ depends on all of x_i, P_ref, P_L and these angles. Areas that
+  share theta_i therefore need one more number from area i: theta_i+ without the term of theta_i itself. They must also know
+  the loads.
 - Sec. VI-A sets to zero what an unplugged area sent. That is not enough: A_ii contains sum_j P_ij and loses its part with it.
-- An unplugged area runs on by itself.
+- An unplugged area continues on its own.
 
-The angles have one common mode without restoring force, so an open loop drifts: the usual operation is in closed loop, the
-references by power_network_control.generation_control.
+The angles have one common mode without restoring force, so that an open loop drifts. The usual operation is therefore in closed
+loop, with references by control.generation_control.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.equations import STATES, area_rates
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel, network_model
-from fusion_sfdia.models.power_network.operation import AreaFault, Condition, Switch, conditions, load_profile
+from fusion_sfdia.models.power_network.operation import AreaFault, NetworkCondition, Switch, load_profile, network_conditions
 from fusion_sfdia.models.power_network.parameters import (
     LoadStep,
     NetworkParameters,
@@ -70,10 +70,10 @@ def power_network(
 ) -> Plant:
     """Return a network of at most 250 areas as a plant; larger ones are a `network_model`, without a name for each state.
 
-    areas: 15 for those of B18, another number for a network generated from `seed`, or parameters. unplugged, dt, noise,
-    discretisation: of `network_model`. loads: steps of the loads in its usual operation; None for those of B18's scenario 1 as
-    far as the areas exist. faults, switches: as truth, for a detector on a healthy network. Raises ValueError for settings that
-    do not fit.
+    areas: 15 for those of B18, another number for a network generated from `seed`, or parameters. unplugged, dt (s), noise,
+    discretisation: as in `network_model`. loads: steps of the loads in the usual operation; None for those of B18's scenario 1
+    in the areas that exist. faults, switches: of a network that is a truth for the detectors of a healthy one. Raises
+    ValueError for settings that do not fit.
     """
     if isinstance(areas, NetworkParameters):
         c = areas
@@ -90,7 +90,7 @@ def power_network(
     picks = np.array([place[s.measures] for s in sensors])
     readout = np.zeros((len(sensors), 4 * n))
     readout[np.arange(len(sensors)), picks] = 1.0
-    running = _Running(n, conditions(model, faults, switches), profile)
+    running = _Running(n, network_conditions(model, faults, switches), profile)
     exact = partial(
         power_network, c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults,
         switches=switches,
@@ -122,7 +122,7 @@ class _Running:
     """The functions of a plant of n areas, from its condition and its loads (n,) as functions of time (s)."""
 
     n: int
-    condition: Callable[[float], Condition]
+    condition: Callable[[float], NetworkCondition]
     profile: Callable[[float], Array]
 
     def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
@@ -143,7 +143,7 @@ class _Running:
 
 
 def network_sensors(model: NetworkModel) -> tuple[Sensor, ...]:
-    """Four sensors of each area, then theta_j@i at each side of a tie: of the angle of neighbour j, read by area i."""
+    """Four sensors of each area, then theta_j@i at each side of a tie: the angle of neighbour j, read by area i."""
     names, at = model.names, model.network.topology
     sigma = dict(zip(STATES, np.sqrt(NOISE_VARIANCE), strict=True))
     shared = [
@@ -163,7 +163,7 @@ def network_sensors(model: NetworkModel) -> tuple[Sensor, ...]:
 
 
 def network_physics(model: NetworkModel) -> Physics:
-    """The network as physics, before it is discretised: the same scalar equations over all areas."""
+    """The network as physics before discretisation: the same scalar equations over all areas."""
     return Physics(
         name="power-network",
         states=tuple(Signal(f"{s}_{i}", UNIT[s]) for i in model.names for s in STATES),

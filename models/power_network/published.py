@@ -1,4 +1,4 @@
-"""What Boem et al. 2018 ("B18"), sec. VIII, state of single runs: when faults were detected, isolated and made up for.
+"""What Boem et al. 2018 ("B18"), sec. VIII, state of single runs: when faults were detected, isolated and accommodated.
 
 Times of their figures' one run; the text at hand has no pages. VIII-B says "at time t = 62 s the fault is detected" and, a few
 lines on, "detection at t = 48 s (after 3 alarms), isolation and reconfiguration (at t = 61 s and t = 67 s)": 48 fits its Fig. 5
@@ -15,8 +15,8 @@ from fusion_sfdia.models.power_network.operation import AreaFault
 B18 = "Boem 2018"
 
 
-class Experiment(NamedTuple):
-    """A scenario as it is told: the fault, and when (s) it was detected, isolated and made up for in the run that is shown."""
+class PublishedScenario(NamedTuple):
+    """A published scenario: the fault, and when (s) it was detected, isolated and accommodated in the run that is shown."""
 
     fault: AreaFault
     loads: str
@@ -26,16 +26,20 @@ class Experiment(NamedTuple):
     source: str
 
     def delay(self, time: float | None) -> Published | None:
-        """From the onset to a time that is told, s."""
+        """From the onset to a published time, s."""
         return None if time is None else Published(time - self.fault.onset, self.source)
 
     def at(self, time: float | None) -> Published | None:
-        """A time that is told, s."""
+        """A published time, s."""
         return None if time is None else Published(time, self.source)
 
 
-GOVERNOR = Experiment(AreaFault("governor", "4", 1000.0, onset=35.0), "1", 43.0, None, None, f"{B18}, sec. VIII-A, one run")
-SIGN_FLIP = Experiment(AreaFault("input-gain", "5", -1.0, onset=45.0), "2", 48.0, 61.0, 67.0, f"{B18}, sec. VIII-B, one run")
+GOVERNOR = PublishedScenario(
+    AreaFault("governor", "4", 1000.0, onset=35.0), "1", 43.0, None, None, f"{B18}, sec. VIII-A, one run"
+)
+SIGN_FLIP = PublishedScenario(
+    AreaFault("input-gain", "5", -1.0, onset=45.0), "2", 48.0, 61.0, 67.0, f"{B18}, sec. VIII-B, one run"
+)
 PLUGGED_IN = 70.0  # s: area 15, sec. VIII-A
 ATTACKS: tuple[tuple[str, AreaFault | None], ...] = (  # sec. VIII-B: "-u, 2u and 10u"
     ("-u", AreaFault("input-gain", "5", -1.0)),

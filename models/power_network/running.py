@@ -1,4 +1,4 @@
-"""A power network of any size that changes while it runs: areas join and leave at a cost that their number does not raise."""
+"""A power network that changes while it runs: areas join and leave at a cost that does not grow with the network."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from fusion_sfdia.models.power_network.model import NetworkModel
 
 
 class RunningNetwork:
-    """A model in arrays of its own, which `switch` changes in place: where a change touches them and nowhere else.
+    """A model with its own arrays, which `switch` changes in place, only where the change touches them.
 
-    Elsewhere a change gives another model and leaves the one before, at the price of a copy; here there is one, for networks
-    whose copies take longer than a step. The model it is made of stays as it is.
-    areas: what the diagnosers know, without names of their states; the same arrays, so it is always that of now.
+    Elsewhere a change gives a new model and keeps the old one, at the cost of a copy. Here no copy is made: for networks
+    whose copies take longer than a step. The model that it is made from does not change.
+    areas: what the diagnosers know, without names of their states; the same arrays, so it is always up to date.
     """
 
     def __init__(self, model: NetworkModel) -> None:
         network = Network(model.network.topology, model.network.plugged)
-        network.plugged.flags.writeable = True  # a copy, and nobody else's
+        network.plugged.flags.writeable = True  # a copy that only this object holds
         self._model = replace(model, network=network, area=model.area.copy(), side_slope=model.side_slope.copy())
         self.areas: Areas = network_areas(self._model, named=False)
 
     @property
     def model(self) -> NetworkModel:
-        """The model of now, in the arrays that the next switch changes."""
+        """The present model, in the arrays that the next switch changes."""
         return replace(self._model)
 
     def switch(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:

@@ -1,7 +1,7 @@
 """Closed-loop runs of power networks of any size: noise, controllers, faults, areas that join and leave.
 
-The controllers see noisy readings, so each seed has its own inputs. Every seed draws its own streams: its run is the same
-bits whatever other seeds run beside it.
+The controllers see noisy readings, so each seed has its own inputs. Every seed draws its own streams, so its run has the same
+bits alone and among other seeds.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.random_streams import require_seeds, stream
 from fusion_sfdia.models.power_network.control import Control, generation_control
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
-from fusion_sfdia.models.power_network.operation import AreaFault, Condition, Switch, conditions
+from fusion_sfdia.models.power_network.operation import AreaFault, NetworkCondition, Switch, network_conditions
 
 Array = NDArray[Any]
 Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]
 
 
 class Moment(NamedTuple):
-    """What there is at a time: B seeds, N areas, 2E sides of ties.
+    """The network at a time: B seeds, N areas, 2E sides of ties.
 
     t (s). x (B, N, 4) true states. own (B, N, 4) the areas' readings of their states, shared (B, 2E) their readings of their
     neighbours' angles, NaN at open ties. reference (B, N) commanded and load (N,) known, both as they acted until t.
@@ -36,7 +36,7 @@ class Moment(NamedTuple):
     shared: Array
     reference: Array
     load: Array
-    condition: Condition
+    condition: NetworkCondition
 
     @property
     def y(self) -> Array:
@@ -68,7 +68,7 @@ def run_network(
     """
     whole("steps", steps, 0)
     seeds = require_seeds(seeds)
-    at = conditions(model, faults, switches)
+    at = network_conditions(model, faults, switches)
     n, sides = len(model.names), model.network.topology.node.size
     sigma, shared_sigma, disturbance = np.sqrt(NOISE_VARIANCE), np.sqrt(NOISE_VARIANCE[0]), np.sqrt(model.process_cov)
     read = [stream(s, "measurement noise") for s in seeds]

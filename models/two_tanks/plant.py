@@ -6,16 +6,16 @@
 An outlet obeys Torricelli's law v = sqrt(2 g level), so that outlet = (discharge coefficient) (bore area) sqrt(2 g). Both tanks
 are alike: at rest inflow = flow_12 = flow_out and level_1 = level_2 = (inflow / outlet)^2. About that level a tank follows its
 inflow with the time constant 2 area sqrt(level) / outlet. All numbers here are chosen, none is from a paper: 0.6 litres a
-second at a level of 1 m, time constants of 167 s, noise of a hundredth.
+second at a level of 1 m, time constants of 167 s, noise of 1 %.
 
-The truth behind simulated readings differs a little, as a rig does from its data sheet. Its outlets are short pipes: with the
-kinetic head goes a viscous one, proportional to the flow (Hagen 1839, Poiseuille 1840),
+The high-fidelity model behind simulated readings differs slightly, as a rig differs from its data sheet. Its outlets are short
+pipes, with a viscous head proportional to the flow beside the kinetic head (Hagen 1839, Poiseuille 1840):
 
-    level = (1 - VISCOUS) (flow / outlet)^2 + VISCOUS sqrt(LEVEL) flow / outlet,
+    level = (1 - VISCOUS) (flow / outlet)^2 + VISCOUS sqrt(LEVEL) flow / outlet.
 
-which is Torricelli's law at LEVEL, and their areas are TOLERANCE off, the upper one wider, the lower one narrower. The pump
-delivers DELIVERY more than it is set to. At rest flows are 0.2 %, levels 0.2 % and 0.6 % higher than by the model: 0.2, 0.2 and
-0.6 standard deviations of a reading.
+At LEVEL this is Torricelli's law. The upper outlet is wider by TOLERANCE, the lower one narrower, and the pump delivers
+DELIVERY more than its setting. At rest, flows are 0.2 % and levels 0.2 % and 0.6 % higher than by the model: 0.2, 0.2 and 0.6
+standard deviations of a reading.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ Array = NDArray[Any]
 INFLOW = 6e-4  # m3/s
 LEVEL = 1.0  # m, at rest under that inflow
 LEVELS = (0.01, 3.0)  # m
-SWING_PERIOD = 1200.0  # s, some seven time constants: the levels nearly follow
-GAIN = 0.05  # 1/s, of the observers: levels integrate what flows, so that only their gains make errors decay
+SWING_PERIOD = 1200.0  # s, about seven time constants: the levels nearly follow
+GAIN = 0.05  # 1/s, of the observers: levels integrate flows, so that errors decay by the gains only
 NOISE = 0.01  # sigma of each sensor over its value at rest
 BOUND = 4.0  # of each sensor's error, in sigma
 STEP = 5.0  # s
 VISCOUS = 0.02  # share of the head that friction in the outlets takes at rest
-TOLERANCE = 0.001  # by which each outlet differs from its nominal value: a bore is made to half a thousandth of its diameter
-DELIVERY = 0.002  # of the inflow: flow meters by which pumps are set err by some tenths of a percent
-FINER = 4  # substeps of the truth in one
+TOLERANCE = 0.001  # deviation of each outlet from its nominal value: a bore is accurate to half a thousandth of its diameter
+DELIVERY = 0.002  # of the inflow: the flow meters that set pumps have errors of some tenths of a percent
+FINER = 4  # substeps of the high-fidelity model in one of the model
 STATES = ("level_1", "level_2")
 ALGEBRAIC = ("flow_12", "flow_out")
 
@@ -132,7 +132,7 @@ def tank_modules(c: Tanks = NOMINAL) -> Modules:
 
 
 def true_outlets(c: Tanks) -> Array:
-    """The outlets of the truth (2,), m2.5/s."""
+    """The outlets of the high-fidelity model (2,), m2.5/s."""
     return c.outlet * np.array([1.0 + TOLERANCE, 1.0 - TOLERANCE])
 
 
@@ -146,12 +146,12 @@ def _true_rates(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
 
 
 def true_physics(c: Tanks) -> Physics:
-    """The truth: outlets with friction, off by their tolerance, and a pump that delivers more."""
+    """The high-fidelity model: outlets with friction and a tolerance, and a pump that delivers more than its setting."""
     return replace(tank_physics(), f=_true_rates, phi=_true_flows, parameters=c)
 
 
 def rest_of_truth(c: Tanks) -> Array:
-    """Levels of the truth (2,) at which its flows do not change, m."""
+    """Levels of the high-fidelity model at rest (2,), m."""
     ratio = (1.0 + DELIVERY) * INFLOW / true_outlets(c)
     return np.asarray((1 - VISCOUS) * ratio**2 + VISCOUS * np.sqrt(LEVEL) * ratio)
 
@@ -159,9 +159,8 @@ def rest_of_truth(c: Tanks) -> Array:
 def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
     """Return the tanks as a plant with the states level_1, level_2 (m); both levels and both flows are measured.
 
-    swing: share of the nominal inflow by which its operation moves it up and down, a sine of SWING_PERIOD; 0 for rest.
-    outlet: of both outlets, over the nominal one. ValueError unless swing is from 0 to 0.5 and outlet from 0.8 to 1.2, with
-    which no tank runs dry or over.
+    swing: amplitude of the inflow over its nominal value, a sine of SWING_PERIOD; 0 for rest. outlet: factor of both nominal
+    outlets. Raises ValueError unless swing is from 0 to 0.5 and outlet from 0.8 to 1.2, where no tank runs dry or overflows.
     """
     if not 0 <= swing <= 0.5:
         raise ValueError(f"swing is {swing}; expected a share of the nominal inflow from 0 to 0.5")

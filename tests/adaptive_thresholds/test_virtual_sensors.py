@@ -242,7 +242,7 @@ def test_what_is_refused() -> None:
         replace(DETECTOR, learning_rates={"torque": 1.0})
     with pytest.raises(ValueError, match=r"learning rates fuel=-1.0; expected positive numbers in 1/s"):
         replace(DETECTOR, learning_rates={"fuel": -1.0})
-    with pytest.raises(ValueError, match="does not say its scalar equations"):
+    with pytest.raises(ValueError, match="does not state its scalar equations"):
         VirtualSensors(changed(ENGINE, modules=None))
     with pytest.raises(ValueError, match="envelope names nothing"):
         VirtualSensors(ENGINE, envelope={"nothing": (0.0, 1.0)})

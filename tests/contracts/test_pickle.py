@@ -117,9 +117,9 @@ def test_a_pickled_plant_gives_the_same_bits(name: str, unit: str) -> None:
 def test_the_finer_twin_of_a_pickled_plant_is_the_same(name: str) -> None:
     plant = registry.plant(name)
     copy = pickle.loads(pickle.dumps(plant))
-    (twin, coarse), (other, as_coarse) = plant.truth.finer(), copy.truth.finer()
-    np.testing.assert_array_equal(coarse(twin.x0), as_coarse(other.x0))
-    np.testing.assert_array_equal(numbers(twin)[0], numbers(other)[0])
+    (finer, coarse), (other, as_coarse) = plant.truth.finer(), copy.truth.finer()
+    np.testing.assert_array_equal(coarse(finer.x0), as_coarse(other.x0))
+    np.testing.assert_array_equal(numbers(finer)[0], numbers(other)[0])
 
 
 def test_pickled_physics_give_the_same_bits() -> None:

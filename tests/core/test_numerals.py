@@ -17,5 +17,5 @@ def test_numbers_in_plain_digits() -> None:
 @pytest.mark.parametrize("text", ["1_0", "١٢", "one", "", "1,5"])
 def test_what_is_no_number_in_the_digits_0_to_9(text: str) -> None:
     for read in (decimal, integer):
-        with pytest.raises(ValueError, match=r"expected digits|could not convert|invalid literal"):
+        with pytest.raises(ValueError, match=r"expected only digits|could not convert|invalid literal"):
             read(text)

@@ -19,7 +19,7 @@ def test_moments_relative_to_the_centre_are_the_usual_weighted_sums(settings: tu
     points = SigmaPoints(*settings)
     rng = np.random.default_rng(0)
     x, P = rng.standard_normal(n), dense(np.array([0.3, 0.2, 0.5])) + 0.1
-    X = ukf.draw(points, x, P)
+    X = ukf.sigma_points(points, x, P)
     spread = alpha**2 * (n + kappa)
     W = np.full(2 * n + 1, 0.5 / spread)
     Wc = W.copy()
@@ -79,4 +79,4 @@ def test_bad_settings(settings: tuple[float, float, float], message: str) -> Non
 
 def test_kappa_too_small_for_the_number_of_states() -> None:
     with pytest.raises(ValueError, match=r"kappa is -3\.0 for 3 states; it must exceed -3"):
-        ukf.draw(SigmaPoints(1.0, 0.0, -3.0), np.zeros(3), np.eye(3))
+        ukf.sigma_points(SigmaPoints(1.0, 0.0, -3.0), np.zeros(3), np.eye(3))

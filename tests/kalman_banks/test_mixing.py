@@ -73,8 +73,9 @@ def test_mixture_of_singular_covariances_stays_on_their_range() -> None:
 def test_the_units_of_the_states_are_immaterial() -> None:
     """Two states, one in units 1e-6 times those of the other: variances of 1e-12 are no missing directions."""
     size = np.array([1.0, 1e-6])
-    x, p = np.array([[1.0, 1.0], [3.0, 2.0]]), np.stack([np.diag([1.0, 2.0]), np.diag([3.0, 2.0])])
-    # 1 / (1 + 1/3) and 1 / (1/2 + 1/2); weights 3/4 and 1/4, 1/2 and 1/2
+    x, p = np.array([[1.0, 1.0], [3.0, 2.0]]), np.array([[[1.0, 0.5], [0.5, 2.0]], [[3.0, -1.0], [-1.0, 2.0]]])
+    information = np.linalg.inv(p)
+    expected = np.linalg.inv(information.sum(axis=0))
     found_x, found_p = mixing.mix(x * size, p * np.outer(size, size), size)
-    np.testing.assert_allclose(found_x, np.array([1.5, 1.5]) * size, rtol=1e-12)
-    np.testing.assert_allclose(found_p, np.diag([0.75, 1.0]) * np.outer(size, size), rtol=1e-12, atol=0)
+    np.testing.assert_allclose(found_x / size, expected @ np.einsum("ijk,ik->j", information, x), rtol=1e-12)
+    np.testing.assert_allclose(found_p / np.outer(size, size), expected, rtol=1e-12)

@@ -15,7 +15,7 @@ from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.faults import fault_function
 from fusion_sfdia.models.power_network.model import network_model
-from fusion_sfdia.models.power_network.operation import AreaFault, conditions, load_profile
+from fusion_sfdia.models.power_network.operation import AreaFault, load_profile, network_conditions
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state, predict, take
@@ -129,7 +129,7 @@ def test_a_curved_fault_function_counts_by_its_slope() -> None:
 def test_fault_functions_are_what_the_faults_do(name: str) -> None:
     rng = np.random.default_rng(2)
     x, reference, load = rng.standard_normal((6, 15, 4)), rng.standard_normal((6, 15)), rng.standard_normal((6, 15))
-    faulty = conditions(MODEL, [FAULTS[name]])(0.0).step(x, reference, load)
+    faulty = network_conditions(MODEL, [FAULTS[name]])(0.0).step(x, reference, load)
     added = SET[name](x[:, AREA], reference[:, AREA], MODEL.external(x[..., 0], load)[:, AREA])
     # sums of 10 terms of both signs, of magnitude up to some 30
     np.testing.assert_allclose(added, (faulty - MODEL.step(x, reference, load))[:, AREA], atol=1e-12)

@@ -198,7 +198,7 @@ def test_a_missing_reading_leaves_out_what_reads_it() -> None:
 
 
 def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ValueError, match="does not say its scalar equations"):
+    with pytest.raises(ValueError, match="does not state its scalar equations"):
         registry.detector("structural-residuals", chain(3))
     monkeypatch.setitem(sys.modules, "faultdiagnosistoolbox", None)
     with pytest.raises(ModuleNotFoundError, match=r"fusion-sfdia\[structural\]"):

@@ -17,7 +17,7 @@ from fusion_sfdia.models.gas_pipeline.fit_natural_gas import gerg_2008
 from fusion_sfdia.models.gas_pipeline.physics import (
     INLET_PRESSURE,
     INLET_TEMPERATURE,
-    largest_step,
+    courant_step,
     pipeline_parameters,
     steady_state,
 )
@@ -112,7 +112,7 @@ def test_cfl_condition_names_the_cure() -> None:
     plant = gas_pipeline()
     with pytest.raises(ValueError, match="largest admissible step"):
         plant.check_dt(30.0)
-    assert plant.numerics.max_dt == largest_step(21, C, plant.x0)
+    assert plant.numerics.max_dt == courant_step(21, C, plant.x0)
     # (9) by the definition, with the slower sound at the plant's own state: the limit used is the stricter
     p, T = plant.x0[0], plant.x0[42]
     z, alpha_1, alpha_2, cp = equations.gas(p, T, C)

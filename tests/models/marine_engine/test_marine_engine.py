@@ -181,12 +181,12 @@ def test_a_longer_step_is_divided() -> None:
 
 def test_a_finer_twin_is_the_same_engine() -> None:
     assert PLANT.truth.finer is not None
-    twin, to_states = PLANT.truth.finer()
+    finer, to_states = PLANT.truth.finer()
     x = around((2,))
     np.testing.assert_array_equal(to_states(x), x)
-    assert twin.sensors == PLANT.sensors
-    np.testing.assert_allclose(twin.step(0.0, x, FULL, 0.01), PLANT.step(0.0, x, FULL, 0.01), rtol=1e-2)
-    assert np.any(twin.step(0.0, x, FULL, 0.01) != PLANT.step(0.0, x, FULL, 0.01))
+    assert finer.sensors == PLANT.sensors
+    np.testing.assert_allclose(finer.step(0.0, x, FULL, 0.01), PLANT.step(0.0, x, FULL, 0.01), rtol=1e-2)
+    assert np.any(finer.step(0.0, x, FULL, 0.01) != PLANT.step(0.0, x, FULL, 0.01))
 
 
 def test_bad_settings_name_the_cure() -> None:

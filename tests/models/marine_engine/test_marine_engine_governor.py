@@ -51,5 +51,5 @@ def test_the_governor_does_not_wind_up_at_a_limit() -> None:
 def test_bad_governors_and_speeds_are_named() -> None:
     with pytest.raises(ValueError, match=r"the governor's integral gain is -1\.0"):
         Governor(integral=-1.0)
-    with pytest.raises(ValueError, match=r"the speed asked for at 0 s is 0\.0; expected a positive number in 1/s"):
+    with pytest.raises(ValueError, match=r"the reference speed at 0 s is 0\.0; expected a positive number in 1/s"):
         governed_settings(lambda t: 0.0, 5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.models.power_network.model import network_model
-from fusion_sfdia.models.power_network.operation import AreaFault, Switch, conditions, load_profile
+from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile, network_conditions
 from fusion_sfdia.models.power_network.parameters import LoadStep, load_steps
 
 MODEL = network_model()
@@ -27,7 +27,7 @@ def test_loads_are_the_sums_of_their_steps() -> None:
 
 def test_what_each_fault_does() -> None:
     def step(*faults: AreaFault) -> np.ndarray:
-        return conditions(MODEL, faults)(10.0).step(X, REFERENCE, LOAD)
+        return network_conditions(MODEL, faults)(10.0).step(X, REFERENCE, LOAD)
 
     slow = step(AreaFault("governor", "4", 1000.0))
     assert np.array_equal(slow, MODEL.altered("4", governor_time=1000.0).step(X, REFERENCE, LOAD))
@@ -42,14 +42,14 @@ def test_what_each_fault_does() -> None:
 
 
 def test_events_act_from_their_time_until_their_end() -> None:
-    at = conditions(MODEL, [AreaFault("input-gain", "5", 2.0, onset=10.0, end=12.0)], [Switch(11.0, unplug=("4",))])
+    at = network_conditions(MODEL, [AreaFault("input-gain", "5", 2.0, onset=10.0, end=12.0)], [Switch(11.0, unplug=("4",))])
     assert [float(at(t).gain[4]) for t in (9.0, 10.0, 11.0, 12.0)] == [1, 2, 2, 1]
     assert [bool(at(t).known.network.plugged[3]) for t in (10.0, 11.0, 20.0)] == [True, False, False]
     assert at(11.0) is at(11.5)
 
 
 def test_a_fault_is_in_the_truth_and_not_in_what_is_known() -> None:
-    now = conditions(MODEL, [AreaFault("governor", "4", 1000.0, onset=5.0)], [Switch(8.0, unplug=("4",))])(9.0)
+    now = network_conditions(MODEL, [AreaFault("governor", "4", 1000.0, onset=5.0)], [Switch(8.0, unplug=("4",))])(9.0)
     assert now.true.area_model("4").A[3, 3] == -1e-3 and now.known.area_model("4").A[3, 3] == -10
     assert np.array_equal(now.true.side_slope, now.known.side_slope)
 
@@ -60,8 +60,8 @@ def test_a_fault_is_in_the_truth_and_not_in_what_is_known() -> None:
         ({"kind": "turbine"}, "unknown fault 'turbine' of area 4; known: governor, input-gain, load-loss"),
         ({"value": 0.0}, "positive for a time constant"),
         ({"value": float("inf")}, "finite"),
-        ({"kind": "input-gain", "value": 1.0}, "a value of 1 is no fault"),
-        ({"kind": "load-loss", "value": 0.0}, "a value of 0 is no fault"),
+        ({"kind": "input-gain", "value": 1.0}, "a value of 1 means no fault"),
+        ({"kind": "load-loss", "value": 0.0}, "a value of 0 means no fault"),
         ({"onset": 3.0, "end": 3.0}, "onset before the end"),
     ],
 )
@@ -79,4 +79,4 @@ def test_events_that_do_not_fit() -> None:
         ([], [Switch(5.0)], "name at least one"),
     ):
         with pytest.raises(ValueError, match=message):
-            conditions(MODEL, faults, switches)
+            network_conditions(MODEL, faults, switches)
