@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fusion_sfdia.adaptive_thresholds.adaptive_observer import adaptive_rate
+from fusion_sfdia.adaptive_thresholds.adaptive_observer import Rates, adaptive_rate
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, Array, Results, engine, row
 from fusion_sfdia.benchmarks.engine.support.virtual_figures import figures
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
@@ -74,7 +74,7 @@ def sensor_rows(found: dict[str, Arrays], duration: float) -> list[Row]:
     modules = engine(0.03, "K22").structure.modules
     assert modules is not None
     for (variable, gain), rate in zip(K22_GAINS.items(), modules.rates, strict=True):
-        speed = adaptive_rate(float(rate), gain, LEARNING_RATES[variable])
+        speed = adaptive_rate(Rates(float(rate), gain, LEARNING_RATES[variable]))
         rows.append(row(NAME, DETECTOR, "none", modules.names[variable], "adaptive_rate", Estimate(speed, np.nan, np.nan, 0)))
     return rows
 

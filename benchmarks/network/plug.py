@@ -32,7 +32,7 @@ from fusion_sfdia.models.power_network.operation import Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import Moment, run_network
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 from fusion_sfdia.stochastic_thresholds.replug import forgotten, opened_sides
 
@@ -76,7 +76,8 @@ def watch(model: NetworkModel, moments: Iterable[Moment], manner: str) -> Iterat
         if state is None:
             state = initial_state(areas, now.reference.shape[:1])
         load = np.broadcast_to(now.load, now.reference.shape)
-        state, _ = network_step(areas, state, now.own, now.shared, now.reference, load, 1.0, CORRECTED.lam)
+        given = NetworkReadings(now.own, now.shared, now.reference, load)
+        state, _ = network_step(areas, state, given, 1.0, CORRECTED.lam)
         yield state
         after = switched(areas, network_areas(now.condition.known, named=False), manner)
         state, areas = Diagnosers(*map(np.ascontiguousarray, forgotten(state, opened_sides(areas, after)))), after

@@ -26,9 +26,9 @@ from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.plots import panels
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
-from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork, Readings
+from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork
 
 Array = NDArray[Any]
 
@@ -47,14 +47,14 @@ class Constant:
 
     def __init__(self, n: int) -> None:
         self.n = n
-        self.kept: Readings | None = None
+        self.kept: NetworkReadings | None = None
 
-    def __call__(self, k: int, areas: tuple[int, int], sides: Array) -> Readings:
+    def __call__(self, k: int, areas: tuple[int, int], sides: Array) -> NetworkReadings:
         if self.kept is None:
             rng, count = np.random.default_rng(areas[0]), areas[1] - areas[0]
             own, shared = 1e-3 * rng.standard_normal((1, count, self.n)), 1e-3 * rng.standard_normal((1, sides.size))
             reference, load = 1e-2 * rng.standard_normal((2, 1, count))
-            self.kept = own, shared, reference, load
+            self.kept = NetworkReadings(own, shared, reference, load)
         return self.kept
 
 
@@ -70,7 +70,7 @@ def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
     turns: list[Diagnosers] = [initial_state(areas, (1,)), initial_state(areas, (1,))]
 
     def step() -> None:
-        now, _ = network_step(areas, turns[0], *given, ALPHA, LAM, out=turns[1])
+        now, _ = network_step(areas, turns[0], given, ALPHA, LAM, out=turns[1])
         turns[:] = [now, turns[0]]
 
     at = areas.network.topology

@@ -12,9 +12,9 @@ from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.border import possible
 from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State
 
 Array = NDArray[Any]
-State = tuple[Array, ...]
 
 
 class NotApplicableError(ValueError):
@@ -27,12 +27,13 @@ class MissingPackageError(NotApplicableError, ModuleNotFoundError):
 
 @dataclass(frozen=True)
 class Decision:
-    """What a detector says of one step; leading axes are the batch (and time, in a run).
+    """The result of one step; leading axes are the batch (and time, in a run).
 
     estimate: state estimate (..., n). covariance: of the estimate (..., n, n), or None where the method has none.
-    measured: readings (..., N), the missing ones and, where the method accommodates, the isolated ones from the estimate.
+    reconstruction: of the readings (..., N): as they came, but for missing ones and, where the method accommodates, isolated
+    ones, which are replaced by what the method expects of them.
     residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf cannot judge yet.
-    isolated: (..., hypotheses) bool, the hypotheses held to be true. fault_size: (..., hypotheses), NaN where not isolated.
+    isolated: (..., hypotheses) bool, the hypotheses held true. fault_size: (..., hypotheses), NaN where not isolated.
     nis: normalised innovation squared per reading used (...); 1 on average for a consistent filter, NaN where there is none.
     diverged: (...) bool, the estimator has broken down or the model gave it no number, now or in an earlier step: every number
     of this Decision is NaN and nothing is isolated.
@@ -43,7 +44,7 @@ class Decision:
     """
 
     estimate: Array
-    measured: Array
+    reconstruction: Array
     residual: Array
     threshold: Array
     isolated: Array
@@ -79,8 +80,9 @@ class Detector(Protocol):
     """A diagnosis method bound to a plant.
 
     hypotheses: what can be isolated, the plant's sensors first.
-    init(batch, t, seed): the state at time t of a batch of that shape; seed fixes all randomness of the method.
-    step(state, t, y, u): y (..., N) read at t (NaN where missing), u (..., m) the input that acted since the last step.
+    init(batch, t, seed): the `State` at time t (s) of a batch of that shape; seed fixes all randomness of the method.
+    step(state, t, y, u): y (..., N) read at t (s; NaN where missing), u (..., m) the input that acted from state.t to t.
+    A step of a plant begins at its `t_start`; t, as in a state, is the time of readings.
     """
 
     @property

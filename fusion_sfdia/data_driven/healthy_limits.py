@@ -1,4 +1,4 @@
-"""Shared by detectors that learn from healthy readings: checked data, limits at a rate, a Decision without an estimate."""
+"""Common to detectors that learn from healthy readings: checked data, limits at a rate, a Decision without an estimate."""
 
 from __future__ import annotations
 
@@ -17,16 +17,21 @@ from fusion_sfdia.core.plant import Plant
 Array = NDArray[Any]
 
 
-def without_model(plant: Plant, y: Array, measured: Array, residual: Array, threshold: Array, isolated: Array) -> Decision:
-    """The Decision of a detector without a model: the plant's x0 stands for an estimate, faults are reading less measured."""
+def without_model(
+    plant: Plant, y: Array, reconstruction: Array, residual: Array, threshold: Array, isolated: Array
+) -> Decision:
+    """The Decision of a detector without a model: the plant's x0 stands for an estimate.
+
+    The size of a fault is the reading less its reconstruction.
+    """
     batch = y.shape[:-1]
     return Decision(
         estimate=np.broadcast_to(plant.x0, (*batch, plant.x0.size)).copy(),
-        measured=measured,
+        reconstruction=reconstruction,
         residual=residual,
         threshold=threshold,
         isolated=isolated,
-        fault_size=np.where(isolated, y - measured, np.nan),
+        fault_size=np.where(isolated, y - reconstruction, np.nan),
         diverged=np.zeros(batch, bool),
         guarded=np.zeros(batch, bool),
         nis=np.full(batch, np.nan),
@@ -38,7 +43,8 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
     value = floats(what, value)
     if value.shape != plant.sensor_sigma.shape or not np.all(np.isfinite(value)):
         raise ValueError(
-            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of {plant.name!r}"
+            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of "
+            f"plant {plant.name!r}"
         )
     return value
 

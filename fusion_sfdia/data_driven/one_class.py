@@ -28,9 +28,9 @@ class OneClass(ReconstructionDetector):
         p(w) = sum_j a_j exp(-gamma |w - w_j|^2) / sum_j a_j    statistic = -log p
 
     The machine accepts what has p above a level, which is the limit of the statistic; its logarithm distinguishes readings that
-    are so far away that p vanishes. M is the inverse covariance of `ComponentModel`, so that a distance is measured in standard
-    deviations of healthy readings in its direction, and gamma = 1 / D, the usual inverse of the number of variables of variance
-    1. `ReconstructionDetector` has how sensors are isolated.
+    are so far away that p vanishes. M is the inverse covariance of `ComponentModel`, so that a distance is measured relative to
+    the variation of healthy readings in its direction, and gamma = 1 / D, the usual inverse of the number of variables of
+    variance 1. `ReconstructionDetector` has how sensors are isolated.
 
     support: w_j (S, D). weights: a_j (S,), positive. limit: of the statistic.
     """

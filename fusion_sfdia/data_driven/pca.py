@@ -23,12 +23,12 @@ class PrincipalComponents(ReconstructionDetector):
 
         t = P x    T2 = t' Lambda^-1 t    SPE = |x - P' t|^2    c_i^2 = (M x)_i' (M_ii)^-1 (M x)_i
 
-    T2 and SPE (Jackson and Mudholkar 1979) test for any fault. c_i^2, the reconstruction-based contribution of a sensor (Alcala
-    and Qin 2009), is also the generalised likelihood ratio of a fault of any size in that sensor, by which a small fault is
-    found without exceeding the noise of all other readings. The statistic is the largest over its limit; an alarm is raised
-    beyond any. `ComponentModel` has the model, with the lags of dynamic components; `ReconstructionDetector` how sensors are
-    isolated. Readings are divided by the stated noise of their sensors: division by the standard deviation of an operation that
-    moves would hide a fault that is small against the movement, however large it is against the noise.
+    T2 and SPE (Jackson and Mudholkar 1979) test whether there is any fault. c_i^2, the reconstruction-based contribution of a
+    sensor (Alcala and Qin 2009), is also the generalised likelihood ratio of a fault of any size in that sensor, in which a
+    small fault is not hidden by the noise of all other sensors. The statistic is the largest over its limit; an alarm is
+    raised beyond any. `ComponentModel` has the model, with the lags of dynamic components; `ReconstructionDetector` how sensors
+    are isolated. Readings are divided by the noise that their sensors state: divided by the standard deviation of a varying
+    operation, a fault would be hidden that is small against the variation, however large it is against the noise.
     """
 
     limit_t2: float

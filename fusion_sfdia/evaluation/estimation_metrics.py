@@ -19,7 +19,7 @@ def rmse(estimate: Array, truth: Array, where: Array | None = None) -> Estimate:
 
     estimate, truth (K, B, n): give the columns of one quantity (measured_states), as units differ. where (K, B).
     The paper divides by N_s = L / ds = 20 though there are 21 nodes, which is 2.5 % more; here the entries are counted.
-    Accommodation: the error of Decision.measured against that of the readings as received (rmse_unaccommodated) and of
+    Accommodation: the error of Decision.reconstruction against that of the readings as they came (rmse_unaccommodated) and of
     the healthy ones (rmse_healthy), each against the noise-free signal. Entries that are NaN (a missing reading, a
     diverged estimate) are left out.
     """

@@ -113,7 +113,7 @@ def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
 def _reading_errors(decision: Decision, data: Faulted) -> Array:
     """Mean over the faulty sensors of the squared error of READINGS against the noise-free signal (K, B, 3)."""
     faulty = data.active.sum(axis=-1)[..., None]
-    readings = np.stack([decision.measured, data.y, data.recording.y], axis=-1)
+    readings = np.stack([decision.reconstruction, data.y, data.recording.y], axis=-1)
     square = (readings - data.recording.signal[..., None]) ** 2
     total = np.where(data.active[..., None], square, 0.0).sum(axis=-2)
     return np.where(faulty > 0, total / np.maximum(faulty, 1), np.nan)

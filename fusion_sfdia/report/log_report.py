@@ -64,7 +64,7 @@ def write_diagnosis(out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[
         table.writerow(("sensor", "start_s", "end_s", "size", "unit", "open"))
         for e in found.events:
             table.writerow((e.hypothesis, repr(e.start), repr(e.end), repr(e.size), e.unit, str(e.open).lower()))
-    write_log(out / "reconstructed.csv", plant, found.t, found.decisions.measured, u)
+    write_log(out / "reconstructed.csv", plant, found.t, found.decisions.reconstruction, u)
     write_figure(out, "diagnosis", lambda: draw(plant, np.where(found.decisions.absurd, np.nan, y), found))
 
 
@@ -75,7 +75,7 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
     for axis, name in zip(axes, names, strict=True):
         i = plant.sensor_index(name)
         spans = [(e.start, e.end) for e in found.events if e.hypothesis == name]
-        series = {"reading": y[:, i], "reconstructed": found.decisions.measured[:, i]}
+        series = {"reading": y[:, i], "reconstructed": found.decisions.reconstruction[:, i]}
         time_series(axis, found.t, series, ylabel=f"{name} [{plant.sensors[i].unit}]", spans=spans)
         handles, labels = axis.get_legend_handles_labels()
         axis.legend(handles, ["isolated" if label == "fault acts" else label for label in labels], fontsize=8)

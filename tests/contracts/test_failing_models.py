@@ -39,7 +39,7 @@ DETECTORS: dict[str, Detector] = {
     "particles": ParticleFilter(PLANT, size=200),
 }
 every_detector = pytest.mark.parametrize("detector", DETECTORS.values(), ids=DETECTORS)
-NUMBERS = ("estimate", "measured", "residual", "threshold", "fault_size", "nis")
+NUMBERS = ("estimate", "reconstruction", "residual", "threshold", "fault_size", "nis")
 FAILS = 1.9e-3  # m3/s, an inflow within its limits at which the failing models below give no numbers
 
 
@@ -81,7 +81,7 @@ def test_a_single_run_without_any_numbers_says_so_at_once(detector: Detector, wh
     detector = failing(detector, what, np.nan)
     t, _, y, u = readings(PLANT, 4, 1, seed=2)
     _, d = run(detector, detector.init(), t, 2 * y[:, 0], np.full_like(u[:, 0], FAILS))
-    assert d.diverged.all() and not d.alarm.any() and np.isnan(d.estimate).all() and np.isnan(d.measured).all()
+    assert d.diverged.all() and not d.alarm.any() and np.isnan(d.estimate).all() and np.isnan(d.reconstruction).all()
 
 
 @pytest.mark.parametrize("count", range(6))

@@ -16,6 +16,7 @@ from fusion_sfdia.core.arguments import batch_shape, floats, number, probability
 from fusion_sfdia.core.detector import Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.logs import write_log
@@ -160,7 +161,7 @@ def test_a_start_that_makes_no_sense_is_named(detector: Detector) -> None:
         with pytest.raises(ValueError, match=message) as error:
             detector.init(**arguments)  # type: ignore[arg-type]
         one_line(error)
-    assert detector.init(3)[3].shape == (3,)  # type: ignore[arg-type]
+    assert detector.init(3).diverged.shape == (3,)  # type: ignore[arg-type]
 
 
 @every_detector
@@ -192,9 +193,10 @@ def test_the_state_of_another_detector_is_refused(detector: Detector) -> None:
     own = detector.init()
     others = [replace(d, plant=chain(3)) for d in DETECTORS if not isinstance(d, FusingBank)]  # type: ignore[type-var]
     strangers = [d.init() for d in (*others, *DETECTORS)]
-    foreign = [s for s in strangers if [np.shape(a) for a in s] != [np.shape(a) for a in own]]
+    foreign = [s for s in strangers if [a.shape for a in leaves(s)] != [a.shape for a in leaves(own)]]
     assert len(foreign) >= 7
-    for state in (*foreign, own[:-1], (), None, "state", own[3], detector.init((2,))[:-1] + own[-1:]):
+    broken = own[:-1], own._replace(memory=()), detector.init((2,))._replace(memory=own.memory), tuple(leaves(own))
+    for state in (*foreign, *broken, (), None, "state", own.diverged):
         with pytest.raises(
             ValueError, match=rf"no state of {type(detector).__name__} on plant 'two-tanks' .*; take it from"
         ) as error:
@@ -257,7 +259,7 @@ def test_an_array_of_readings_is_not_written_to() -> None:
     y: Array = np.ones(4)
     y.flags.writeable = False
     _, d = detector.step(detector.init(), 5.0, y, PLANT.input_at(0.0))
-    assert not np.shares_memory(d.measured, y)
+    assert not np.shares_memory(d.reconstruction, y)
 
 
 SECONDS = 5.0 * np.arange(1, 7)

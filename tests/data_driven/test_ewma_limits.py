@@ -41,7 +41,7 @@ def test_by_hand() -> None:
     np.testing.assert_allclose(d.scores[:, 0], expected, rtol=1e-12)
     np.testing.assert_array_equal(d.isolated[:, 0], np.array(expected) > 1)
     assert average[5] < 1 < average[4] and d.residual[5, 0] == pytest.approx(-9 * SIGMA[0])
-    np.testing.assert_allclose(d.measured[4, 0], CENTRE[0] + 2 * SIGMA[0])  # the last that was within the limits
+    np.testing.assert_allclose(d.reconstruction[4, 0], CENTRE[0] + 2 * SIGMA[0])  # the last that was within the limits
     assert d.fault_size[4, 0] == pytest.approx(7 * SIGMA[0])
     assert not d.isolated[:, 1:].any() and np.all(d.scores[:, 1:] < 1e-9)
 

@@ -74,8 +74,10 @@ def test_one_and_two_faults_are_isolated_and_replaced() -> None:
         exact = np.all(d.isolated == np.isin(np.arange(6), sensors), axis=-1)
         assert exact.mean() > 0.9
         # what replaces a reading errs by the noise of four or five others: by 1 where two causes move readings by 1 each
-        assert np.sqrt(np.mean((d.measured - y)[exact][:, sensors] ** 2)) < 1.0
-        np.testing.assert_allclose(d.measured[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors])
+        assert np.sqrt(np.mean((d.reconstruction - y)[exact][:, sensors] ** 2)) < 1.0
+        np.testing.assert_allclose(
+            d.reconstruction[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors]
+        )
 
 
 def test_more_samples_than_a_machine_is_trained_on_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:

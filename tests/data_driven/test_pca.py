@@ -159,7 +159,7 @@ def test_the_score_is_the_largest_of_the_statistics_over_their_limits() -> None:
     expected = np.sqrt(np.max(ratios, axis=0)).reshape(40, 3)
     np.testing.assert_allclose(d.score, expected, rtol=1e-9)
     assert d.score[5, 1] == 0.0 and not d.alarm[5, 1]
-    np.testing.assert_allclose(d.measured[5, 1], MODEL.centre)  # all is missing: the mean
+    np.testing.assert_allclose(d.reconstruction[5, 1], MODEL.centre)  # all is missing: the mean
     assert np.all(d.alarm == (expected > 1))
 
 
@@ -243,14 +243,16 @@ def test_one_and_several_faults_are_isolated_with_their_sizes() -> None:
         sensitivity = np.linalg.inv(MODEL.precision[np.ix_(sensors, sensors)])
         sigma = MODEL.scale[sensors] * np.sqrt(np.diagonal(sensitivity))  # of a reading given the others
         assert np.all(np.abs(error) < 5 * sigma)
-        np.testing.assert_allclose(d.measured[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors])
+        np.testing.assert_allclose(
+            d.reconstruction[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors]
+        )
 
 
 def test_none_is_isolated_where_no_reconstruction_explains_the_readings() -> None:
     y = data(50, seed=7) + np.array([20.0, -20.0, 20.0, -20.0, 20.0, -20.0])
     d = judged(replace(DETECTOR, max_faults=1), y)
     assert d.alarm.all() and not d.isolated.any() and np.isnan(d.fault_size).all()
-    np.testing.assert_array_equal(d.measured, y)
+    np.testing.assert_array_equal(d.reconstruction, y)
 
 
 def test_what_moves_together_is_learnt_from_an_operation_that_moves() -> None:

@@ -2,7 +2,7 @@
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
 gives a run of the quick tests, all files but those of `NOT_NUMERICAL`: a new file takes part unless it is named there. What
-this machine cannot run is left out, and said.
+this machine cannot run is left out and reported.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The fusing bank: its algebra against N filters run one by one, and what the paper's rules then say."""
+"""The fusing bank: its algebra against N filters run one by one, and the decisions of the paper's rules."""
 
 from dataclasses import replace
 
@@ -57,7 +57,7 @@ def test_the_residual_is_the_printed_variance_of_what_the_local_filters_expect(s
     h = plant.output_jacobian_at(0.0, plant.x0, u[0, 0])
     state = bank.init()
     for k in range(12):
-        x, p = state[-2:]
+        x, p = state.memory
         x, p = f @ x, f @ p @ f.T + np.diag(plant.process_cov)
         expected = []
         for i in range(sensors):
@@ -119,7 +119,7 @@ def test_calibration_keeps_the_stated_rate_on_fresh_data() -> None:
         bank.fit_thresholds((t[:10], y[:10], u[:10]), false_alarm=1e-4)
 
 
-def test_who_is_named_depends_on_the_units_of_the_states_as_printed_and_not_in_units_of_their_scale() -> None:
+def test_isolation_depends_on_the_units_of_the_states_as_printed_and_not_in_units_of_their_scale() -> None:
     """(20) of Shaheen 2024 is a length in a space whose axes are unlike quantities; a scale for each state makes it pure."""
     plant = chain(6)
     size = np.array([1e3, 1.0, 1.0, 1.0, 1.0, 1.0])  # the first state in thousandths of its unit
@@ -147,7 +147,7 @@ def test_who_is_named_depends_on_the_units_of_the_states_as_printed_and_not_in_u
     assert named["other", False][..., 3].mean() < 0.1 and named["other", False].any(axis=-1).all()
 
 
-def test_a_bank_without_thresholds_warns_that_it_never_alarms_unless_told_so() -> None:
+def test_a_bank_without_thresholds_warns_that_it_never_alarms_unless_set_so() -> None:
     plant = chain(3)
     bank = FusingBank(plant, Extended())
     with pytest.warns(

@@ -52,7 +52,7 @@ def test_a_rate_is_a_probability(false_alarm: float) -> None:
         FusingBank.fit(chain(4), (t, y, u), false_alarm, estimator=Extended())
 
 
-def test_too_few_samples_name_how_many_are_needed() -> None:
+def test_too_few_samples_name_how_many_are_expected() -> None:
     t, _, y, u = readings(chain(4), 30, 2, seed=0)
     bank = FusingBank(chain(4), Extended())
     with pytest.raises(ValueError, match=r"20 healthy samples cannot set a false-alarm rate of 0\.1 over 4 .*at least 40"):

@@ -18,9 +18,9 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import ENVELOPE, Adapti
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, engine, extremes
 from fusion_sfdia.builders import adaptive_threshold
-from fusion_sfdia.core.detector import State
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
 from fusion_sfdia.evaluation.results import Row
@@ -148,7 +148,7 @@ def watch(
             trace.append((decision.residual[shown], decision.threshold[shown]))
     if state is None:
         raise ValueError("there are no readings to watch; pass at least one")
-    found = {"first": first, "beyond": beyond, "threshold": total / len(t), "diverged": np.asarray(state[3])}
+    found = {"first": first, "beyond": beyond, "threshold": total / len(t), "diverged": state.diverged}
     if trace:
         found["trace"] = extremes(t, *np.moveaxis(np.array(trace), 1, 0))
     return state, found
@@ -156,7 +156,8 @@ def watch(
 
 def fork(state: State, ways: int) -> State:
     """The state of a batch (*batch) as that of (ways, *batch) runs which go apart from here."""
-    return tuple(a if a.ndim == 0 else np.broadcast_to(a, (ways, *a.shape)) for a in state)
+    diverged, memory = mapped(lambda a: np.broadcast_to(a, (ways, *a.shape)), (state.diverged, state.memory))
+    return state._replace(diverged=diverged, memory=memory)
 
 
 def sizes(detector: AdaptiveThreshold, size: float) -> Array:

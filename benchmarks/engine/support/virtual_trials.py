@@ -124,7 +124,7 @@ def follow(
         told += accused
         late = now >= since - detector.plant.dt / 2
         ape += np.where(late, 100 * error, 0.0)
-        square += np.where(late, (decision.measured - signal[k])[:, own] ** 2, 0.0)
+        square += np.where(late, (decision.reconstruction - signal[k])[:, own] ** 2, 0.0)
         square_faulty += np.where(late, (y[k] - signal[k])[:, own] ** 2, 0.0)
         if (k + 1) % KEPT == 0:
             limits = (np.where(decision.isolated, end, np.nan) for end in (held.lo, held.hi))

@@ -16,7 +16,7 @@ from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.simulation import Draw, Moment
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 
 Array = NDArray[Any]
@@ -73,7 +73,8 @@ def watch(areas: Areas, moments: Iterable[Moment], variant: Variant) -> Iterator
         if state is None:
             state = initial_state(areas, now.reference.shape[:1])
         load = np.broadcast_to(now.load, now.reference.shape)
-        state, _ = network_step(areas, state, now.own, now.shared, now.reference, load, 1.0, variant.lam, variant.mode)
+        given = NetworkReadings(now.own, now.shared, now.reference, load)
+        state, _ = network_step(areas, state, given, 1.0, variant.lam, variant.mode)
         yield now, state
 
 

@@ -117,11 +117,11 @@ def test_the_reading_of_a_faulty_sensor_before_and_after_it_is_replaced() -> Non
     of = data.active[k, b]
     assert of.sum() == 3
     truth = data.recording.signal[k, b, of]
-    for error, reading in zip(found[k, b], (decision.measured, data.y, data.recording.y), strict=True):
+    for error, reading in zip(found[k, b], (decision.reconstruction, data.y, data.recording.y), strict=True):
         assert error == pytest.approx(np.mean((reading[k, b, of] - truth) ** 2), rel=1e-12)
     np.testing.assert_array_equal(np.isnan(found).all(axis=-1), ~data.active.any(axis=-1))
     np.testing.assert_array_equal(np.isnan(found).any(axis=-1), ~data.active.any(axis=-1))
-    scaled = (decision.measured - data.recording.signal) / detector.plant.sensor_sigma
+    scaled = (decision.reconstruction - data.recording.signal) / detector.plant.sensor_sigma
     # the others know a reading to within .3 sigma (NEES is 1, and P some .08 R); 8 where one of a few is missed
     assert np.sqrt(np.nanmean(np.where(data.active, scaled, np.nan) ** 2)) < 2.0
     healthy = outcome(detector, faulted(detector.plant, 75, range(1), None, None))
