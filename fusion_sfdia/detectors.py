@@ -62,7 +62,7 @@ register_detector(
 )
 register_detector(
     "kf-chi2",
-    "one extended Kalman filter with a test of each innovation; names the largest, accommodates nothing",
+    "one extended Kalman filter with a test of each innovation; isolates the largest, accommodates nothing",
     "fusion_sfdia.kalman_banks.central_filter:CentralFilter",
     memory=STATE,
     false_alarm=FALSE_ALARM,
@@ -70,7 +70,7 @@ register_detector(
 register_detector(
     "kf-window",
     "one extended Kalman filter; of each sensor the sum of squares of its last 15 normalised innovations, chi-square, and "
-    "a test of the present one; names and leaves out the largest, until it is readmitted",
+    "a test of the present one; isolates and leaves out the largest, until it is readmitted",
     "fusion_sfdia.builders:sequential",
     memory="15 samples",
     rule="window",
@@ -125,7 +125,7 @@ register_detector(
 )
 register_detector(
     "multiple-model",
-    "models of healthy sensors and of each one's noise ten times as large, with a Markov chain between them (GPB1); names "
+    "models of healthy sensors and of each one's noise ten times as large, with a Markov chain between them (GPB1); isolates "
     "the most probable",
     "fusion_sfdia.kalman_banks.multiple_model:MultipleModel",
     memory="probabilities of the models",
@@ -209,7 +209,7 @@ register_detector(
 )
 register_detector(
     "chebyshev:corrected",
-    "the same with the paper's filter parameter 0.3 and 2 standard deviations; names no sensor",
+    "the same with the paper's filter parameter 0.3 and 2 standard deviations; isolates no sensor",
     "fusion_sfdia.stochastic_thresholds.chebyshev:Chebyshev",
     memory="residuals, factor 0.3 a sample",
     accommodate=False,

@@ -26,8 +26,9 @@ KERNELS = {"Prescott": ("SSE3", "X86_V2"), "Haswell": ("AVX2", "X86_V3"), "Skyla
 NOT_NUMERICAL = (
     "test_architecture.py", "test_bench.py", "test_cli.py", "test_cli_signals.py", "test_cluster.py", "test_comparison.py",
     "test_comparison_ranking.py", "test_diagnose.py", "test_engine_campaigns.py", "test_engine_scenarios.py",
-    "test_engine_virtual_sensors.py", "test_files.py", "test_logs.py", "test_network_scale.py", "test_network_scenarios_a.py",
-    "test_network_scenarios_b.py", "test_notebooks.py", "test_package.py", "test_pipeline_scenarios.py", "test_readme.py",
+    "test_engine_virtual_sensors.py", "test_entry_points.py", "test_files.py", "test_logs.py", "test_network_scale.py",
+    "test_network_scenarios_a.py", "test_network_scenarios_b.py", "test_notebooks.py", "test_package.py",
+    "test_pipeline_scenarios.py", "test_readme.py", "test_references.py", "test_registry.py",
     "test_report.py", "test_report_browser.py", "test_runner.py", "test_storage.py", "test_valve_log.py",
 )  # fmt: skip
 
