@@ -6,14 +6,18 @@ import csv
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.evaluation.metrics import Estimate
 
 COLUMNS = (
-    "scenario", "plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n", "published", "source",
+    "scenario", "plant", "detector", "fault", "quantity", "condition", "metric",
+    "value", "low", "high", "n", "published", "source",
 )  # fmt: skip
+NAMES = COLUMNS[: COLUMNS.index("value")]
 NUMBERS = ("value", "low", "high", "published")
 
 
@@ -33,6 +37,8 @@ class Published:
 class Row:
     """One measured number: its 95 % interval [low, high] (NaN where none is stated) and the n runs or trials behind it.
 
+    quantity: what is measured (a sensor, module, area, or "all"). condition: under which circumstances, where a scenario
+    compares several (a noise level, a mismatch case, a variant of the detector); empty where there is one only.
     published, source: the number that a paper states for the same thing, in the same unit, and where; both or neither.
     """
 
@@ -48,6 +54,7 @@ class Row:
     n: int = 0
     published: float | None = None
     source: str = ""
+    condition: str = field(default="", kw_only=True)
 
     def __post_init__(self) -> None:
         if (self.published is None) != (not self.source.strip()):
@@ -58,7 +65,7 @@ class Row:
     @property
     def columns(self) -> dict[str, str | float | int | None]:
         """The columns of metrics.csv; a number that is not stated or undefined is None."""
-        named = {c: str(getattr(self, c)) for c in COLUMNS[:6]}
+        named = {c: str(getattr(self, c)) for c in NAMES}
         numbers = {
             "value": _number(self.value),
             "low": _number(self.low),
@@ -76,6 +83,24 @@ class Row:
         return self.low <= self.published <= self.high
 
 
+def row_of(
+    plant: str,
+    scenario: str,
+    detector: str,
+    fault: str,
+    quantity: str,
+    metric: str,
+    estimate: Estimate,
+    published: Published | None = None,
+    *,
+    condition: str = "",
+) -> Row:
+    """Return the row of an estimate beside what is published of the same thing, if anything is."""
+    value, source = (None, "") if published is None else (published.value, published.source)
+    names = (scenario, plant, detector, fault, quantity, metric)
+    return Row(*names, *estimate, published=value, source=source, condition=condition)
+
+
 def _number(value: float) -> float | None:
     return None if math.isnan(value) else float(value)
 
@@ -91,20 +116,23 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read a metrics.csv; ValueError naming file and row where it is none."""
+    """Read a metrics.csv; ValueError with file and row where it is none, or where an earlier version wrote it."""
     with path.open(encoding="utf-8", newline="") as file:
         lines = list(csv.reader(file))
-    if not lines or tuple(lines[0]) != COLUMNS:
+    header = tuple(lines[0]) if lines else ()
+    if header == tuple(c for c in COLUMNS if c != "condition"):
+        raise ValueError(f"{path} was written by an earlier version: it has no column condition; run the scenarios again")
+    if header != COLUMNS:
         raise ValueError(f"{path} is no metrics file; expected the columns {', '.join(COLUMNS)}")
     rows = []
     for number, line in enumerate(lines[1:], start=2):
         try:
             cells = dict(zip(COLUMNS, line, strict=True))
-            scenario, plant, detector, fault, quantity, metric = line[:6]
+            names: dict[str, Any] = {c: cells[c] for c in NAMES}
             value, low, high = (float(cells[c] or "nan") for c in ("value", "low", "high"))
             published = float(cells["published"]) if cells["published"] else None
-            n, source = int(cells["n"]), cells["source"]
-            rows.append(Row(scenario, plant, detector, fault, quantity, metric, value, low, high, n, published, source))
+            numbers: dict[str, Any] = {"value": value, "low": low, "high": high, "n": int(cells["n"]), "published": published}
+            rows.append(Row(**names, **numbers, source=cells["source"]))
         except ValueError as error:
             raise ValueError(f"{path}, row {number}: {error}; write it with write_rows") from error
     return rows

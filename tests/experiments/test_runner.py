@@ -47,8 +47,8 @@ def test_same_bytes_for_any_number_of_workers(tmp_path: Path) -> None:
         "figures/toy-mean-again.svg",
         "figures/toy-mean-again.png",
     } <= one.keys()
-    told = {"manifest.json", "report.html"}  # these say how long it took
-    assert {k: v for k, v in one.items() if k not in told} == {k: v for k, v in two.items() if k not in told}
+    timed = {"manifest.json", "report.html"}  # these contain the time it took
+    assert {k: v for k, v in one.items() if k not in timed} == {k: v for k, v in two.items() if k not in timed}
 
 
 @pytest.mark.parametrize(("trap", "workers", "error"), [("interrupt", 1, KeyboardInterrupt), ("die", 2, RuntimeError)])
@@ -74,7 +74,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, trap: str, workers: i
     assert repr(again.rows) == repr(whole.rows)
 
 
-def test_a_failed_task_is_told_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_failed_task_is_reported_and_the_others_go_on(tmp_path: Path) -> None:
     flag = tmp_path / "trap"
     flag.write_text("fail")
     changes = {"trap": str(flag)}
@@ -146,12 +146,13 @@ def flipped(content: bytes, bit: int) -> bytes:
     return content[: bit // 8] + bytes([content[bit // 8] ^ 1 << bit % 8]) + content[bit // 8 + 1 :]
 
 
-def test_every_flipped_bit_and_every_cut_of_a_part_is_noticed(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_any_byte_and_every_cut_of_a_part_are_noticed(tmp_path: Path) -> None:
+    """One bit of each byte, each of the eight in turn: a checksum of 32 bits covers all of them alike."""
     path = tmp_path / "x.npz"
     write_part(path, {"a": np.arange(3.0), "name": np.array("π")})
     content = path.read_bytes()
     damaged = [content[:length] for length in range(len(content))]
-    damaged += [flipped(content, bit) for bit in range(8 * len(content))]
+    damaged += [flipped(content, 8 * k + k % 8) for k in range(len(content))]
     for found in damaged:
         path.write_bytes(found)
         assert read_part(path) is None
@@ -183,7 +184,7 @@ def test_a_folder_is_of_one_run_at_a_time(tmp_path: Path) -> None:
     assert not (out / ".lock").exists()
 
 
-def test_the_lock_of_a_killed_process_blocks_nobody(tmp_path: Path, root: Path) -> None:
+def test_the_lock_of_a_killed_process_blocks_no_other(tmp_path: Path, root: Path) -> None:
     code = "import os, pathlib\nfrom fusion_sfdia.experiments.output import locked\n"
     code += f"with locked(pathlib.Path({str(tmp_path)!r})):\n    os._exit(9)"
     environment = {**os.environ, "PYTHONPATH": str(root)}
@@ -342,21 +343,25 @@ def test_rows_come_back_to_the_bit(tmp_path: Path) -> None:
     rows = [
         Row("s", "p", "d", "none", 'a, "quoted"\nline', "auc", third, third - 1e-17, np.nextafter(third, 1), 50),
         Row("s", "p", "d", "f", "all", "rmse", float("inf"), published=0.1, source="Nobody 1999, Table I, p. 1"),
-        Row("s", "p", "d", "f", "all", "rmse", float("nan")),
+        Row("s", "p", "d", "f", "all", "rmse", float("nan"), condition="noise 5 %, finer grid"),
     ]
     write_rows(tmp_path / "metrics.csv", rows)
     text = (tmp_path / "metrics.csv").read_text(encoding="utf-8")
     assert text.startswith(",".join(COLUMNS) + "\n")
     assert "0.3333333333333333," in text and "float64" not in text
     assert repr(read_rows(tmp_path / "metrics.csv")) == repr([replace(rows[0], high=float(rows[0].high)), *rows[1:]])
-    told = json.loads(as_json(rows))
-    assert [r["value"] for r in told] == [third, "inf", None]
-    assert told[1]["source"] == "Nobody 1999, Table I, p. 1"
+    objects = json.loads(as_json(rows))
+    assert [r["value"] for r in objects] == [third, "inf", None]
+    assert [r["condition"] for r in objects] == ["", "", "noise 5 %, finer grid"]
+    assert objects[1]["source"] == "Nobody 1999, Table I, p. 1"
     (tmp_path / "metrics.csv").write_text(text.replace("50", "many"), encoding="utf-8")
     with pytest.raises(ValueError, match="row 2"):
         read_rows(tmp_path / "metrics.csv")
     (tmp_path / "metrics.csv").write_text("a,b\n", encoding="utf-8")
     with pytest.raises(ValueError, match="no metrics file"):
+        read_rows(tmp_path / "metrics.csv")
+    (tmp_path / "metrics.csv").write_text(text.replace(",condition", "", 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"metrics\.csv was written by an earlier version: it has no column condition"):
         read_rows(tmp_path / "metrics.csv")
 
 
@@ -380,7 +385,7 @@ def test_scenarios_with_the_same_work_share_equal_pieces(tmp_path: Path) -> None
     trap = tmp_path / "trap"
     trap.write_text("raise")
     outcome = run_scenarios(both, tmp_path / "failed", seeds=2, workers=1, changes={**PLAIN, "trap": str(trap)})
-    assert [line.split(",")[0] for line in outcome.failures] == ["toy/mean", "toy/again"]  # both are told
+    assert [line.split(",")[0] for line in outcome.failures] == ["toy/mean", "toy/again"]  # both are reported
 
 
 def test_full_takes_the_settings_of_the_whole_paper(tmp_path: Path) -> None:
