@@ -12,12 +12,16 @@ from fusion_sfdia.core.detector import run as run
 from fusion_sfdia.core.discretise import discretise as discretise
 from fusion_sfdia.core.equation import equation as equation
 from fusion_sfdia.core.linear import linear_plant as linear_plant
+from fusion_sfdia.core.log import Log as Log
+from fusion_sfdia.core.log import as_log as as_log
 from fusion_sfdia.core.modules import Modules as Modules
 from fusion_sfdia.core.physics import Physics as Physics
 from fusion_sfdia.core.plant import Plant as Plant
 from fusion_sfdia.core.plant_groups import Numerics as Numerics
 from fusion_sfdia.core.plant_groups import Structure as Structure
 from fusion_sfdia.core.plant_groups import Truth as Truth
+from fusion_sfdia.core.saved_detectors import load_detector as load_detector
+from fusion_sfdia.core.saved_detectors import save_detector as save_detector
 from fusion_sfdia.core.signals import Sensor as Sensor
 from fusion_sfdia.core.signals import Signal as Signal
 from fusion_sfdia.core.storage import load_state as load_state
@@ -28,13 +32,11 @@ from fusion_sfdia.data_driven.one_class import OneClass as OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents as PrincipalComponents
 from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
 from fusion_sfdia.evaluation.diagnose import Event as Event
-from fusion_sfdia.evaluation.diagnose import diagnose as diagnose
 from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
 from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
 from fusion_sfdia.evaluation.faults import Fault as Fault
 from fusion_sfdia.evaluation.faults import load_faults as load_faults
-from fusion_sfdia.evaluation.logs import Log as Log
 from fusion_sfdia.evaluation.logs import read_log as read_log
 from fusion_sfdia.evaluation.logs import write_log as write_log
 from fusion_sfdia.evaluation.simulate import Recording as Recording
@@ -43,7 +45,6 @@ from fusion_sfdia.filters.estimators import Ensemble as Ensemble
 from fusion_sfdia.filters.estimators import Extended as Extended
 from fusion_sfdia.filters.estimators import Unscented as Unscented
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
-from fusion_sfdia.kalman_banks.calibration import calibrate as calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
@@ -60,10 +61,12 @@ from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
 from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine
 from fusion_sfdia.models.power_network.plant import power_network as power_network
 from fusion_sfdia.models.two_tanks.plant import two_tanks as two_tanks
+from fusion_sfdia.named import diagnose as diagnose
+
+__version__: str
+from fusion_sfdia.named import fit as fit
 from fusion_sfdia.registry import register_detector as register_detector
 from fusion_sfdia.registry import register_plant as register_plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
 from fusion_sfdia.stochastic_thresholds.replug import replug as replug
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals as StructuralResiduals
-
-__version__: str

@@ -16,6 +16,7 @@ register_detector(
     "Shaheen 2024, on its pipeline with its process noise; P0 is the plant's, where the paper has the identity",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    learns=True,
     kind="ekf",
 )
 register_detector(
@@ -23,6 +24,7 @@ register_detector(
     "the same of unscented filters as printed, without redrawn sigma points",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    learns=True,
     kind="ukf",
 )
 register_detector(
@@ -30,6 +32,7 @@ register_detector(
     "the same of ensemble filters, 40 members",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    learns=True,
     kind="enkf",
 )
 register_detector(
@@ -132,12 +135,14 @@ register_detector(
     "fixed limits of each reading and of its change since the last, learnt from healthy data",
     "fusion_sfdia.builders:fixed_limits",
     memory="1 sample",
+    learns=True,
 )
 register_detector(
     "limits-ewma",
     "the same with a limit on the exponentially weighted moving average of each reading, too (Lucas and Saccucci 1990)",
     "fusion_sfdia.builders:ewma_limits",
     memory="EWMA, factor 0.8 a sample",
+    learns=True,
 )
 register_detector(
     "pca",
@@ -145,12 +150,14 @@ register_detector(
     "and reconstruction-based contributions, by which it isolates",
     "fusion_sfdia.builders:principal_components",
     memory=NONE,
+    learns=True,
 )
 register_detector(
     "dynamic-pca",
     "the same of present readings and the two before them (Ku 1995)",
     "fusion_sfdia.builders:principal_components",
     memory="3 samples",
+    learns=True,
     lags=2,
 )
 register_detector(
@@ -159,6 +166,7 @@ register_detector(
     "reconstruction of single readings",
     "fusion_sfdia.builders:one_class",
     memory=NONE,
+    learns=True,
 )
 register_detector(
     "structural-residuals",
@@ -166,6 +174,7 @@ register_detector(
     "from healthy data, minimal diagnoses; on a plant with scalar equations",
     "fusion_sfdia.builders:structural_residuals",
     memory="1 sample and observers",
+    learns=True,
 )
 register_detector(
     "adaptive-threshold",

@@ -63,14 +63,16 @@ class NamedDetector(NamedTuple):
     """A detector by name: what it is, how it is built for a plant, and over what its test statistic accumulates.
 
     build: takes a Plant and returns the Detector. memory: "none" (present readings alone), "state estimate only", or how far
-    back evidence of a fault is gathered; "" where it is not stated. source: "module:name" of what builds it.
+    back evidence of a fault is gathered; "" where it is not stated. source: "module:name" of what builds it. learns: whether
+    build takes `healthy` and `false_alarm`, too: readings, None for simulated ones, and a rate, as of `named.fit`.
     """
 
     name: str
     about: str
-    build: Callable[[Plant], Detector]
+    build: Callable[..., Detector]
     memory: str = ""
     source: str = ""
+    learns: bool = False
 
     @property
     def package(self) -> str:
@@ -113,20 +115,24 @@ def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None
 
 
 @overload
-def register_detector(name: str, about: str, *, memory: str = "", **settings: Any) -> Callable[[M], M]: ...
+def register_detector(
+    name: str, about: str, *, memory: str = "", learns: bool = False, **settings: Any
+) -> Callable[[M], M]: ...
 @overload
-def register_detector(name: str, about: str, build: M, *, memory: str = "", **settings: Any) -> M: ...
-def register_detector(name: str, about: str, build: Any = None, *, memory: str = "", **settings: Any) -> Any:
+def register_detector(name: str, about: str, build: M, *, memory: str = "", learns: bool = False, **settings: Any) -> M: ...
+def register_detector(
+    name: str, about: str, build: Any = None, *, memory: str = "", learns: bool = False, **settings: Any
+) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
-    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`. ValueError for a name of another form than
-    "kf-chi2" or "chebyshev:paper", and for one that is taken.
+    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`. ValueError for a name of another form
+    than "kf-chi2" or "chebyshev:paper", and for one that is taken.
     """
     if build is None:
-        return partial(register_detector, name, about, memory=memory, **settings)
+        return partial(register_detector, name, about, memory=memory, learns=learns, **settings)
     made = partial(deferred(build), **settings) if settings else deferred(build)
-    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build)))
+    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build), learns))
     return build
 
 

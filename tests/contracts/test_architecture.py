@@ -26,6 +26,7 @@ FOLDERS: dict[str, set[str]] = {
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
+    "named": {"core", "evaluation", "registry", "builders", "detectors"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone

@@ -192,7 +192,7 @@ def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[st
     factor = np.ones(len(plant.sensors))
     factor[chosen] = 1e-5  # Pa as bar
     units = {plant.sensors[i].name: ("other", 1e-5) for i in chosen}
-    if isinstance(detector, FusingBank):  # that its calibration follows the unit is held in test_calibration
+    if isinstance(detector, FusingBank):  # test_fusing_bank_thresholds holds that its thresholds follow the unit
         other: Detector = replace(
             detector, plant=detector.plant.in_units(units), thresholds=tuple(np.array(detector.thresholds) * factor)
         )
