@@ -1,1 +1,1 @@
-"""Detectors on observers and equations: thresholds that bounded noise cannot cross, diagnosis sets, virtual sensors."""
+"""Detectors on observers and equations: thresholds that bounded noise does not exceed, diagnosis sets, virtual sensors."""

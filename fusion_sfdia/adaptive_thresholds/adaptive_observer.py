@@ -21,17 +21,24 @@ class Estimates(NamedTuple):
     fault: Array
 
 
-def adapt(
-    now: Estimates, h: Array, before: Array, reading: Array, active: Array, dt: float, rate: float, gain: float, learning: float
-) -> Estimates:
+class Rates(NamedTuple):
+    """Of a state and its observer, all in 1/s: its own rate of decay, the gain L, and the learning rate Gamma."""
+
+    rate: float
+    gain: float
+    learning: float
+
+
+def adapt(now: Estimates, h: Array, before: Array, reading: Array, active: Array, dt: float, rates: Rates) -> Estimates:
     """Return the estimates a step of dt seconds later, of x' = -rate x + h with the readings y = x + f before and after it.
 
         x^' = -rate x^ + h + L (y - x^ - f^) + Omega f^'    Omega' = -(rate + L) Omega - L
         f^' = Gamma (Omega + 1) D (y - x^ - f^)
 
-    with L the gain, 1/s, and Gamma the learning rate, 1/s; D: active, bool. The linear part is exact for h and y held over
+    with L and Gamma of the rates; D: active, bool. The linear part is exact for h and y held over
     the step, the adaptive law is Euler's. Readings that are NaN correct nothing.
     """
+    rate, gain, learning = rates
     known = np.isfinite(before)
     correction = np.where(known, gain, 0.0)
     a = rate + correction
@@ -44,9 +51,10 @@ def adapt(
     return Estimates(state + omega * change, omega, now.fault + change)
 
 
-def adaptive_rate(rate: float, gain: float, learning: float) -> float:
+def adaptive_rate(rates: Rates) -> float:
     """Return Gamma (1 + Omega)^2, 1/s, with Omega = -L / (rate + L) once it has settled: how fast the fault's error decays.
 
     The innovation is (1 + Omega)(f - f^) then: a gain far above the rate makes the observer follow the faulty reading.
     """
+    rate, gain, learning = rates
     return learning * (rate / (rate + gain)) ** 2

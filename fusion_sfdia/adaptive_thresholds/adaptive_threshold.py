@@ -10,12 +10,12 @@ do: the state's error e obeys
 
     |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d) + moved,   |y - x| <= |e| + d
 
-where `moved` is what the state may move within a step, see monitoring. The supremum, as the interval of an algebraic residual,
-comes from the corners of the equation over the box that the readings leave to the truth (`corner_bounds`). No false alarm is
-possible while the plant obeys its equations, readings are within their bounds, variables within the envelope and, over one
-step, monotone (h is taken at the middle of the two readings of a step, its box holds both), and states move no more than
-their `drift`. A missing reading leaves the whole envelope; those at which an equation has no value are moved into it for that
-equation.
+where `moved` bounds the change of the state within a step, see monitoring. The supremum, as the interval of an algebraic
+residual, comes from the corners of the equation over the box of true values that are possible with the readings
+(`corner_bounds`). No false alarm is possible while the plant obeys its equations, readings are within their bounds, variables
+within the envelope and, over one step, monotone (h is evaluated at the middle of the two readings of a step, its box contains
+both), and states move by no more than their `drift`. For a missing reading the box is the whole envelope; readings at which an
+equation has no value are moved into the envelope for that equation.
 
 With `observer_bounds` the thresholds of the observers are (10) with given constants instead, as published. The Lipschitz
 constant of (10) is the slope at the nominal point there: a law with an infinite slope within the box has none.
@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,34 +36,49 @@ from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes, prove
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, module_logic
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, monitor, verdict
 from fusion_sfdia.core.arguments import number, shown
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, NotApplicableError, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision, NotApplicableError
 from fusion_sfdia.core.equation import COMPLEX_STEP, argument_names
 from fusion_sfdia.core.modules import Modules, ObserverBound
+from fusion_sfdia.core.state import mapped
 
 Array = NDArray[Any]
 
-ENVELOPE = 0.05  # of the nominal values, beyond twice the noise, in which healthy readings are taken to lie
+ENVELOPE = 0.05  # of the nominal values, beyond twice the noise, which is assumed to contain healthy readings
+
+
+class MonitoringMemory(NamedTuple):
+    """In SI, by state (..., S), by variable (..., E) or by sensor (..., N), all in the order of the equations.
+
+    x, error: (..., S) the observers' estimates and bounds of their errors. reading: (..., E) the last ones, NaN where missing.
+    fired: (..., N) modules that have fired, in the order of the sensors. elapsed: (...) s since the start.
+    """
+
+    x: Array
+    error: Array
+    reading: Array
+    fired: Array
+    elapsed: Array
 
 
 @dataclass(frozen=True)
 class AdaptiveThreshold(BatchDetector):
-    """Monitoring modules of a plant whose `modules` say its equations; hypotheses are the sensors.
+    """Monitoring modules of a plant whose `modules` state its equations; hypotheses are the sensors.
 
     envelope: the range of healthy readings: half its width as a share of the nominal values, or {variable: (least, most)} in
-    SI for those that the load moves, with room for twice the noise bound on either side; otherwise twice the largest noise
-    bound, and 5 %. A load that moves needs one as wide as its transients, or else alarms are no proof of a fault.
+    SI for those that change with the load, including twice the noise bound on either side; otherwise twice the largest
+    noise bound plus 5 %. A varying load needs an envelope as wide as its transients, or else alarms are no proof of a fault.
     drift: {state: share of its nominal value by which it moves at most in one plant.dt}, for which the plant's modules have
-    values at a steady load: while the load moves, even within the envelope, give one (for loads of the engine within 3 %
-    marine_engine.receiver_drift); of other states what the model and the readings allow.
+    values at a steady load. Give one for a load that varies, even within the envelope (for loads of the engine within 3 %
+    marine_engine.receiver_drift). For other states the model and the readings bound it.
     bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
     inversion, K24 (11), or "codac", the same by that library. These are wider and slow.
     margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired stays fired, (16).
-    agents: whether the silence of all modules of a block clears its own sensors, (17), (18).
+    agents: whether an agent of which no module fires exonerates its own sensors, (17), (18).
 
-    isolated are the members of all diagnoses: suspects, perhaps most sensors, whose readings stay in `measured`; none where
-    no set of faults explains the modules that fire. The fault size is the residual, for an observer only what it has not
-    followed of the fault.
+    isolated are the members of all diagnoses: suspects, perhaps most sensors, whose readings stay as they are in the
+    reconstruction; none where no set of faults explains the modules that fire. The fault size is the residual, which of an
+    observer is only the part of the fault that it has not followed.
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None
@@ -185,7 +200,7 @@ class AdaptiveThreshold(BatchDetector):
     @cached_property
     def _monitor(self) -> Callable[..., Any]:
         m = self._modules
-        return m.monitor or partial(monitor, m.equations, m.variables, m.parameters)
+        return m.monitor or partial(monitor, m)
 
     @cached_property
     def _layers(self) -> tuple[Array, Array, Array]:
@@ -194,18 +209,18 @@ class AdaptiveThreshold(BatchDetector):
         scale = np.broadcast_to(self.plant.sensor_scale, self._sensor.shape).copy()
         return self._bound + margin, np.argsort(self._sensor), scale
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Estimates x (S,), bounds of their errors, last readings by variable (E,), modules that have fired (N,), seconds."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> MonitoringMemory:
         count, e = len(self._modules.states), len(self.nominal)
-        core = np.mean(self.ends, axis=0)[:count], self.half_width[:count], np.full(e, np.nan), np.zeros(e, bool)
-        return *(np.broadcast_to(a, (*batch, a.size)).copy() for a in core), np.zeros(batch)
+        middle, unknown, silent = np.mean(self.ends, axis=0)[:count], np.full(e, np.nan), np.zeros(e, bool)
+        start = MonitoringMemory(middle, self.half_width[:count], unknown, silent, np.zeros(()))
+        return MonitoringMemory(*(np.broadcast_to(a, (*batch, *a.shape)).copy() for a in start))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: MonitoringMemory, now: TimeStep, y: Array, u: Array) -> tuple[MonitoringMemory, Decision]:
         if (axes := y.ndim - 1) > 1:
-            flat = [a.reshape(-1, *a.shape[axes:]) for a in (y, u, *core)]
-            after, decision = self._judge(tuple(flat[2:]), now, flat[0], flat[1])
-            return tuple(a.reshape(*y.shape[:-1], *a.shape[1:]) for a in after), nested(decision, y.shape[:-1])
-        x, error, before, fired, elapsed = core
+            flat, y_flat, u_flat = mapped(lambda a: a.reshape(-1, *a.shape[axes:]), (memory, y, u))
+            after, decision = self._judge(flat, now, y_flat, u_flat)
+            return mapped(lambda a: a.reshape(*y.shape[:-1], *a.shape[1:]), after), nested(decision, y.shape[:-1])
+        x, error, before, fired, elapsed = memory
         extra, variable, scale = self._layers
         y, u = np.array(y, order="C"), np.array(u, order="C")  # of one layout, for compiled code
         reading = (y / scale).take(self._sensor, axis=-1)
@@ -216,13 +231,13 @@ class AdaptiveThreshold(BatchDetector):
         radius = self._published(error, elapsed) if self.observer_bounds else error
         if not self.latch:
             fired = np.zeros_like(fired)
-        residual, threshold, measured, fired, lost = verdict(
+        residual, threshold, reconstruction, fired, lost = verdict(
             y, x, radius, lower, upper, extra, variable, scale, fired, float(self.threshold_scale)
         )
         isolated = self.logic.isolated(fired)
         decision = Decision(
             estimate=x,
-            measured=measured,
+            reconstruction=reconstruction,
             residual=residual,
             threshold=threshold,
             isolated=isolated,
@@ -231,7 +246,7 @@ class AdaptiveThreshold(BatchDetector):
             guarded=np.zeros(lost.shape, bool),
             nis=np.full(lost.shape, np.nan),
         )
-        return (x, error, reading, fired, elapsed), decision
+        return MonitoringMemory(x, error, reading, fired, elapsed), decision
 
     def _published(self, error: Array, t: Array) -> Array:
         """What bounds the states' errors (B, S) at t (B,) since the start: (10) less the noise where constants are given."""
@@ -245,8 +260,8 @@ class AdaptiveThreshold(BatchDetector):
 
 def nested(decision: Decision, batch: tuple[int, ...]) -> Decision:
     """The decision of a batch of one axis as one of that shape."""
-    told = (getattr(decision, f.name) for f in fields(Decision))
-    shaped: list[Any] = [a if a is None or not a.ndim else a.reshape(*batch, *a.shape[1:]) for a in told]
+    arrays = (getattr(decision, f.name) for f in fields(Decision))
+    shaped: list[Any] = [a if a is None or not a.ndim else a.reshape(*batch, *a.shape[1:]) for a in arrays]
     return Decision(*shaped)
 
 

@@ -1,9 +1,9 @@
-"""Bounds of algebraic variables by interval methods, the alternatives to the corners of `monitoring`.
+"""Bounds of algebraic variables by interval methods, alternatives to the corners of `monitoring`.
 
 "inclusion": the equation in interval arithmetic over the box that the readings leave (Kougiatsos 2022, (36)); wider where an
 argument occurs often. "sivia": the z with 0 in z - phi(z, box) by set inversion from an initial box (Kougiatsos 2024, (11));
-only z is bisected, yet contraction with a narrow z cuts off some of what inclusion adds. Plain array code, far slower.
-"codac": the same by codac, an optional dependency, one run after the other, slower still.
+only z is bisected, yet contraction with a narrow z removes part of the overestimation of inclusion. Array code, far slower.
+"codac": the same by codac, an optional dependency, one run at a time, still slower.
 """
 
 from __future__ import annotations

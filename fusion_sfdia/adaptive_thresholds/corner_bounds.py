@@ -1,7 +1,7 @@
 """Bounds of explicit equations over boxes from two corners, proved beforehand over an envelope and fast afterwards.
 
-Over the envelope, a box that holds what healthy operation can read, interval derivatives prove the sign of each partial
-derivative of each equation, or else bound its size. Inside it an equation f lies between its corners
+Over the envelope, a box that contains all healthy readings, interval derivatives prove the sign of each partial derivative
+of each equation, or else bound its magnitude. Inside it an equation f lies between its corners
 
     f(m_i - s_i r_i) - sum_j G_j r_j   and   f(m_i + s_i r_i) + sum_j G_j r_j
 
@@ -38,13 +38,13 @@ def slopes(function: Callable[..., Any], low: Array, high: Array, budget: int = 
     """Return guaranteed lower and upper bounds (n,) of the partial derivatives of a function of n scalars over a box.
 
     For each argument in turn, boxes where the sign is open are halved, along the side that narrows its bounds the most, until
-    it is proved but for NEGLIGIBLE, both signs are seen, or `budget` boxes are spent.
+    it is proved up to NEGLIGIBLE, both signs have occurred, or `budget` boxes are spent.
     """
     expression = record(function, n := len(low))
 
     def bounds(lo: Array, hi: Array, argument: int) -> tuple[Array, Array]:
         values = expression.evaluate([Interval(lo[:, i], hi[:, i]) for i in range(n)])
-        # each keeps what the other loses: backward multiplies by the outer slopes first, forward by the inner ones
+        # their overestimations differ: backward multiplies by the outer slopes first, forward by the inner ones
         found = gradient(expression, values)[argument].intersection(derivative(expression, values, argument))
         return np.broadcast_to(found.lo, len(lo)), np.broadcast_to(found.hi, len(lo))
 
@@ -105,7 +105,7 @@ class Slopes:
 def prove(equations: Equations, variables: Sequence[str], low: Array, high: Array, c: Any, budget: int = BOXES) -> Slopes:
     """Prove the slopes of equations of the named variables over the envelope low..high (V,); c: their parameters.
 
-    Raises ValueError for an envelope that is no box.
+    Raises ValueError for an envelope that is not a box.
     """
     if not np.all((low < high) & np.isfinite(low) & np.isfinite(high)):
         wrong = [v for v, a, b in zip(variables, low, high, strict=True) if not (np.isfinite(a) and np.isfinite(b) and a < b)]
@@ -113,7 +113,7 @@ def prove(equations: Equations, variables: Sequence[str], low: Array, high: Arra
     proved: Callable[..., tuple[Array, Array]] = _proved
     try:
         hash(c)
-    except TypeError:  # parameters that hold arrays: proved anew each time
+    except TypeError:  # parameters that contain arrays: proved each time
         proved = _proved.__wrapped__
     shape = len(equations), len(variables)
     signs, unproved, size = np.zeros(shape), np.zeros(shape), np.zeros(shape)

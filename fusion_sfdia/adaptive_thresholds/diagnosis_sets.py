@@ -2,18 +2,19 @@
 
 One semantics: a set of faults is a diagnosis when
 
-1. it is consistent: every row that fired has an entry 1 or * among the faults, no row that is silent has a 1 among them
-   (silence exonerates by 1, never by *); rows are the modules and, as decided by any of their modules, the agents;
-2. it has no bystander: each fault has an entry 1 or * in a module that fired. Of others nothing is known.
+1. it is consistent: every row that fired has an entry 1 or * among the faults, and no row that has not fired has a 1 among
+   them (a row that has not fired exonerates by 1, never by *); rows are the modules and the agents, which fire when any of
+   their modules does;
+2. it has no unsupported fault: each fault has an entry 1 or * in a module that fired. There is no evidence of others.
 
-Without detection the diagnosis set is empty, and so it is where no consistent set exists (`explained` tells the two
-apart). S^F, the sensors isolated, are the members of all diagnoses; all agents are intersected at once, as in (18).
+Without detection the diagnosis set is empty, and so it is where no consistent set exists (`explained` distinguishes
+the two). S^F, the sensors isolated, are the members of all diagnoses; all agents are intersected at once, as in (18).
 
-The sets printed with the paper's scenario are these with at most one fault for each agent, a restriction it does not
-state and that would lose two faults in one agent; S^F there is the same. Two textbook alternatives fail on that
+The sets printed with the paper's scenario are these with at most one fault for each agent, a restriction that it
+does not state and that would exclude two faults in one agent; S^F there is the same. Two textbook alternatives fail on that
 scenario: minimal sets lose the torque sensor, which is faulty, once a third fault explains its detection; consistent
-sets with bystanders accuse 8 of 10 sensors, two of which no module that fired reads. Exoneration lasts while the silence
-does: with latched decisions sensors are only ever added, as long as the pattern is explained.
+sets with unsupported faults isolate 8 of 10 sensors, two of which no module that fired reads. Exoneration lasts until the
+row fires: with latched decisions sensors are only added, as long as the pattern is explained.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def latched(decisions: Array, axis: int = 0) -> Array:
 class DiagnosisLogic:
     """The combinatorial decision logic over local signatures and, where agents are given, the global ones.
 
-    Without agents, the silence of an agent does not clear its own sensors (see signatures.global_signatures): more
-    sensors stay accused, and a fault that only neighbours notice is not cleared.
+    Without agents, an agent that has not fired does not exonerate its own sensors (see signatures.global_signatures): more
+    sensors stay isolated, and a fault that shows only in other agents is not excluded.
 
     decisions are (..., M) bool, modules in the order of `local.rows`; any leading axes, seeds or time.
     """
@@ -75,7 +76,9 @@ class DiagnosisLogic:
         return self._answers(self._checked(decisions))[1]
 
     def consistent(self, decisions: Array, faults: Array) -> Array:
-        """Return whether sets of faults, masks, are consistent with decisions, bystanders or not: both (...) broadcast."""
+        """Return whether sets of faults, masks, are consistent with decisions, with unsupported faults or not: both (...)
+        broadcast.
+        """
         fired = self._fired(self._checked(decisions))
         possible, certain = zip(*(matrix.columns(faults) for matrix in self._matrices), strict=True)
         allowed = np.where(fired, np.concatenate(possible, axis=-1), ~np.concatenate(certain, axis=-1))

@@ -1,7 +1,7 @@
-"""What virtual sensors keep of a run: accused sensors, intervals of their faults, and readings without these.
+"""The memory of virtual sensors: isolated sensors, intervals of their faults, and readings without these.
 
-A sensor accused of a constant offset f reads y = z + n + f with |n| <= d. Bounds of what it should read, z in [lower, upper],
-leave f in y - [lower, upper] + [-d, d], at each step and in the intersection of these over time. See virtual_sensors.
+A sensor with a constant offset f reads y = z + n + f with |n| <= d. Bounds of the healthy value, z in [lower, upper], leave f
+in y - [lower, upper] + [-d, d], at each step and in the intersection of these over time. See virtual_sensors.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 
-class Memory(NamedTuple):
+class FaultMemory(NamedTuple):
     """Arrays (B, S) of the observers of states, and (B, E) by variable, in SI.
 
-    x, error: estimates of the states and bounds of their errors. before: the last readings as they came. accused: bool.
+    x, error: estimates of the states and bounds of their errors. before: the last readings as they came. isolated: bool.
     low, high: the fault's interval; -inf .. inf where nothing is known, NaN where no constant offset fits. size: its estimate,
     NaN for none. state, omega, fault: of the adaptive observers (B, S).
     """
@@ -25,7 +25,7 @@ class Memory(NamedTuple):
     x: Array
     error: Array
     before: Array
-    accused: Array
+    isolated: Array
     low: Array
     high: Array
     size: Array
@@ -34,8 +34,8 @@ class Memory(NamedTuple):
     fault: Array
 
     @classmethod
-    def new(cls, batch: tuple[int, ...], nominal: Array, half_width: Array, states: int) -> Memory:
-        """Nobody is accused, and of the states (S = `states`) the envelope is known."""
+    def new(cls, batch: tuple[int, ...], nominal: Array, half_width: Array, states: int) -> FaultMemory:
+        """No sensor is isolated, and the states (S = `states`) are within the envelope."""
         e, s = (*batch, len(nominal)), (*batch, states)
         x, error = (np.broadcast_to(a[:states], s) for a in (nominal, half_width))
         unknown, free, nothing = np.full(e, np.nan), np.full(e, np.inf), np.zeros(s)
@@ -43,9 +43,9 @@ class Memory(NamedTuple):
             x.copy(), error.copy(), unknown, np.zeros(e, bool), -free, free, unknown.copy(), x.copy(), nothing, nothing.copy()
         )
 
-    def where(self, condition: Array, other: Memory) -> Memory:
+    def where(self, condition: Array, other: FaultMemory) -> FaultMemory:
         """These runs where the condition (B,) holds, the others' elsewhere."""
-        return Memory(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
+        return FaultMemory(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
 
     def reconstructed(self, reading: Array, bound: Array) -> tuple[Array, Array]:
         """Readings without the faults, (11), and bounds of their errors (B, E); NaN where the fault is unknown.
@@ -54,35 +54,35 @@ class Memory(NamedTuple):
         """
         with np.errstate(invalid="ignore"):
             width = np.maximum(self.high - self.size, self.size - self.low)
-        known = self.accused & np.isfinite(width)
-        healthy = np.where(known, reading - self.size, np.where(self.accused, np.nan, reading))
+        known = self.isolated & np.isfinite(width)
+        healthy = np.where(known, reading - self.size, np.where(self.isolated, np.nan, reading))
         return healthy, bound + np.where(known, width, 0.0)
 
-    def without(self, sensor: int, touched: Array, nominal: Array, half_width: Array) -> Memory:
-        """Accuse a sensor and forget what rests on its readings, `touched` (E,): intervals, and observers of states.
+    def without(self, sensor: int, touched: Array, nominal: Array, half_width: Array) -> FaultMemory:
+        """Isolate a sensor and reset what depends on its readings, `touched` (E,): intervals, and observers of states.
 
         The observers restart from the envelope nominal +- half_width (E,).
         """
         states = self.x.shape[-1]
         own = np.arange(len(touched)) == sensor
-        lost = own | (touched & self.accused)
+        lost = own | (touched & self.isolated)
         return self._replace(
             x=np.where(touched[:states], nominal[:states], self.x),
             error=np.where(touched[:states], half_width[:states], self.error),
-            accused=self.accused | own,
+            isolated=self.isolated | own,
             low=np.where(lost, -np.inf, self.low),
             high=np.where(lost, np.inf, self.high),
             size=np.where(lost, np.nan, self.size),
         )
 
     def interval(self, reading: Array, lower: Array, upper: Array, bound: Array, intersect: bool) -> tuple[Array, Array]:
-        """The faults' intervals (B, E) with another reading of what should be within lower .. upper; of this one alone unless
-        `intersect`. A missing reading leaves them as they are.
+        """The faults' intervals (B, E) after another reading whose healthy value is within lower .. upper; of this one alone
+        unless `intersect`. A missing reading leaves them as they are.
         """
         low, high = reading - upper - bound, reading - lower + bound
         if intersect:
             low, high = np.maximum(self.low, low), np.minimum(self.high, high)
-        told = self.accused & np.isfinite(reading)
-        low, high = np.where(told, low, self.low), np.where(told, high, self.high)
+        informs = self.isolated & np.isfinite(reading)
+        low, high = np.where(informs, low, self.low), np.where(informs, high, self.high)
         fits = low <= high  # not so where NaN
         return np.where(fits, low, np.nan), np.where(fits, high, np.nan)

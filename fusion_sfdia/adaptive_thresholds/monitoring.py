@@ -4,24 +4,24 @@ The true error of an observer, x^ - x, over a step in which its correction L (y 
 
     e+ = lam e + int_0^dt exp(-a (dt - s)) [h^ - h(s) + L (y - x(0)) - L (x(s) - x(0))] ds.
 
-The last term is what the state moves within the step, at most min(drift, s sup|h - rate x(0)|).
-A plant may bring the same compiled (`Modules.monitor`).
+The last term is the change of the state within the step, at most min(drift, s sup|h - rate x(0)|).
+A plant may have the same compiled (`Modules.monitor`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.equation import argument_names, compiled
+from fusion_sfdia.core.modules import Modules
 
 Array = NDArray[Any]
-Equations = Mapping[str, Callable[..., Any]]
 
-ROUNDING = 1e-12  # relative, by which bounds are widened: some thousand times what a hundred operations round
+ROUNDING = 1e-12  # relative, by which bounds are widened: some thousand times the rounding of a hundred operations
 
 
 class Settings(NamedTuple):
@@ -42,25 +42,17 @@ class Settings(NamedTuple):
 
 
 def monitor(
-    equations: Equations,
-    variables: Sequence[str],
-    c: Any,
-    x: Array,
-    error: Array,
-    before: Array,
-    reading: Array,
-    u: Array,
-    dt: float,
-    s: Settings,
+    m: Modules, x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Settings
 ) -> tuple[Array, Array, Array, Array]:
     """Return estimates of the states and bounds of their errors (B, S) after a step, and bounds of the others (B, E - S).
 
     An equation that has no value at the readings takes them moved into the envelope.
 
     x, error (B, S) before the step; the readings before and after it (B, E), NaN where missing; u (B, V - E) during it. The
-    equations are of variables in the order of `variables`, which then has the inputs; c: their parameters.
+    equations are those of the modules m, of its variables, then inputs, in their order.
     """
-    functions = [(f, [variables.index(a) for a in argument_names(f) if a != "c"]) for f in equations.values()]
+    variables, c = m.variables, m.parameters
+    functions = [(f, [variables.index(a) for a in argument_names(f) if a != "c"]) for f in m.equations.values()]
     states = len(s.rates)
     drift = np.broadcast_to(s.drift, states)
     low, high = box(np.minimum(before, reading), np.maximum(before, reading), u, s)
@@ -100,7 +92,7 @@ def monitor(
 
 
 def box(low: Array, high: Array, u: Array, s: Settings) -> tuple[Array, Array]:
-    """Ends (B, V) of where the truth is, from the least and largest reading; the envelope where one is missing."""
+    """Ends (B, V) of the box of true values, from the least and largest reading; the envelope where one is missing."""
     missing = np.isnan(low) | np.isnan(high)
     low, high = (
         np.where(missing, s.nominal - s.half_width, low - s.bound),
@@ -145,15 +137,15 @@ def verdict(
     fired: Array,
     factor: float,
 ) -> Any:
-    """Return residual, threshold, measured, whether each module fires or has fired (B, N), and where a prediction is no number
-    (B,): of readings y (B, N) in sensor units, `scale` to SI, sensors of the variables `variable` (N,).
+    """Return residual, threshold, reconstruction, whether each module fires or has fired (B, N), and where a prediction is not
+    a number (B,): of readings y (B, N) in sensor units, `scale` to SI, sensors of the variables `variable` (N,).
 
     x, state_bound (B, S), lower, upper (B, E - S): the predictions; extra (E,) is added to their radius, and `factor`
     multiplies that. fired (B, N): before.
     """
     size, count = y.shape
     states = x.shape[1]
-    residual, threshold, measured = np.empty((size, count)), np.empty((size, count)), np.empty((size, count))
+    residual, threshold, reconstruction = np.empty((size, count)), np.empty((size, count)), np.empty((size, count))
     firing, lost = np.empty((size, count), np.bool_), np.zeros(size, np.bool_)
     for b in range(size):
         for i in range(count):
@@ -165,7 +157,7 @@ def verdict(
                 radius = (upper[b, e - states] - lower[b, e - states]) / 2
             residual[b, i] = (y[b, i] / scale[i] - predicted) * scale[i]
             threshold[b, i] = factor * (radius + extra[e]) * abs(scale[i])
-            measured[b, i] = predicted * scale[i] if np.isnan(y[b, i]) else y[b, i]
+            reconstruction[b, i] = predicted * scale[i] if np.isnan(y[b, i]) else y[b, i]
             firing[b, i] = fired[b, i] or abs(residual[b, i]) > threshold[b, i]
             lost[b] = lost[b] or not np.isfinite(predicted)
-    return residual, threshold, measured, firing, lost
+    return residual, threshold, reconstruction, firing, lost

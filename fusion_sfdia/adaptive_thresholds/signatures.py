@@ -1,4 +1,4 @@
-"""Fault signature matrices: in which residuals a sensor fault shows, derived from what each residual reads.
+"""Fault signature matrices: in which residuals a sensor fault shows, derived from the sensors that each residual reads.
 
 Rows are residuals (monitoring modules, or agents), columns sensor faults. An entry is 0 where the residual does not depend
 on the sensor, 1 where a fault must show and * where it may (Kougiatsos 2024, sec. V and Tables I-IV): * is the weaker
@@ -105,7 +105,7 @@ def combinations(n: int) -> Array:
 
 
 def signature_matrix(entries: Mapping[str, Mapping[str, str]], sensors: Sequence[str]) -> SignatureMatrix:
-    """Return the matrix of {row: {sensor: "1", "*" or "0"}}; what is not named is 0.
+    """Return the matrix of {row: {sensor: "1", "*" or "0"}}; entries not given are 0.
 
     Raises ValueError for unknown sensors and symbols, and for a row without a sensor.
     """
@@ -137,8 +137,9 @@ def local_signatures(
 def global_signatures(local: SignatureMatrix, agents: Mapping[str, Agent]) -> SignatureMatrix:
     """Return the matrix F^chi of agents: 1 for an agent's own sensors, * for those its modules read from others, else 0.
 
-    Kougiatsos 2024, sec. V-B and Table IV. It is bolder than the local matrices: a fault with only * in its own agent's
-    modules must nevertheless show in one of them. Raises ValueError where modules or sensors are not dealt out one by one.
+    Kougiatsos 2024, sec. V-B and Table IV. It is a stronger claim than the local matrices: a fault with only * in its own
+    agent's modules must nevertheless show in one of them. Raises ValueError where modules or sensors are not dealt out one by
+    one.
     """
     for kind, expected, dealt in (
         ("modules", local.rows, [m for agent in agents.values() for m in agent.modules]),

@@ -1,23 +1,24 @@
-"""Detector: virtual sensors, which size the fault of a sensor and give its neighbours the reading without it (V22).
+"""Detector: virtual sensors, which estimate the fault of a sensor and pass the reading without it to the other modules (V22).
 
 V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines", IFAC-PapersOnLine 55-31, 333-338.
-Thresholds are those of `adaptive_threshold`. Once the own module of a sensor fires, V22's D = 1, the sensor is held to have
+Thresholds are those of `adaptive_threshold`. Once the own module of a sensor fires, V22's D = 1, the sensor is assumed to have
 a constant offset f from then on. Its equation at the other readings, of a state without its correction by that sensor,
-bounds what it should read, z in [lower, upper], so that with noise within d
+bounds the healthy value, z in [lower, upper], so that with noise within d
 
     f  in  y - [lower, upper] + [-d, d]                                                     (16), see below
 
 at each step, and in the intersection of these over time. The middle is the estimate (17), y_H = y - f^ the reconstructed
-reading (11), which the other modules get with the interval that is left as its noise bound: they stay guaranteed. An empty
-intersection is an answer: the sensor has no constant offset, or another one is faulty too. It then counts as missing.
+reading (11), which the other modules receive with the remaining interval as its noise bound, so that their thresholds stay
+guaranteed. An empty intersection means that the sensor has no constant offset, or that another sensor is faulty, too. Its
+reading then counts as missing.
 
 As printed, (16) adds d where it must be subtracted; the middle is the same. V22 prints no intersection over time, but shows
-an interval that narrows (its Fig. 4(d)), which readings of one instant alone do not do.
+an interval that narrows (its Fig. 4(d)), as readings of single instants do not.
 
-Where several modules fire at once, the sensor is taken whose loss leaves the fewest firing (ours; V22 tells nothing of it):
-the others may fire only because they read it. What was computed from it goes: observers restart from the envelope, and the
-intervals of sensors accused before, as far as they rest on it, begin anew. A fault that the module of a neighbour shows
-before its own does accuses the neighbour: intervals are guaranteed where every faulty sensor is accused.
+Where several modules fire at once, the sensor is isolated without which the fewest modules fire (ours; V22 does not treat this
+case): the others may fire only because they read it. What was computed from its readings is reset: observers restart from the
+envelope, and the intervals of sensors isolated before, as far as they depend on it, begin again. If a fault shows first in the
+module of another sensor, that sensor is isolated falsely: intervals are guaranteed only where every faulty sensor is isolated.
 """
 
 from __future__ import annotations
@@ -30,14 +31,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, adapt
+from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, Rates, adapt
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold, named
 from fusion_sfdia.adaptive_thresholds.algebraic_bounds import enclosure
-from fusion_sfdia.adaptive_thresholds.fault_memory import Memory
+from fusion_sfdia.adaptive_thresholds.fault_memory import FaultMemory
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, monitor
-from fusion_sfdia.core.batch_detector import CLOCK, BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.modules import Modules
+from fusion_sfdia.core.state import State
 from fusion_sfdia.intervals.interval import Interval
 
 Array = NDArray[Any]
@@ -45,8 +47,10 @@ Array = NDArray[Any]
 INVERSIONS = ("corners", "sivia")
 
 
-class Judged(NamedTuple):
-    """Observers after the step (B, S), what each sensor should have read and whether its module fires, by variable (B, E)."""
+class ModuleBounds(NamedTuple):
+    """Observers after the step (B, S), bounds of each sensor's healthy value and whether its module fires, by variable (B,
+    E).
+    """
 
     x: Array
     error: Array
@@ -54,23 +58,23 @@ class Judged(NamedTuple):
     high: Array
     firing: Array
 
-    def where(self, condition: Array, other: Judged) -> Judged:
+    def where(self, condition: Array, other: ModuleBounds) -> ModuleBounds:
         """These runs where the condition (B,) holds, the others' elsewhere."""
-        return Judged(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
+        return ModuleBounds(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
 
 
 @dataclass(frozen=True)
 class VirtualSensors(BatchDetector):
-    """Fault sizes and reconstructed readings on a plant whose `modules` say its equations; hypotheses are the sensors.
+    """Fault sizes and reconstructed readings on a plant whose `modules` state its equations; hypotheses are the sensors.
 
     isolated: sensors whose own module has fired, given the reconstructed readings of the others; from then on.
     fault_size: the middle of the fault's interval, or the adaptive observer's; the residual where no constant offset fits.
-    measured: reconstructed readings; the equation's value where there is no reading or no constant offset.
+    reconstruction: the readings without the faults; the equation's value where there is no reading or no constant offset.
 
-    envelope, drift: as of AdaptiveThreshold. learning_rates: {state: Gamma, 1/s} of those that are sized by an adaptive
-    observer (12) with the gain of their module; its estimate has no guarantee, the interval has. intersect: False for the
-    interval of each instant alone, as (14) and (17) are printed. inversion: "corners", or "sivia" for the algebraic equations
-    of accused sensors by set inversion (15), slow.
+    envelope, drift: as of AdaptiveThreshold. learning_rates: {state: Gamma, 1/s} of those whose fault is estimated by an
+    adaptive observer (12) with the gain of their module; its estimate has no guarantee, the interval has. intersect: False for
+    the interval of each instant alone, as (14) and (17) are printed. inversion: "corners", or "sivia" for the algebraic
+    equations of isolated sensors by set inversion (15), slow.
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None
@@ -92,10 +96,10 @@ class VirtualSensors(BatchDetector):
     def fault_interval(self, state: State) -> Interval:
         """Return the intervals (*batch, N) of the sensors' constant offsets in their units, after the step that gave `state`.
 
-        -inf to inf for a sensor that is not accused, empty where no constant offset fits.
+        -inf to inf for a sensor that is not isolated, empty where no constant offset fits.
         """
         self._batch_of(state)
-        m, of = Memory(*state[CLOCK + 1 :]), self.thresholds
+        m, of = state.memory, self.thresholds
         a, b = (end[..., of._variable] * self.plant.sensor_scale for end in (m.low, m.high))
         return Interval.unchecked(np.minimum(a, b), np.maximum(a, b))
 
@@ -114,35 +118,35 @@ class VirtualSensors(BatchDetector):
 
     @cached_property
     def _rests_on(self) -> Array:
-        """Whether what equation e says rests on the reading of variable j (E, E), directly or through others."""
+        """Whether the value of equation e depends on the reading of variable j (E, E), directly or through others."""
         m = self._modules
         reads = np.array([[v == w or w in named(m, v) for w in m.equations] for v in m.equations])
         return np.linalg.matrix_power(reads.astype(float), len(reads)) > 0
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+    def _start(self, batch: tuple[int, ...], seed: int) -> FaultMemory:
         s = self._settings
-        return tuple(Memory.new(batch, s.nominal, s.half_width, len(s.gains)))
+        return FaultMemory.new(batch, s.nominal, s.half_width, len(s.gains))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: FaultMemory, now: TimeStep, y: Array, u: Array) -> tuple[FaultMemory, Decision]:
         shape, scale, of = y.shape[:-1], self.plant.sensor_scale, self.thresholds
-        m = Memory(*(a.reshape(-1, a.shape[-1]) for a in core))
+        m = FaultMemory(*(a.reshape(-1, a.shape[-1]) for a in memory))
         reading = np.ascontiguousarray((y / scale)[..., of._sensor].reshape(len(m.x), -1))
         u = np.ascontiguousarray(u.reshape(len(m.x), -1))
         judged = self._look(m, reading, u, now.dt)
-        while np.any(fresh := judged.firing & ~m.accused):
-            m, judged = self._accuse(m, judged, fresh, reading, u, now.dt)
+        while np.any(fresh := judged.firing & ~m.isolated):
+            m, judged = self._isolate(m, judged, fresh, reading, u, now.dt)
         m = self._after(m, judged, reading, u, now.dt)
         middle, radius = (judged.low + judged.high) / 2, (judged.high - judged.low) / 2
         residual, threshold = reading - middle, self.threshold_scale * (radius + self._settings.bound)
         size = np.where(np.isfinite(m.size), m.size, residual)
-        usable = np.isfinite(reading) & ~(m.accused & np.isnan(m.size))
-        healthy = np.where(usable, reading - np.where(m.accused, size, 0.0), middle)
-        told = (a[:, of._variable] for a in (healthy, residual, np.where(m.accused, size, np.nan)))
-        measured, residual, size = ((a * scale).reshape(y.shape) for a in told)
-        isolated = m.accused[:, of._variable].reshape(y.shape)
+        usable = np.isfinite(reading) & ~(m.isolated & np.isnan(m.size))
+        healthy = np.where(usable, reading - np.where(m.isolated, size, 0.0), middle)
+        of_sensors = (a[:, of._variable] for a in (healthy, residual, np.where(m.isolated, size, np.nan)))
+        healthy, residual, size = ((a * scale).reshape(y.shape) for a in of_sensors)
+        isolated = m.isolated[:, of._variable].reshape(y.shape)
         decision = Decision(
             estimate=judged.x.reshape(*shape, -1),
-            measured=np.where(np.isfinite(y) & ~isolated, y, measured),
+            reconstruction=np.where(np.isfinite(y) & ~isolated, y, healthy),
             residual=residual,
             threshold=(threshold[:, of._variable] * np.abs(scale)).reshape(y.shape),
             isolated=isolated,
@@ -151,42 +155,44 @@ class VirtualSensors(BatchDetector):
             guarded=np.zeros(shape, bool),
             nis=np.full(shape, np.nan),
         )
-        return tuple(a.reshape(*shape, -1) for a in m), decision
+        return FaultMemory(*(a.reshape(*shape, -1) for a in m)), decision
 
-    def _look(self, m: Memory, reading: Array, u: Array, dt: float) -> Judged:
-        """A step of the modules on reconstructed readings, observers of accused sensors uncorrected."""
+    def _look(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
+        """A step of the modules on reconstructed readings, observers of isolated sensors uncorrected."""
         s, states = self._settings, len(self._settings.gains)
         (before, _), (healthy, bound) = (m.reconstructed(a, s.bound) for a in (m.before, reading))
-        gains = np.where(m.accused[:, :states], 0.0, s.gains)
+        gains = np.where(m.isolated[:, :states], 0.0, s.gains)
         x, error, lower, upper = self._monitor(m, before, healthy, bound, gains, u, dt)
         if self.inversion == "sivia":
             lower, upper = self._inverted(m, healthy, bound, u, lower, upper)
         low, high = np.concatenate([x - error, lower], axis=-1), np.concatenate([x + error, upper], axis=-1)
         firing = np.abs(reading - (low + high) / 2) > self.threshold_scale * ((high - low) / 2 + s.bound)
-        return Judged(x, error, low, high, firing)
+        return ModuleBounds(x, error, low, high, firing)
 
     def _monitor(
-        self, m: Memory, before: Array, healthy: Array, bound: Array, gains: Array, u: Array, dt: float
+        self, m: FaultMemory, before: Array, healthy: Array, bound: Array, gains: Array, u: Array, dt: float
     ) -> list[Array]:
         """Compiled, run by run since each has its own bounds and gains; otherwise on arrays."""
         modules, s = self._modules, self._settings
         given = m.x, m.error, before, healthy, u
         if modules.monitor is None:
             of_all = s._replace(bound=bound, gains=gains)
-            return list(monitor(modules.equations, modules.variables, modules.parameters, *given, dt, of_all))
+            return list(monitor(modules, *given, dt, of_all))
         runs = [
             modules.monitor(*(a[b : b + 1] for a in given), dt, s._replace(bound=bound[b], gains=gains[b]))
             for b in range(len(m.x))
         ]
         return [np.concatenate(parts) for parts in zip(*runs, strict=True)]
 
-    def _inverted(self, m: Memory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """The bounds (B, E - S) with those of accused sensors by set inversion, where it finds some."""
+    def _inverted(
+        self, m: FaultMemory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array
+    ) -> tuple[Array, Array]:
+        """The bounds (B, E - S) with those of isolated sensors by set inversion, where it finds some."""
         s, states = self._settings, len(self._settings.gains)
         low, high = box(healthy, healthy, u, s._replace(bound=bound))
         lower, upper = lower.copy(), upper.copy()
         for e, variable in enumerate(self._modules.equations):
-            rows = np.flatnonzero(m.accused[:, e]) if e >= states else np.empty(0, int)
+            rows = np.flatnonzero(m.isolated[:, e]) if e >= states else np.empty(0, int)
             if rows.size:
                 found = enclosure("sivia", self._modules, variable, low[rows], high[rows], s)
                 slack = s.rounding * np.maximum(np.abs(found.lo), np.abs(found.hi))
@@ -195,19 +201,21 @@ class VirtualSensors(BatchDetector):
                 upper[rows, e - states] = np.where(known, found.hi + slack, upper[rows, e - states])
         return lower, upper
 
-    def _accuse(self, m: Memory, judged: Judged, fresh: Array, reading: Array, u: Array, dt: float) -> tuple[Memory, Judged]:
-        """Accuse one of the sensors whose modules fire (B, E) in each run: the one whose loss leaves the fewest firing."""
+    def _isolate(
+        self, m: FaultMemory, judged: ModuleBounds, fresh: Array, reading: Array, u: Array, dt: float
+    ) -> tuple[FaultMemory, ModuleBounds]:
+        """Isolate one of the sensors whose modules fire (B, E) in each run: the one without which the fewest modules fire."""
         s, best = self._settings, m
         fewest = np.full(len(fresh), np.iinfo(int).max)
         for e in np.flatnonzero(fresh.any(axis=0)):
             tried = m.without(int(e), self._rests_on[:, e], s.nominal, s.half_width)
             seen = self._look(tried, reading, u, dt)
-            left = np.where(fresh[:, e], (seen.firing & ~tried.accused).sum(axis=-1), np.iinfo(int).max)
+            left = np.where(fresh[:, e], (seen.firing & ~tried.isolated).sum(axis=-1), np.iinfo(int).max)
             better = left < fewest
             best, judged, fewest = tried.where(better, best), seen.where(better, judged), np.where(better, left, fewest)
         return best, judged
 
-    def _after(self, m: Memory, judged: Judged, reading: Array, u: Array, dt: float) -> Memory:
+    def _after(self, m: FaultMemory, judged: ModuleBounds, reading: Array, u: Array, dt: float) -> FaultMemory:
         """The memory after the step: observers, and the faults' intervals and estimates."""
         low, high = m.interval(reading, judged.low, judged.high, self._settings.bound, self.intersect)
         with np.errstate(invalid="ignore"):
@@ -216,9 +224,9 @@ class VirtualSensors(BatchDetector):
         for e, variable in enumerate(self._modules.states):
             if variable in self.learning_rates:
                 size[:, e] = np.where(np.isfinite(size[:, e]), adaptive.fault[:, e], np.nan)
-        return Memory(judged.x, judged.error, reading, m.accused, low, high, size, *adaptive)
+        return FaultMemory(judged.x, judged.error, reading, m.isolated, low, high, size, *adaptive)
 
-    def _adapted(self, m: Memory, reading: Array, u: Array, dt: float) -> Estimates:
+    def _adapted(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> Estimates:
         """The adaptive observers after the step, fed with the mean of the reconstructed readings before and after it."""
         modules, s = self._modules, self._settings
         new = [a.copy() for a in (m.state, m.omega, m.fault)]
@@ -230,7 +238,7 @@ class VirtualSensors(BatchDetector):
             values = dict(zip(modules.variables, at.T, strict=True)) | {variable: m.state[:, e]}
             h = modules.equations[variable](*(values[a] for a in named(modules, variable)), modules.parameters)
             own, gamma = Estimates(m.state[:, e], m.omega[:, e], m.fault[:, e]), self.learning_rates[variable]
-            after = adapt(own, h, m.before[:, e], reading[:, e], m.accused[:, e], dt, rate, s.gains[e], gamma)
+            after = adapt(own, h, m.before[:, e], reading[:, e], m.isolated[:, e], dt, Rates(rate, s.gains[e], gamma))
             for column, value in zip(new, after, strict=True):
                 column[:, e] = value
         return Estimates(*new)

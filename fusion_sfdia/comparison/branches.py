@@ -17,9 +17,9 @@ from fusion_sfdia.comparison.protocol import PROCESS, FaultCondition, faults_of
 from fusion_sfdia.comparison.recordings import failing
 from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, kept
 from fusion_sfdia.comparison.subjects import ComparedPlant, plant_of
-from fusion_sfdia.core.batch_detector import CLOCK
-from fusion_sfdia.core.detector import Decision, Detector, State
+from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State, chosen_runs, joined_runs
 from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording
@@ -126,11 +126,11 @@ def walk(
         begin = starting.get(k, [])
         before = state if states is None else states.get(k)
         if stay.size < active.size and state is not None:
-            state = pick(state, np.concatenate([np.arange(count), count + stay]))
+            state = chosen_runs(state, np.concatenate([np.arange(count), count + stay]))
         if begin:
             assert before is not None
-            own = pick(before, np.array([found.runs[i].b for i in begin]))
-            state = own if state is None or count + stay.size == 0 else beside(state, own)
+            own = chosen_runs(before, np.array([found.runs[i].b for i in begin]))
+            state = own if state is None or count + stay.size == 0 else joined_runs(state, own)
         active = np.concatenate([active[stay], np.array(begin, int)])
         if state is None or count + active.size == 0:
             continue
@@ -157,7 +157,7 @@ def silent_walk(detector: Detector, recording: Recording, found: Branches, kept:
     seen = Silent(np.empty((recording.t.size, count)), np.full(len(found.readings.y), np.nan), {})
     for k, state, rows, decision in walk(detector, recording, found):
         if k in kept:
-            seen.states[k] = pick(state, np.arange(count))
+            seen.states[k] = chosen_runs(state, np.arange(count))
         score = silent_score(decision)
         seen.trunk[k], seen.runs[rows] = score[:count], score[count:]
     return seen
@@ -178,13 +178,3 @@ def deployed_walk(
         for all_of, of_now in zip(seen, now, strict=True):
             all_of[rows] = of_now[count:]
     return alarms, seen
-
-
-def pick(state: State, members: Array) -> State:
-    """Some runs of a batch."""
-    return (*state[:CLOCK], *(a[members] for a in state[CLOCK:]))
-
-
-def beside(state: State, other: State) -> State:
-    """Two batches at the same time as one."""
-    return (*state[:CLOCK], *(np.concatenate([a, b]) for a, b in zip(state[CLOCK:], other[CLOCK:], strict=True)))

@@ -41,7 +41,7 @@ class KeptDecisions(NamedTuple):
     isolated: Array
     scores: Array
     fault_size: Array
-    measured: Array
+    reconstruction: Array
 
 
 def kept(plant: Plant, decision: Decision) -> KeptDecisions:
@@ -53,7 +53,7 @@ def kept(plant: Plant, decision: Decision) -> KeptDecisions:
         decision.isolated[..., :n],
         decision.scores,
         decision.fault_size[..., :n],
-        decision.measured,
+        decision.reconstruction,
     )
 
 
@@ -87,10 +87,10 @@ def record(plant: Plant, decision: KeptDecisions, branch: BranchReadings) -> Arr
         "isolated_as": isolated_as(plant, isolated, active),
         "judged": judged_right(alarm, isolated, active),
         "size_error": _mean(np.abs(ratio - 1), sized),
-        "measured": _error(plant, decision.measured, branch, active),
+        "measured": _error(plant, decision.reconstruction, branch, active),
         "raw": _error(plant, branch.y, branch, active),
         "noise": _error(plant, branch.unfaulted, branch, active),
-        "all_measured": _error(plant, decision.measured, branch, np.ones_like(active)),
+        "all_measured": _error(plant, decision.reconstruction, branch, np.ones_like(active)),
         "all_raw": _error(plant, branch.y, branch, np.ones_like(active)),
         "diverged": np.any(decision.diverged, axis=0),
     }

@@ -39,8 +39,9 @@ from fusion_sfdia.comparison.protocol import (
 from fusion_sfdia.comparison.recordings import healthy, mismatched
 from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, join, record
 from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, cases_of, plant_of
-from fusion_sfdia.core.detector import Detector, NotApplicableError, State
+from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State, leaves
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.scenario import Arrays, Task
 
@@ -226,6 +227,6 @@ def cost(detector: Detector, recording: Recording) -> Arrays:
     tracemalloc.stop()
     return {
         "step_seconds": np.array(best),
-        "state_bytes": np.array(sum(a.nbytes for a in state)),
+        "state_bytes": np.array(sum(a.nbytes for a in leaves(state))),
         "step_bytes": np.array(peak - held),
     }

@@ -51,23 +51,23 @@ class InputLimits:
         low, high = np.array([s.low for s in signals]), np.array([s.high for s in signals])
         self.low, self.high = np.where(np.isinf(low), -far, low), np.where(np.isinf(high), far, high)
 
-    def applied(self, t: float, dt: float, u: Array) -> Array:
-        """Return the inputs u (..., m) over [t, t + dt] with the usual inputs in place of the absurd ones."""
+    def applied(self, t_start: float, dt: float, u: Array) -> Array:
+        """Return the inputs u (..., m) over [t_start, t_start + dt] with the usual inputs in place of the absurd ones."""
         suspect = (u < self.low) | (u > self.high)
         if not suspect.any():
             return u
-        usual, found = self.plant.input_at(t), u.copy()
+        usual, found = self.plant.input_at(t_start), u.copy()
         for where in np.argwhere(suspect):
-            if self._absurd(t, dt, np.where(np.arange(u.shape[-1]) == where[-1], u[tuple(where[:-1])], usual)):
+            if self._absurd(t_start, dt, np.where(np.arange(u.shape[-1]) == where[-1], u[tuple(where[:-1])], usual)):
                 found[tuple(where)] = usual[where[-1]]
         return found
 
-    def _absurd(self, t: float, dt: float, u: Array) -> bool:
+    def _absurd(self, t_start: float, dt: float, u: Array) -> bool:
         plant = self.plant
         try:
             with np.errstate(all="ignore"):
-                x = np.asarray(plant.step(t, plant.x0, u, dt))
-                y = np.asarray(plant.output(t + dt, x, u))
+                x = np.asarray(plant.step(t_start, plant.x0, u, dt))
+                y = np.asarray(plant.output(t_start + dt, x, u))
                 _, left = plant.guard(x)
         except ArithmeticError:  # the model has no solution there
             return True

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.border import possible
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State
 
 Array = NDArray[Any]
-State = tuple[Array, ...]
 
 
 class NotApplicableError(ValueError):
@@ -26,12 +27,13 @@ class MissingPackageError(NotApplicableError, ModuleNotFoundError):
 
 @dataclass(frozen=True)
 class Decision:
-    """What a detector says of one step; leading axes are the batch (and time, in a run).
+    """The result of one step; leading axes are the batch (and time, in a run).
 
     estimate: state estimate (..., n). covariance: of the estimate (..., n, n), or None where the method has none.
-    measured: readings (..., N), the missing ones and, where the method accommodates, the isolated ones from the estimate.
+    reconstruction: of the readings (..., N): as they came, but for missing ones and, where the method accommodates, isolated
+    ones, which are replaced by what the method expects of them.
     residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf cannot judge yet.
-    isolated: (..., hypotheses) bool, the hypotheses held to be true. fault_size: (..., hypotheses), NaN where not isolated.
+    isolated: (..., hypotheses) bool, the hypotheses held true. fault_size: (..., hypotheses), NaN where not isolated.
     nis: normalised innovation squared per reading used (...); 1 on average for a consistent filter, NaN where there is none.
     diverged: (...) bool, the estimator has broken down or the model gave it no number, now or in an earlier step: every number
     of this Decision is NaN and nothing is isolated.
@@ -42,7 +44,7 @@ class Decision:
     """
 
     estimate: Array
-    measured: Array
+    reconstruction: Array
     residual: Array
     threshold: Array
     isolated: Array
@@ -78,8 +80,9 @@ class Detector(Protocol):
     """A diagnosis method bound to a plant.
 
     hypotheses: what can be isolated, the plant's sensors first.
-    init(batch, t, seed): the state at time t of a batch of that shape; seed fixes all randomness of the method.
-    step(state, t, y, u): y (..., N) read at t (NaN where missing), u (..., m) the input that acted since the last step.
+    init(batch, t, seed): the `State` at time t (s) of a batch of that shape; seed fixes all randomness of the method.
+    step(state, t, y, u): y (..., N) read at t (s; NaN where missing), u (..., m) the input that acted from state.t to t.
+    A step of a plant begins at its `t_start`; t, as in a state, is the time of readings.
     """
 
     @property
@@ -98,6 +101,11 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
     """
     y, u = floats("y", y), floats("u", u)
     n, m = len(plant.sensors), len(plant.inputs)
+    if y.shape[-1:] == (n,) and y.shape[:-1] != batch:
+        raise ValueError(
+            f"y has shape {y.shape}; expected {(*batch, n)}: the state is of a batch {batch}; start from init({y.shape[:-1]}), "
+            "or pass readings of that batch, of a Recording of one run Log(t, y[:, 0], u)"
+        )
     if y.shape != (*batch, n):
         raise ValueError(
             f"y has shape {y.shape}; expected {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one"
@@ -118,19 +126,14 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
     return possible(plant, y), u if u.shape == expected else np.broadcast_to(u, expected)
 
 
-def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covariance: bool = False) -> tuple[State, Decision]:
+def run(detector: Detector, state: State, *data: Any, covariance: bool = False) -> tuple[State, Decision]:
     """Step through t (K,), y (K, ..., N), u (K, ..., m); return the last state and the Decisions stacked over time.
 
-    The covariances are left out unless asked for: they are the bulk of the memory. ValueError where t, y and u are not of one
-    length, or there is no reading.
+    data: t, y, u, or a Log, a Recording or a pandas frame, see `as_log`. The first row of a frame with time stamps is at 0 s:
+    start it from init(..., t=-plant.dt). The covariances are left out unless asked for: they are the bulk of the memory.
+    ValueError where the data do not fit the plant, or their batch is not that of the state.
     """
-    t, y, u = floats("t", t), floats("y", y), floats("u", u)
-    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape:
-        raise ValueError(
-            f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, ..., sensors), (K, ..., inputs)"
-        )
-    if not len(t):
-        raise ValueError("there are no readings: t is empty; pass at least one time")
+    t, y, u = as_log(detector.plant, *data)
     decisions = []
     for time, reading, applied in zip(t, y, u, strict=True):
         state, decision = detector.step(state, float(time), reading, applied)

@@ -25,24 +25,24 @@ ALGEBRAIC_TOLERANCE = 1e-13  # relative change of a sweep at which the fixed poi
 LARGEST_CHANGE = 0.1  # of a deviation within a step: the error of a step's noise variance, see `largest_step`
 
 
-def runge_kutta_4(slope: Callable[[float, Array], Array], t: float, x: Array, dt: float) -> Array:
+def runge_kutta_4(slope: Callable[[float, Array], Array], t_start: float, x: Array, dt: float) -> Array:
     """One step of the classical fourth-order method (Shaheen 2024, sec. II-B)."""
-    k1 = slope(t, x)
-    k2 = slope(t + dt / 2, x + dt / 2 * k1)
-    k3 = slope(t + dt / 2, x + dt / 2 * k2)
-    k4 = slope(t + dt, x + dt * k3)
+    k1 = slope(t_start, x)
+    k2 = slope(t_start + dt / 2, x + dt / 2 * k1)
+    k3 = slope(t_start + dt / 2, x + dt / 2 * k2)
+    k4 = slope(t_start + dt, x + dt * k3)
     advanced: Array = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return advanced
 
 
-def exponential_midpoint(slope: Callable[[float, Array], Array], t: float, x: Array, dt: float, decay: Array) -> Array:
+def exponential_midpoint(slope: Callable[[float, Array], Array], t_start: float, x: Array, dt: float, decay: Array) -> Array:
     """One step of x' = -a x + h by x+ = e^(-a dt) x + (1 - e^(-a dt)) / a h_mid; h_mid is h after half a step with h held.
 
     decay: a (n,) in 1/s, all positive. The rule is of second order, and exact for constant h however stiff a is (Hochbruck and
     Ostermann 2010, sec. 2.2). With h at the beginning in place of h_mid it is exponential Euler (ETD1), of first order.
     """
-    middle = x - np.expm1(-decay * dt / 2) / decay * slope(t, x)
-    h = slope(t + dt / 2, middle) + decay * middle
+    middle = x - np.expm1(-decay * dt / 2) / decay * slope(t_start, x)
+    h = slope(t_start + dt / 2, middle) + decay * middle
     advanced: Array = x - np.expm1(-decay * dt) / decay * (h - decay * x)
     return advanced
 
@@ -89,13 +89,13 @@ class _Integrated:
     def slope(self, t: float, x: Array, u: Array) -> Array:
         return self.physics.f(t, x, solve_algebraic(self.physics, t, x, u), u, self.physics.parameters)
 
-    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         part = dt / self.substeps
         for i in range(self.substeps):
             if self.decay is None:
-                x = runge_kutta_4(lambda s, p: self.slope(s, p, u), t + i * part, x, part)
+                x = runge_kutta_4(lambda s, p: self.slope(s, p, u), t_start + i * part, x, part)
             else:
-                x = exponential_midpoint(lambda s, p: self.slope(s, p, u), t + i * part, x, part, self.decay)
+                x = exponential_midpoint(lambda s, p: self.slope(s, p, u), t_start + i * part, x, part, self.decay)
         return x
 
     def output(self, t: float, x: Array, u: Array) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-MEMORY = 5  # samples over which the size of a fault is averaged: follows a drift, calms noise by sqrt(5)
+MEMORY = 5  # samples over which the size of a fault is averaged: follows a drift, reduces noise by sqrt(5)
 QUIET = 2  # samples in a row within the threshold before a sensor is readmitted
 
 
@@ -40,15 +40,15 @@ def exclude(now: Exclusion, faulty: Array, size: Array) -> Exclusion:
     )
 
 
-def watch(now: Exclusion, error: Array, variance: Array, limit: float, level: float) -> Exclusion:
+def readmit(now: Exclusion, error: Array, variance: Array, limit: float, level: float) -> Exclusion:
     """Follow the faults of the sensors that are out and readmit those that are healthy again.
 
-    error (..., N): reading less its estimate from the trusted sensors, NaN where missing (nothing is learned then);
+    error (..., N): reading less its estimate from the trusted sensors, NaN where missing (nothing changes then);
     variance (..., N): of error when healthy. The evidence is the cumulative sum, kept at or above zero, of the
     log-likelihood ratio of "no fault" against "a fault of the estimated size" (at least one standard deviation, so
-    that a sensor left out for nothing comes back), over samples within error^2 <= limit variance: any other sets it back
-    to zero. The size rests while evidence gathers. A sensor is readmitted when the evidence exceeds `level` and the last
-    samples all lay within that limit.
+    that a healthy sensor that was left out is readmitted), over samples within error^2 <= limit variance: any other resets
+    it to zero. The size is constant while evidence accumulates. A sensor is readmitted when the evidence exceeds `level` and
+    the last QUIET samples were all within that limit.
     """
     seen = now.out & np.isfinite(error)
     e = np.where(seen, error, 0.0)

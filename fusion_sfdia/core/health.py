@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.state import mapped
 
 Array = NDArray[Any]
 
@@ -20,14 +21,15 @@ def broken(x: Array, p: Array) -> Array:
     return np.asarray(~sound)
 
 
-def keep_broken_out(diverged: Array, core: tuple[Array, ...], fresh: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Return core with the diverged elements of the batch replaced by fresh values: they are flagged, the others go on."""
+def keep_broken_out(diverged: Array, memory: Any, fresh: Any) -> Any:
+    """Return the memory with the diverged runs of the batch replaced by fresh ones: they are flagged, the others go on."""
     if not np.any(diverged):
-        return core
-    return tuple(
-        np.where(diverged.reshape(diverged.shape + (1,) * (a.ndim - diverged.ndim)), b, a)
-        for a, b in zip(core, fresh, strict=True)
-    )
+        return memory
+
+    def kept(a: Array, b: Array) -> Array:
+        return np.where(diverged.reshape(diverged.shape + (1,) * (a.ndim - diverged.ndim)), b, a)
+
+    return mapped(kept, memory, fresh)
 
 
 def without_broken(decision: Decision, diverged: Array) -> Decision:
@@ -38,7 +40,7 @@ def without_broken(decision: Decision, diverged: Array) -> Decision:
     return replace(
         decision,
         estimate=np.where(gone, np.nan, decision.estimate),
-        measured=np.where(gone, np.nan, decision.measured),
+        reconstruction=np.where(gone, np.nan, decision.reconstruction),
         residual=np.where(gone, np.nan, decision.residual),
         threshold=np.where(gone, np.nan, decision.threshold),
         isolated=decision.isolated & ~gone,

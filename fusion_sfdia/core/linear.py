@@ -28,7 +28,7 @@ def constant(matrix: Array, *arguments: Any) -> Array:
     return matrix
 
 
-def _linear_step(f: Array, g: Array, offset: Array, t: float, x: Array, u: Array, dt: float) -> Array:
+def _linear_step(f: Array, g: Array, offset: Array, t_start: float, x: Array, u: Array, dt: float) -> Array:
     return np.asarray(x @ f.T + u @ g.T + offset)
 
 

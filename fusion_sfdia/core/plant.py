@@ -26,13 +26,14 @@ FROM_STATES: Any = None  # the values that the signals of the states give
 
 @dataclass(frozen=True)
 class Plant:
-    """A discretised plant: x(t + dt) = step(t, x, u, dt) + w, y(t) = output(t, x, u) + v.
+    """A discretised plant: x(t_start + dt) = step(t_start, x, u, dt) + w, y(t) = output(t, x, u) + v.
 
     A first plant needs the first six fields:
 
     name, and the signals of states (n,) and sensors (N,), which never change: a missing reading is NaN. step, output:
-    functions of batches, x (..., n) to (..., n) and (..., N). u (..., m) is the input that acts over [t, t + dt]; for the
-    output, the input that acted until t. dt: nominal time between readings, s.
+    functions of batches, x (..., n) to (..., n) and (..., N). u (..., m) is the input that acts over [t_start,
+    t_start + dt]; for the output, the input that acted until t, the time of the readings (s). dt: nominal time between
+    readings, s.
 
     inputs: the signals of u. x0 (n,): initial state. initial_cov: covariance of x0. process_cov: covariance of w over one
     nominal dt; it grows in proportion to dt. Both are a diagonal (n,) or a matrix (n, n). By default the signals of the states
@@ -160,13 +161,13 @@ class Plant:
         """Process-noise covariance of a step of dt seconds, (n,) or (n, n)."""
         return self.process_cov if dt == self.dt else self.process_cov * (dt / self.dt)
 
-    def step_jacobian_at(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         """F = d step / d x, (..., n, n)."""
         if (jacobian := self.numerics.step_jacobian) is not None:
-            return self._of_shape("step_jacobian", jacobian(t, x, u, dt), len(self.states))
+            return self._of_shape("step_jacobian", jacobian(t_start, x, u, dt), len(self.states))
         if self._complex_step_holds[0]:
-            return complex_step_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x)
-        return difference_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x, self.state_scale)
+            return complex_step_jacobian(lambda p: self.step(t_start, p, np.expand_dims(u, -2), dt), x)
+        return difference_jacobian(lambda p: self.step(t_start, p, np.expand_dims(u, -2), dt), x, self.state_scale)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
         """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -12,9 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Detector, State
+from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State, leaves, names, rebuilt
+
+OTHER_FIELDS = (
+    "has the state of another version, with other fields; go on with the version that saved it, or begin anew with the "
+    "detector's init"
+)
 
 
 def fingerprint(detector: Detector) -> str:
@@ -74,21 +81,37 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def save_state(path: str | Path, detector: Detector, state: State) -> None:
-    """Write a detector's state to a .npz file, without pickle; on the same machine a run goes on from it with the same bits."""
-    arrays = {f"state_{i:03d}": np.asarray(a) for i, a in enumerate(state)}
+    """Write a detector's state to a .npz file, an array for each field by its name ("memory.exclusion.size"), without pickle.
+
+    On the same machine a run goes on from it with the same bits. ValueError for arrays of objects.
+    """
+    arrays = dict(zip(names(state), map(np.asarray, leaves(state)), strict=True))
     write_arrays(Path(path), {"fingerprint": np.array(fingerprint(detector)), **arrays})
 
 
 def load_state(path: str | Path, detector: Detector) -> State:
-    """Read a state written by save_state; ValueError where it is none, damaged, or of another detector, settings or plant."""
+    """Read a state written by save_state.
+
+    ValueError where the file is none, damaged, of another detector, settings or plant, or of a version whose states have other
+    fields.
+    """
     try:
         arrays = read_arrays(Path(path))
         found = str(arrays.pop("fingerprint"))
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path} is not a saved detector state ({error}); write one with save_state") from error
+    if "t" not in arrays:
+        raise ValueError(f"{path} {OTHER_FIELDS}")
     if found != fingerprint(detector):
         raise ValueError(
             f"{path} was saved by another detector, other settings or another plant than {type(detector).__name__} "
             f"on {detector.plant.name!r}; build the detector as it was when the state was saved"
         )
-    return tuple(arrays[name] for name in sorted(arrays))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what init warns of it has warned of before the state was saved
+        layout = detector.init()
+    expected = names(layout)
+    if set(arrays) != set(expected):
+        raise ValueError(f"{path} {OTHER_FIELDS}")
+    state: State = rebuilt(layout, [arrays[name] for name in expected])
+    return state

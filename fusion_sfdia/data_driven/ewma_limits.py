@@ -1,16 +1,16 @@
-"""Detector: combined Shewhart and EWMA charts of each reading, learnt from healthy data, and a limit on its change."""
+"""Detector: combined Shewhart and EWMA charts of each reading, learned from healthy data, and a limit on its change."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number, probability
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits, largest
 from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor, stuck, upper_limit, without_model
@@ -18,20 +18,32 @@ from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor
 Array = NDArray[Any]
 
 
+class EwmaLimitsMemory(NamedTuple):
+    """Of each sensor (..., N) the last reading, NaN where missing, and the last within its limits, at first the centre; the
+    average z of its level, and the number n of readings in it.
+    """
+
+    last: Array
+    trusted: Array
+    average: Array
+    samples: Array
+
+
 @dataclass(frozen=True, eq=False)
 class EwmaLimits(BatchDetector):
-    """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, to add up what is
-    small and lasts, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
+    """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, for small faults
+    that last, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
 
         z_n = (1 - weight) z_(n-1) + weight e_n    z_0 = 0    |z_n| <= average sqrt(1 - (1 - weight)^(2n))
 
     n counts the readings of the sensor; missing ones leave z as it was. The last factor is the growth of the deviation of z
-    when noise is white; of levels that move slowly it is on the safe side. A level beyond its limit enters the average as that
-    limit: its own check finds it, and the average forgets it as soon as it is over.
+    for white noise; for levels that vary slowly it is conservative. A level beyond its limit enters the average as that
+    limit: the check of the level detects it, and the average returns quickly after it ends.
 
     centre, level, change, average: (N,) in sensor units. The residual is that of the check with the largest ratio to its limit,
-    with its sign. Every sensor beyond a limit is named. measured: the last reading that was not, at first the centre, in place
-    of missing and violating ones. fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
+    with its sign. Every sensor beyond a limit is isolated. reconstruction: the last reading within the limits, at first the
+    centre, in place of missing and violating ones. fault_size: reading less reconstruction. No state is estimated: estimate is
+    the plant's x0.
     """
 
     centre: Array
@@ -50,8 +62,8 @@ class EwmaLimits(BatchDetector):
         object.__setattr__(self, "weight", smoothing(self.weight))
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3, weight: float = 0.2) -> EwmaLimits:
-        """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, *, weight: float = 0.2, **settings: Any) -> Self:
+        """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
 
         Centre, level and change are those of `FixedLimits.fit` at two thirds of the rate. The limit of the average has the last
         third, in the same way: a unit of the sensor, its largest average in every other sample in time, times the order
@@ -59,7 +71,8 @@ class EwmaLimits(BatchDetector):
         """
         probability("false_alarm", false_alarm)
         weight = smoothing(weight)
-        fixed, y = FixedLimits.fit(plant, y, false_alarm * 2 / 3), healthy_readings(plant, y)
+        y = healthy_readings(plant, healthy)
+        fixed = FixedLimits.fit(plant, y, false_alarm * 2 / 3)
         z, n, averages = np.zeros(y.shape[1:]), np.zeros(y.shape[1:]), np.empty_like(y)
         for k, now in enumerate(y):
             z, n = averaged(z, n, np.clip(now - fixed.centre, -fixed.level, fixed.level), weight)
@@ -68,24 +81,27 @@ class EwmaLimits(BatchDetector):
         unit = largest(averages[::2], fixed.level * np.sqrt(weight / (2 - weight)), still)  # of a limit of white noise
         worst = np.max(np.nan_to_num(averages[1::2] / unit, nan=-1.0), axis=-1)
         factor = upper_limit(worst[worst >= 0], false_alarm / 3)
-        return cls(plant, fixed.centre, fixed.level, fixed.change, np.where(still, max(factor, 1.0), factor) * unit, weight)
+        average = np.where(still, max(factor, 1.0), factor) * unit
+        return cls(plant, fixed.centre, fixed.level, fixed.change, average, weight, **settings)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+    def _start(self, batch: tuple[int, ...], seed: int) -> EwmaLimitsMemory:
         shape = (*batch, len(self.centre))
-        return np.full(shape, np.nan), np.broadcast_to(self.centre, shape).copy(), np.zeros(shape), np.zeros(shape)
+        trusted = np.broadcast_to(self.centre, shape).copy()
+        return EwmaLimitsMemory(np.full(shape, np.nan), trusted, np.zeros(shape), np.zeros(shape))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        before, good, z, n = core
+    def _judge(self, memory: EwmaLimitsMemory, now: TimeStep, y: Array, u: Array) -> tuple[EwmaLimitsMemory, Decision]:
         known = np.isfinite(y)
-        z, n = averaged(z, n, np.clip(y - self.centre, -self.level, self.level), self.weight)
-        residuals = np.stack([y - self.centre, y - before, np.where(known, z, np.nan)])
+        level = np.clip(y - self.centre, -self.level, self.level)
+        z, n = averaged(memory.average, memory.samples, level, self.weight)
+        residuals = np.stack([y - self.centre, y - memory.last, np.where(known, z, np.nan)])
         limits = np.stack(np.broadcast_arrays(self.level, self.change, self.average * growth(n, self.weight)))
         largest = np.argmax(np.nan_to_num(np.abs(residuals) / limits, nan=-1.0), axis=0)[None]
         residual, limit = (np.take_along_axis(a, largest, axis=0)[0] for a in (residuals, limits))
         threshold = limit * self.threshold_scale
         isolated = np.abs(residual) > threshold
-        measured = np.where(known & ~isolated, y, good)
-        return (y.copy(), measured, z, n), without_model(self.plant, y, measured, residual, threshold, isolated)
+        reconstruction = np.where(known & ~isolated, y, memory.trusted)
+        decision = without_model(self.plant, y, reconstruction, residual, threshold, isolated)
+        return EwmaLimitsMemory(y.copy(), reconstruction, z, n), decision
 
 
 def smoothing(weight: float) -> float:

@@ -1,21 +1,30 @@
-"""Detector: fixed limits on readings and their rates of change, learnt from healthy data: what plants have without a model."""
+"""Detector: fixed limits on readings and their rates of change, learned from healthy data, as usual in plants without a
+model.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import probability
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.data_driven.healthy_limits import healthy_readings, noise_floor, per_sensor, stuck, upper_limit, without_model
 
 Array = NDArray[Any]
+
+
+class FixedLimitsMemory(NamedTuple):
+    """Of each sensor (..., N) the last reading, NaN where missing, and the last within its limits, at first the centre."""
+
+    last: Array
+    trusted: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +33,12 @@ class FixedLimits(BatchDetector):
     reading to the next, whatever the time between them (not checked after a missing reading).
 
     centre, level, change: (N,) in sensor units. The residual is that of the check with the larger ratio to its limit, with
-    its sign. Every sensor beyond a limit is named, in that step: a fault that stays within the level limit shows by its
-    onset and its end alone. measured: the last good reading, at first the centre, in place of missing and violating ones.
-    fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
+    its sign. Every sensor beyond a limit is isolated in that step: a fault that stays within the level limit shows only at its
+    onset and its end. reconstruction: the last good reading, at first the centre, in place of missing and violating ones.
+    fault_size: reading less reconstruction. No state is estimated: estimate is the plant's x0.
 
-    Limits do not know the operating point: they hold all healthy readings of an operation that moves, and hide every fault
-    smaller than that movement.
+    Limits do not depend on the operating point: they contain all healthy readings of a varying operation, and faults smaller
+    than that variation are not detected.
     """
 
     centre: Array
@@ -47,17 +56,17 @@ class FixedLimits(BatchDetector):
             object.__setattr__(self, what, value)
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3) -> FixedLimits:
-        """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
+        """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
 
         The centre is the mean. A limit is a unit of the sensor and the check times a common factor. Of every other sample in
-        time: the largest deviation is the unit; of a sensor that never moved there, that of as many readings with the noise
-        it declares (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
+        time: the largest deviation is the unit; of a sensor that never moved there, that of as many readings with its stated
+        noise (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
         statistic, at that rate, of the largest deviation of all sensors and both checks in their units. So 2 / false_alarm
-        samples set limits, however many sensors there are. ValueError where the data are fewer, or a sensor was never read.
+        samples set limits for any number of sensors. ValueError where the data are fewer, or a sensor was never read.
         """
         probability("false_alarm", false_alarm)
-        y = healthy_readings(plant, y)
+        y = healthy_readings(plant, healthy)
         centre = np.nanmean(y[::2], axis=(0, 1))
         level, change = np.abs(y - centre), np.abs(np.diff(y, axis=0))
         # a change belongs to the sample at which it ends: even samples train, odd ones judge
@@ -72,21 +81,21 @@ class FixedLimits(BatchDetector):
         )
         factor = upper_limit(worst[worst >= 0], false_alarm)
         factors = np.where(still, max(factor, 1.0), factor)
-        return cls(plant, centre, factors * unit[0], factors * unit[1])
+        return cls(plant, centre, factors * unit[0], factors * unit[1], **settings)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+    def _start(self, batch: tuple[int, ...], seed: int) -> FixedLimitsMemory:
         shape = (*batch, len(self.centre))
-        return np.full(shape, np.nan), np.broadcast_to(self.centre, shape).copy()
+        return FixedLimitsMemory(np.full(shape, np.nan), np.broadcast_to(self.centre, shape).copy())
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        before, good = core
-        level, change = y - self.centre, y - before
+    def _judge(self, memory: FixedLimitsMemory, now: TimeStep, y: Array, u: Array) -> tuple[FixedLimitsMemory, Decision]:
+        level, change = y - self.centre, y - memory.last
         faster = np.abs(change) / self.change > np.abs(level) / self.level  # not so where NaN
         residual = np.where(faster, change, level)
         threshold = np.where(faster, self.change, self.level) * self.threshold_scale
         isolated = np.abs(residual) > threshold
-        measured = np.where(np.isfinite(y) & ~isolated, y, good)
-        return (y.copy(), measured), without_model(self.plant, y, measured, residual, threshold, isolated)
+        reconstruction = np.where(np.isfinite(y) & ~isolated, y, memory.trusted)
+        decision = without_model(self.plant, y, reconstruction, residual, threshold, isolated)
+        return FixedLimitsMemory(y.copy(), reconstruction), decision
 
 
 def largest(deviation: Array, floor: Array, still: Array) -> Array:

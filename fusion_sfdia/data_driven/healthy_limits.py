@@ -1,4 +1,4 @@
-"""What detectors that learn from healthy readings share: checked data, limits at a rate, a Decision without an estimate."""
+"""Common to detectors that learn from healthy readings: checked data, limits at a rate, a Decision without an estimate."""
 
 from __future__ import annotations
 
@@ -10,22 +10,28 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.border import possible
 from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 
 
-def without_model(plant: Plant, y: Array, measured: Array, residual: Array, threshold: Array, isolated: Array) -> Decision:
-    """The Decision of a detector without a model: the plant's x0 stands for an estimate, faults are reading less measured."""
+def without_model(
+    plant: Plant, y: Array, reconstruction: Array, residual: Array, threshold: Array, isolated: Array
+) -> Decision:
+    """The Decision of a detector without a model: the plant's x0 stands for an estimate.
+
+    The size of a fault is the reading less its reconstruction.
+    """
     batch = y.shape[:-1]
     return Decision(
         estimate=np.broadcast_to(plant.x0, (*batch, plant.x0.size)).copy(),
-        measured=measured,
+        reconstruction=reconstruction,
         residual=residual,
         threshold=threshold,
         isolated=isolated,
-        fault_size=np.where(isolated, y - measured, np.nan),
+        fault_size=np.where(isolated, y - reconstruction, np.nan),
         diverged=np.zeros(batch, bool),
         guarded=np.zeros(batch, bool),
         nis=np.full(batch, np.nan),
@@ -42,13 +48,14 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
     return value
 
 
-def healthy_readings(plant: Plant, y: Array) -> Array:
-    """Return readings as (K, B, N), absurd ones as NaN.
+def healthy_readings(plant: Plant, healthy: Any) -> Array:
+    """Return healthy readings as (K, B, N), absurd ones as NaN.
 
-    ValueError for other shapes, infinities, and sensors not read in every other sample. A sensor that never moves is taken: a
-    quantised reading at rest is healthy, too. See `noise_floor`.
+    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, as an array: these detectors use no more of it.
+    ValueError for other shapes, infinities, and sensors without a reading in every other sample. A sensor that never moves is
+    accepted: a quantised reading at rest is healthy, too. See `noise_floor`.
     """
-    y = floats("y", y)
+    y = floats("y", healthy if isinstance(healthy, np.ndarray) else as_log(plant, healthy).y)
     count = len(plant.sensors)
     if y.ndim < 2 or y.shape[-1] != count or y.shape[0] < 4 or not y.size:
         raise ValueError(f"y has shape {y.shape}; expected healthy readings (K, ..., {count}) of at least 4 times")
@@ -69,9 +76,9 @@ def stuck(y: Array) -> Array:
 
 
 def noise_floor(plant: Plant, y: Array, declared: Array) -> Array:
-    """What stands for the spread (N,) of sensors that never moved in training: as declared, at least their resolution.
+    """The assumed spread (N,) of sensors that never moved in training: as declared, at least their resolution.
 
-    declared: (N,), of the noise that the sensors state. The resolution is the smallest step between readings y (K, B, N).
+    declared: (N,), of the stated noise of the sensors. The resolution is the smallest step between readings y (K, B, N).
     """
     step = np.abs(np.diff(y, axis=0))
     resolution = np.min(np.where(step > 0, step, np.inf), axis=(0, 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,12 @@ class PrincipalComponents(ReconstructionDetector):
 
         t = P x    T2 = t' Lambda^-1 t    SPE = |x - P' t|^2    c_i^2 = (M x)_i' (M_ii)^-1 (M x)_i
 
-    T2 and SPE (Jackson and Mudholkar 1979) ask whether anything is wrong. c_i^2, the reconstruction-based contribution of a
-    sensor (Alcala and Qin 2009), is also the generalised likelihood ratio of a fault of any size in that sensor, for which a
-    small fault need not stand out of the noise of all the others. The statistic is the largest over its limit; an alarm is
+    T2 and SPE (Jackson and Mudholkar 1979) test whether there is any fault. c_i^2, the reconstruction-based contribution of a
+    sensor (Alcala and Qin 2009), is also the generalised likelihood ratio of a fault of any size in that sensor, in which a
+    small fault is not hidden by the noise of all other sensors. The statistic is the largest over its limit; an alarm is
     raised beyond any. `ComponentModel` has the model, with the lags of dynamic components; `ReconstructionDetector` how sensors
-    are isolated. Readings are divided by the noise that their sensors state: divided by the standard deviation of an operation
-    that moves, a fault would be hidden that is small against the movement, however large it is against the noise.
+    are isolated. Readings are divided by the noise that their sensors state: divided by the standard deviation of a varying
+    operation, a fault would be hidden that is small against the variation, however large it is against the noise.
     """
 
     limit_t2: float
@@ -46,21 +46,22 @@ class PrincipalComponents(ReconstructionDetector):
     def fit(
         cls,
         plant: Plant,
-        y: Array,
+        healthy: Any,
         false_alarm: float = 1e-3,
+        *,
         components: int | None = None,
-        max_faults: int = 3,
         lags: int = 0,
-    ) -> PrincipalComponents:
-        """Model and limits from healthy readings y (K, ..., N), at that rate of false alarms per step.
+        **settings: Any,
+    ) -> Self:
+        """Model and limits from healthy readings (see `healthy_readings`), at that rate of false alarms per step.
 
         The model is that of `ComponentModel.fit`, which trains on half of the data; the rest set the limits as order
         statistics, which share the rate equally; that of T2 is infinite where there is no component. ValueError where the data
         are too few for the rate or the sensors, NotApplicableError for a plant of one sensor.
         """
         probability("false_alarm", false_alarm)
-        model, _, judge = ComponentModel.fit(plant, y, lags, components)
-        unlimited = cls(plant, model, np.inf, np.inf, np.inf, max_faults=max_faults)
+        model, _, judge = ComponentModel.fit(plant, healthy, lags, components)
+        unlimited = cls(plant, model, np.inf, np.inf, np.inf, **settings)
         t2, spe, contribution = unlimited.statistics(model.reconstruct(judge))
         moves = model.variances.size > 0
         share = false_alarm / (3 if moves else 2)

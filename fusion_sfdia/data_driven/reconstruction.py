@@ -1,21 +1,27 @@
-"""What detectors share that judge whole windows by one statistic and isolate by reconstruction of single sensors."""
+"""Common to detectors that test whole windows with one statistic and isolate by reconstruction of single sensors."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.data_driven.component_model import ComponentModel, Reconstruction
 from fusion_sfdia.data_driven.healthy_limits import without_model
 
 Array = NDArray[Any]
+
+
+class LaggedReadings(NamedTuple):
+    """The readings (..., N, L) of each sensor before the next one, the latest first, NaN where missing."""
+
+    past: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +29,12 @@ class ReconstructionDetector(BatchDetector):
     """A detector with a statistic of windows of present and lagged readings; an alarm is an `excess` above 1.
 
     After an alarm the sensors of the largest contribution are reconstructed one by one, at most max_faults, until the statistic
-    is within its limit: then these are isolated, and none where that does not come about. All readings of a sensor in the
-    window are reconstructed, so that with lags it stays isolated until a fault that is over has left the window. fault_size:
-    reading less its reconstruction. measured: isolated and missing readings reconstructed. residual: each reading less its
-    reconstruction from all other sensors. threshold: so that the largest ratio is the excess and the others are to it as the
-    contributions are. No state is estimated: estimate is the plant's x0.
+    is within its limit: then these are isolated; none is isolated where it stays beyond. All readings of a sensor in the
+    window are reconstructed, so that with lags it stays isolated until a fault that is over has left the window.
+
+    reconstruction: isolated and missing readings from all others. fault_size: reading less reconstruction. residual: each
+    reading less its reconstruction from all other sensors. threshold: such that the largest ratio is the excess and the others
+    are to it as the contributions are. No state is estimated: estimate is the plant's x0.
     """
 
     model: ComponentModel
@@ -44,29 +51,29 @@ class ReconstructionDetector(BatchDetector):
     def excess(self, found: Reconstruction) -> Array:
         """The root of the statistic over its limit (B,), without threshold_scale."""
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        return (np.full((*batch, len(self.plant.sensors), self.model.lags), np.nan),)
+    def _start(self, batch: tuple[int, ...], seed: int) -> LaggedReadings:
+        return LaggedReadings(np.full((*batch, len(self.plant.sensors), self.model.lags), np.nan))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        (past,) = core
+    def _judge(self, memory: LaggedReadings, now: TimeStep, y: Array, u: Array) -> tuple[LaggedReadings, Decision]:
+        past = memory.past
         window = np.concatenate([y[..., None], past], axis=-1).reshape(-1, y.shape[-1], self.model.lags + 1)
         found = self.model.reconstruct(window)
         excess, known = self.excess(found) / self.threshold_scale, np.isfinite(window[..., 0])
         isolated = self._isolate(window, excess > 1, found.contribution)
-        measured = self.model.present(found.x)
+        reconstruction = self.model.present(found.x)
         named = isolated.any(axis=-1)
         if named.any():
             trusted = np.where(isolated[named][..., None], np.nan, window[named])
-            measured[named] = self.model.present(self.model.reconstruct(trusted).x)
+            reconstruction[named] = self.model.present(self.model.reconstruct(trusted).x)
         flat = y.reshape(-1, y.shape[-1])
-        measured = np.where(known & ~isolated, flat, measured)
+        reconstruction = np.where(known & ~isolated, flat, reconstruction)
         residual = np.where(known, found.error * self.model.scale, np.nan)
         weight = np.max(found.contribution, axis=-1, keepdims=True) / excess[:, None]
         threshold = np.abs(residual) * weight / found.contribution
         threshold = np.where(threshold > 0, threshold, np.inf)  # 0 / 0 without a reading
-        shown_as = (a.reshape(y.shape) for a in (flat, measured, residual, threshold, isolated))
+        shown_as = (a.reshape(y.shape) for a in (flat, reconstruction, residual, threshold, isolated))
         after = window[..., : self.model.lags].reshape(past.shape)
-        return (after,), without_model(self.plant, *shown_as)
+        return LaggedReadings(after), without_model(self.plant, *shown_as)
 
     def _isolate(self, window: Array, alarm: Array, contribution: Array) -> Array:
         """The sensors (B, N) whose reconstruction brings the statistic within its limit."""

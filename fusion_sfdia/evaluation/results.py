@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.evaluation.metrics import Estimate
 
 COLUMNS = (
     "scenario", "plant", "detector", "fault", "quantity", "condition", "metric",
@@ -82,6 +83,24 @@ class Row:
         return self.low <= self.published <= self.high
 
 
+def row_of(
+    plant: str,
+    scenario: str,
+    detector: str,
+    fault: str,
+    quantity: str,
+    metric: str,
+    estimate: Estimate,
+    published: Published | None = None,
+    *,
+    condition: str = "",
+) -> Row:
+    """Return the row of an estimate beside what is published of the same thing, if anything is."""
+    value, source = (None, "") if published is None else (published.value, published.source)
+    names = (scenario, plant, detector, fault, quantity, metric)
+    return Row(*names, *estimate, published=value, source=source, condition=condition)
+
+
 def _number(value: float) -> float | None:
     return None if math.isnan(value) else float(value)
 
@@ -112,7 +131,7 @@ def read_rows(path: Path) -> list[Row]:
             names: dict[str, Any] = {c: cells[c] for c in NAMES}
             value, low, high = (float(cells[c] or "nan") for c in ("value", "low", "high"))
             published = float(cells["published"]) if cells["published"] else None
-            numbers = {"value": value, "low": low, "high": high, "n": int(cells["n"]), "published": published}
+            numbers: dict[str, Any] = {"value": value, "low": low, "high": high, "n": int(cells["n"]), "published": published}
             rows.append(Row(**names, **numbers, source=cells["source"]))
         except ValueError as error:
             raise ValueError(f"{path}, row {number}: {error}; write it with write_rows") from error

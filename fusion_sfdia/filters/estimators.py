@@ -1,7 +1,7 @@
 """The three filters of the banks behind one face: start, predict, joint, and what a bank does with their state.
 
-A core is what a filter carries from step to step, a tuple of arrays: (x, P) for the extended and unscented filters,
-(ensemble,) for the ensemble filter. Each keeps the plant's limits: a prediction starts from the state moved into them, told
+A core is what a filter carries from step to step: a GaussianState of the extended and unscented filters, an EnsembleState of
+the ensemble filter. Each keeps the plant's limits: a prediction starts from the state moved into them, told
 as `guarded`. An estimate whose step ends in no number, or most of whose points' steps do, stays where it is. It is `guarded`
 where the model has a number for the plant's x0 (a faulty reading has pulled the estimate to where the model does not hold,
 and the next may pull it back), and `lost` where it has none: then the detector calls it diverged.
@@ -21,7 +21,20 @@ from fusion_sfdia.filters import ekf, enkf, gaussian, ukf
 from fusion_sfdia.filters.gaussian import Joint
 
 Array = NDArray[Any]
-Core = tuple[Array, ...]
+Core = Any  # GaussianState or EnsembleState
+
+
+class GaussianState(NamedTuple):
+    """Of a filter that carries moments: mean x (..., n) and covariance P (..., n, n) after the last readings."""
+
+    x: Array
+    P: Array
+
+
+class EnsembleState(NamedTuple):
+    """Of an ensemble filter: the members (..., M, n) after the last readings."""
+
+    members: Array
 
 
 class Prior(NamedTuple):
@@ -40,8 +53,8 @@ class Prior(NamedTuple):
 class Estimator(Protocol):
     """A Kalman filter as a bank needs it; rng serves those that draw random numbers.
 
-    start: the core of a batch at the plant's x0. predict: over [t, t + dt] with input u. joint: of state and readings at t.
-    assimilate: the core after the readings y (NaN: not used) with noise
+    start: the core of a batch at the plant's x0. predict: over [t_start, t_start + dt] with input u. joint: of state and
+    readings at t. assimilate: the core after the readings y (NaN: not used) with noise
     covariance noise_gain R, its mean x and its covariance scaled by cov_gain to p; x and p are the bank's result for it.
     consistent: whether S = H P H' + R and C = P H' hold in its joint Gaussian.
     """
@@ -49,7 +62,7 @@ class Estimator(Protocol):
     @property
     def consistent(self) -> bool: ...
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core: ...
-    def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior: ...
+    def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior: ...
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint: ...
     def assimilate(
         self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator
@@ -79,10 +92,10 @@ class Stepped(NamedTuple):
     lost: Array
 
 
-def guarded_step(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepped:
+def guarded_step(plant: Plant, t_start: float, x: Array, u: Array, dt: float) -> Stepped:
     """Step the states x (..., n) from within the plant's limits; ValueError where the plant's step changes their shape."""
     start, moved = plant.guard(x)
-    ahead = np.asarray(plant.step(t, start, u, dt))
+    ahead = np.asarray(plant.step(t_start, start, u, dt))
     if ahead.shape != start.shape:
         raise ValueError(
             f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; expected the same: "
@@ -91,22 +104,22 @@ def guarded_step(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepp
     stuck = ~np.all(np.isfinite(ahead), axis=-1)
     if not np.any(stuck):
         return Stepped(start, ahead, moved, stuck, stuck)
-    return Stepped(start, np.where(stuck[..., None], start, ahead), moved, stuck, stuck & ~_holds(plant, t, u, dt))
+    return Stepped(start, np.where(stuck[..., None], start, ahead), moved, stuck, stuck & ~_holds(plant, t_start, u, dt))
 
 
-def _holds(plant: Plant, t: float, u: Array, dt: float) -> Array:
+def _holds(plant: Plant, t_start: float, u: Array, dt: float) -> Array:
     """Whether the model has a number for the plant's x0 under the inputs u (..., m)."""
     x = np.broadcast_to(plant.x0, (*u.shape[:-1], plant.x0.size))
-    return np.asarray(np.all(np.isfinite(plant.step(t, x, u, dt)), axis=-1))
+    return np.asarray(np.all(np.isfinite(plant.step(t_start, x, u, dt)), axis=-1))
 
 
-def guarded_points(plant: Plant, t: float, x: Array, u: Array, dt: float) -> Stepped:
+def guarded_points(plant: Plant, t_start: float, x: Array, u: Array, dt: float) -> Stepped:
     """Step the points x (..., M, n) that together stand for an estimate, under its input u (..., m); moved and lost are (...).
 
     They are stuck where more than half of them have no step. A point without one goes along with the mean of the others,
     else it would spread them by all that they have moved.
     """
-    start, ahead, moved, stuck, lost = guarded_step(plant, t, x, np.expand_dims(u, -2), dt)
+    start, ahead, moved, stuck, lost = guarded_step(plant, t_start, x, np.expand_dims(u, -2), dt)
     if np.any(stuck):
         sound = np.maximum(np.sum(~stuck, axis=-1), 1)[..., None]
         drift = np.sum(ahead - start, axis=-2) / sound  # those without a step have not moved
@@ -144,10 +157,10 @@ class _Moments:
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
         n = plant.x0.size
         p = gaussian.dense(plant.initial_cov)
-        return np.broadcast_to(plant.x0, (*batch, n)).copy(), np.broadcast_to(p, (*batch, n, n)).copy()
+        return GaussianState(np.broadcast_to(plant.x0, (*batch, n)).copy(), np.broadcast_to(p, (*batch, n, n)).copy())
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
-        return x, p
+        return GaussianState(x, p)
 
 
 @dataclass(frozen=True)
@@ -156,13 +169,13 @@ class Extended(_Moments):
 
     consistent: bool = field(default=True, init=False, repr=False)
 
-    def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        start, ahead, moved, stuck, lost = guarded_step(plant, t, core[0], u, dt)
-        jacobian = plant.step_jacobian_at(t, start, u, dt)
+    def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
+        start, ahead, moved, stuck, lost = guarded_step(plant, t_start, core.x, u, dt)
+        jacobian = plant.step_jacobian_at(t_start, start, u, dt)
         if np.any(beyond := moved | stuck):  # beyond its limits the model has no slope to speak of
             jacobian = np.where(beyond[..., None, None], np.eye(start.shape[-1]), jacobian)
-        x, p = ekf.predict(start, core[1], lambda s: ahead, jacobian, plant.process_cov_over(dt))
-        return Prior((x, p), beyond, lost, tangent=jacobian)
+        x, p = ekf.predict(start, core.P, lambda s: ahead, jacobian, plant.process_cov_over(dt))
+        return Prior(GaussianState(x, p), beyond, lost, tangent=jacobian)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
@@ -185,12 +198,12 @@ class Unscented(_Moments):
     def consistent(self) -> bool:
         return self.redraw
 
-    def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        start, moved = plant.guard(core[0])
-        points = ukf.sigma_points(self.points, start, core[1])
-        _, ahead, any_moved, stuck, lost = guarded_points(plant, t, points, u, dt)
+    def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
+        start, moved = plant.guard(core.x)
+        points = ukf.sigma_points(self.points, start, core.P)
+        _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, points, u, dt)
         x, p = ukf.moments(self.points, ahead, plant.process_cov_over(dt))
-        return Prior((x, p), moved | any_moved | stuck, lost, propagated=None if self.redraw else ahead)
+        return Prior(GaussianState(x, p), moved | any_moved | stuck, lost, propagated=None if self.redraw else ahead)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
@@ -208,29 +221,29 @@ class Ensemble:
     consistent: bool = field(default=True, init=False, repr=False)
 
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
-        return (plant.x0 + gaussian.sample(plant.initial_cov, rng, (*batch, self.settings.size)),)
+        return EnsembleState(plant.x0 + gaussian.sample(plant.initial_cov, rng, (*batch, self.settings.size)))
 
-    def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        _, ahead, moved, stuck, lost = guarded_points(plant, t, core[0], u, dt)
+    def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
+        _, ahead, moved, stuck, lost = guarded_points(plant, t_start, core.members, u, dt)
         members = enkf.predict(ahead, lambda s: s, plant.process_cov_over(dt), rng)
-        return Prior((members,), moved | stuck, lost)
+        return Prior(EnsembleState(members), moved | stuck, lost)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         over = np.expand_dims(u, -2)
-        return enkf.joint(prior.core[0], lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
+        return enkf.joint(prior.core.members, lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         over = np.expand_dims(reading.u, -2)
         members = enkf.update(
             self.settings,
-            prior.core[0],
+            prior.core.members,
             lambda s: plant.output(reading.t, s, over),
             reading.y,
             plant.sensor_cov * reading.noise_gain,
             rng,
         )
         spread = members - members.mean(axis=-2, keepdims=True)
-        return (x[..., None, :] + np.sqrt(reading.cov_gain) * spread,)
+        return EnsembleState(x[..., None, :] + np.sqrt(reading.cov_gain) * spread)
 
 
 def step_stream(seed: Array | int, step: Array | int) -> np.random.Generator:

@@ -117,16 +117,16 @@ class _OneByOne:
     sensors: int
     scale: Array  # (n,)
 
-    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         return _over_batch(lambda p, v: self.model.f(p, v, dt), self.scale.shape, x, u)
 
     def output(self, t: float, x: Array, u: Array) -> Array:
         return _over_batch(self.model.h, (self.sensors,), x)
 
-    def step_jacobian(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         if self.f_jacobian is not None:
             return _over_batch(self.f_jacobian, (self.scale.size, self.scale.size), x)
-        return difference_jacobian(lambda p: self.step(t, p, np.expand_dims(u, -2), dt), x, self.scale)
+        return difference_jacobian(lambda p: self.step(t_start, p, np.expand_dims(u, -2), dt), x, self.scale)
 
     def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
         if self.h_jacobian is not None:

@@ -1,1 +1,1 @@
-"""Detectors on filters: banks that leave each sensor out, single filters, and their algebra."""
+"""Detectors on filters: banks that leave out each sensor, single filters, and their algebra."""

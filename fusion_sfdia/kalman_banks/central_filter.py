@@ -1,4 +1,4 @@
-"""Detector: one Kalman filter on all sensors with a test of each innovation; the usual choice, and the banks' yardstick."""
+"""Detector: one Kalman filter on all sensors with a test of each innovation; the usual choice and reference."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import probability
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.filters.estimators import Estimator, Extended, Reading, require_filter, step_stream
+from fusion_sfdia.filters.estimators import Core, Estimator, Extended, Reading, require_filter, step_stream
 from fusion_sfdia.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
 
 Array = NDArray[Any]
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 @dataclass(frozen=True)
 class CentralFilter(BatchDetector):
     """A single filter of any kind: residual y - E[y], threshold from its variance at a false-alarm budget per step over
-    all sensors (Bonferroni); names the sensor with the largest ratio; nothing is accommodated.
+    all sensors (Bonferroni). The sensor with the largest ratio above 1 is isolated; nothing is accommodated.
     """
 
     estimator: Estimator = field(default_factory=Extended)
@@ -33,12 +33,12 @@ class CentralFilter(BatchDetector):
         require_filter(self.estimator)
         probability("false_alarm", self.false_alarm)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
+    def _start(self, batch: tuple[int, ...], seed: int) -> Core:
         return self.estimator.start(self.plant, batch, step_stream(seed, 0))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
         plant, est = self.plant, self.estimator
-        prior = est.predict(plant, core, now.last, u, now.dt, step_stream(now.seed, now.k))
+        prior = est.predict(plant, memory, now.t_start, u, now.dt, step_stream(now.seed, now.k))
         joint = est.joint(plant, prior, now.t, u)
         found = statistics(joint, y, np.isfinite(y))
         x, p = posterior(joint, found)
@@ -51,7 +51,7 @@ class CentralFilter(BatchDetector):
         isolated = (np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]) & (ratio > 1)
         decision = Decision(
             estimate=x,
-            measured=np.where(np.isfinite(y), y, expected),
+            reconstruction=np.where(np.isfinite(y), y, expected),
             residual=residual,
             threshold=threshold,
             isolated=isolated,

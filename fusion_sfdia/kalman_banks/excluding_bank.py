@@ -1,4 +1,4 @@
-"""What banks on one central filter share that leave named sensors out: their settings, and how a step ends."""
+"""What is common to banks on one central filter that leave out isolated sensors: their settings, and the end of a step."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import probability
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
-from fusion_sfdia.core.exclusion import Exclusion, exclude, watch
+from fusion_sfdia.core.exclusion import Exclusion, exclude, readmit
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent
@@ -32,7 +32,7 @@ class Update(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Of the sensors (..., N): in use before the step, named in it, residual, threshold and size of fault; capped (...).
+    """Of the sensors (..., N): in use before the step, isolated in it, residual, threshold and size of fault; capped (...).
 
     limit: chi-square limit on the readings of sensors that are out, compared with their expected values.
     """
@@ -47,7 +47,7 @@ class Verdict(NamedTuple):
 
 
 class ExcludingBank(BatchDetector):
-    """A bank whose settings, declared by each with its defaults, include these; see them for what they mean."""
+    """A bank with these settings; each bank declares and documents them with its defaults."""
 
     estimator: Estimator
     false_alarm: float
@@ -66,22 +66,25 @@ class ExcludingBank(BatchDetector):
         return self.max_faults or most_faults(self.plant)
 
     def _conclude(
-        self, now: Moment, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
+        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
     ) -> tuple[Exclusion, Decision]:
-        """Leave the named sensors out, readmit those that are healthy again, and say so; without `accommodate` only say."""
+        """Leave out the isolated sensors and readmit those that are healthy again; without `accommodate` only report them.
+
+        Return the exclusions and the Decision.
+        """
         plant, (x, p, prior, joint, found) = self.plant, update
         expected = plant.output(now.t, x, u)
         h = plant.output_jacobian_at(now.t, x, u)
         variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
-        error = y - expected  # of the sensors that are out: they have no part in `expected`
+        error = y - expected  # of sensors that are out, which do not enter `expected`
         if self.accommodate:
-            exclusion = watch(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
+            exclusion = readmit(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
             exclusion = exclude(exclusion, verdict.named, error)
         held = exclusion.out if self.accommodate else verdict.named
         outside = np.isfinite(y) & ~verdict.usable
         decision = Decision(
             estimate=x,
-            measured=np.where(np.isfinite(y) & ~held, y, expected),
+            reconstruction=np.where(np.isfinite(y) & ~held, y, expected),
             residual=np.where(outside, error, np.where(verdict.usable, verdict.residual, np.nan)),
             threshold=np.where(outside, np.sqrt(verdict.limit * variance), verdict.threshold),
             isolated=held,

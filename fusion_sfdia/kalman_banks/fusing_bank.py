@@ -1,23 +1,26 @@
 """Detector: the fusing filters of Shaheen 2024, a bank of N leave-one-out filters with an information mixture.
 
-As printed, but for what cannot run as printed: the process noise is reset each step (fed back as Q_i = beta_i Q_m it
-falls as N^(-2k) and the gain dies), the ensemble uses S = H P H' + R, and its feedback, which the paper does not specify,
-gives each local ensemble the mixture's mean and covariance.
+As printed, except for what does not work as printed: the process noise is reset in each step (fed back as Q_i = beta_i Q_m
+it decreases as N^(-2k) and the gain vanishes), the ensemble uses S = H P H' + R, and its feedback, which the paper does not
+specify, gives each local ensemble the mixture's mean and covariance.
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, NotApplicableError, State
+from fusion_sfdia.core.arguments import floats, probability, whole
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision, NotApplicableError, run
 from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.log import as_log
+from fusion_sfdia.core.order_statistics import order_statistic
+from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.filters.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks import mixing
@@ -48,11 +51,11 @@ class FusingBank(BatchDetector):
 
     plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum
     to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
-    gives the same numbers for the price of one (equal beta only: unequal beta always runs literally).
+    gives the same numbers at the cost of one (equal beta only: unequal beta always runs literally).
     thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units: the paper gives none, so set them
-    with `calibration.calibrate`. Without, no alarm is ever raised, of which `init` warns; (inf,) * N says that it is meant so.
-    residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds unlike units; None for the
-    plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
+    with `fit` or `fit_thresholds`. Without them no alarm is ever raised, and `init` warns; (inf,) * N states that this is
+    intended. residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds different units; None
+    for the plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
     """
 
     estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
@@ -87,23 +90,49 @@ class FusingBank(BatchDetector):
         """As of every detector; a UserWarning where there are no thresholds."""
         if self.thresholds is None:
             warnings.warn(
-                "FusingBank has no thresholds and will never raise an alarm; set them with calibrate() on healthy readings, "
+                "FusingBank has no thresholds and will never raise an alarm; set them with fit_thresholds(healthy), "
                 "or thresholds=(inf,) * N where no alarm is expected",
                 stacklevel=2,
             )
         return super().init(batch, t, seed)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """The filter's core, with an axis N after the batch when literal."""
+    def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
+        """The bank with one threshold for each quantity, at a rate of false alarms per step over all sensors.
+
+        healthy: as in `fit`. The threshold of a quantity is an order statistic of its largest residual after the first
+        `warm_up` samples, in which the filter settles; the quantities share the rate equally. Runs in which the bank diverges
+        are left out. ValueError where the data are too few for the rate: less than one sample expected above a threshold.
+        """
+        probability("false_alarm", false_alarm)
+        whole("warm_up", warm_up, least=0)
+        t, y, u = as_log(self.plant, healthy)
+        groups = self.plant.quantities
+        silent = replace(self, thresholds=(np.inf,) * len(self.plant.sensors))
+        _, decisions = run(silent, silent.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
+        residual = np.abs(decisions.residual[warm_up:, ~np.any(decisions.diverged, axis=0)]).reshape(-1, y.shape[-1])
+        share = false_alarm / len(groups)
+        if share * residual.shape[0] < 1:
+            raise ValueError(
+                f"{residual.shape[0]} healthy samples cannot set a false-alarm rate of {false_alarm:g} over {len(groups)} "
+                f"quantities; give at least {int(np.ceil(len(groups) / false_alarm))} or ask for a higher rate"
+            )
+        thresholds = np.empty(y.shape[-1])
+        for members in groups.values():
+            largest = np.nanmax(np.where(np.isfinite(residual[:, members]), residual[:, members], -np.inf), axis=1)
+            thresholds[members] = order_statistic(largest, share)
+        return replace(self, thresholds=tuple(thresholds.tolist()), threshold_scale=1.0)
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> Core:
+        """The core of the filter, with an axis N after the batch when literal."""
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         if self.runs_literally:
             axis, count = len(batch), len(self.plant.sensors)
-            core = tuple(np.repeat(np.expand_dims(a, axis), count, axis=axis) for a in core)
+            core = mapped(lambda a: np.repeat(np.expand_dims(a, axis), count, axis=axis), core)
         return core
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
         plant, scale = self.plant, np.asarray(self.residual_scale or self.plant.state_scale)
-        prior = self._predict(core, y.ndim - 1, now, u)
+        prior = self._predict(memory, y.ndim - 1, now, u)
         joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
         used = np.isfinite(y)
         founds, local = self._update(joints, y, used)
@@ -123,11 +152,11 @@ class FusingBank(BatchDetector):
             else:
                 founds = [eliminate(founds[0], suspect, np.any(isolated, axis=-1))]
             mixed = self._mix(prior, joints, founds, local, now, y, u)
-        without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not know y_i, expects it to be
+        without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not use y_i, expects of it
         expected = plant.output(now.t, mixed.x, u)
         decision = Decision(
             estimate=mixed.x,
-            measured=np.where(used & ~isolated, y, expected),
+            reconstruction=np.where(used & ~isolated, y, expected),
             residual=residual,
             threshold=threshold.copy(),
             isolated=isolated,
@@ -139,13 +168,13 @@ class FusingBank(BatchDetector):
         )
         return mixed.core, decision
 
-    def _predict(self, core: Core, axis: int, now: Moment, u: Array) -> list[Prior]:
+    def _predict(self, core: Core, axis: int, now: TimeStep, u: Array) -> list[Prior]:
         """The prior of each local filter (their axis in a literal core is given), or the one they share."""
         cores = [core]
         if self.runs_literally:
-            cores = [tuple(np.take(a, i, axis=axis) for a in core) for i in range(len(self.plant.sensors))]
+            cores = [mapped(lambda a, i=i: np.take(a, i, axis=axis), core) for i in range(len(self.plant.sensors))]
         est, plant = self.estimator, self.plant
-        return [est.predict(plant, c, now.last, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
+        return [est.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
 
     def _update(self, joints: list[Joint], y: Array, used: Array) -> tuple[list[LeaveOneOut], Array]:
         """Step 2: the statistics of the readings in use (of each filter, when literal), and the local estimates (..., N, n)."""
@@ -162,7 +191,7 @@ class FusingBank(BatchDetector):
         joints: list[Joint],
         founds: list[LeaveOneOut],
         local: Array,
-        now: Moment,
+        now: TimeStep,
         y: Array,
         u: Array,
     ) -> Mixed:
@@ -173,7 +202,7 @@ class FusingBank(BatchDetector):
         reading = Reading(now.t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
         if self.runs_literally:
             p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
-            # LAPACK's eigenvalues give up on the whole batch where one has no numbers; its local estimates have none either
+            # LAPACK's eigenvalues fail for the whole batch where one run is not finite; its local estimates are not either
             sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
             x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
         elif est.consistent:
@@ -184,5 +213,7 @@ class FusingBank(BatchDetector):
             est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(now.seed, now.k + 2**32))
             for prior, b in zip(priors, beta, strict=False)
         ]
-        core = cores[0] if not self.runs_literally else tuple(np.stack(a, axis=used.ndim - 1) for a in zip(*cores, strict=True))
+        core = cores[0]
+        if self.runs_literally:
+            core = mapped(lambda *each: np.stack(each, axis=used.ndim - 1), *cores)
         return Mixed(x, p, core, normalised_innovation_squared(joints[0], founds[0], y))

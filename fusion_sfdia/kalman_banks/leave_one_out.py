@@ -1,14 +1,14 @@
-"""All leave-one-out filters from one: what each filter that ignores one sensor would say, without running it.
+"""All leave-one-out filters from one: the estimate of each filter that ignores one sensor, without running it.
 
-With a common prior, the filter that leaves out sensor i differs from the one that uses all by one rank. From the joint
-Gaussian of state and readings, innovation d, S^-1 over the readings used, and K = C S^-1, let u = S^-1 d, w_i = (S^-1)_ii,
-K_i the i-th column of K. Then, by the partitioned inverse,
+With a common prior, the filter that leaves out sensor i differs by rank one from the filter that uses all sensors. From the
+joint Gaussian of state and readings, innovation d, S^-1 over the readings used, and K = C S^-1, let u = S^-1 d, w_i =
+(S^-1)_ii, K_i the i-th column of K. Then, by the partitioned inverse,
 
     leave-one-out innovation   y_i - E[y_i | prior, other readings] = u_i / w_i, with variance 1 / w_i
     local estimate             x_i = x_f - K_i u_i / w_i
     local covariance           P_i = P_f + K_i K_i' / w_i
 
-where x_f, P_f are those of the filter that uses all. No inverse of P appears: a singular P (an ensemble's) will do.
+where x_f, P_f are those of the filter that uses all sensors. No inverse of P appears, so P may be singular (an ensemble's).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
 def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
     """Return the statistics without sensor `worst` (...) in those elements of the batch for which `where` (...) holds.
 
-    One rank off the inverse: S^-1 <- S^-1 - s_w s_w' / s_ww, u <- u - s_w u_w / s_ww, with s_w the w-th column.
+    A downdate of the inverse by rank one: S^-1 <- S^-1 - s_w s_w' / s_ww, u <- u - s_w u_w / s_ww, with s_w the w-th column.
     """
     index = worst[..., None]
     column = np.take_along_axis(found.inverse, index[..., None], axis=-1)[..., 0]

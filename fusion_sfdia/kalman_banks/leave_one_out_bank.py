@@ -3,32 +3,50 @@
 The statistically consistent form of the bank: every sensor is judged against all others, at a stated false-alarm budget.
 
 - One sample: the leave-one-out chi-square u_i^2 / w_i (see `leave_one_out`); the worst sensor above the threshold is
-  eliminated and the statistics of the rest follow by one rank, until none is left above: simultaneous faults are told apart.
-- A window of onsets: generalised likelihood ratios (see `likelihood_window`) that remember what the filter has absorbed.
-- Accommodation: a sensor held faulty is left out of the update (after a window's alarm the estimate is freed from what it
-  had absorbed of the fault), its reading replaced by the estimate, and it is readmitted by a likelihood ratio of
-  "healthy" against "as large as estimated".
+  eliminated and the statistics of the rest follow by a downdate of rank one, until none exceeds it: this separates
+  simultaneous faults.
+- A window of onsets: generalised likelihood ratios (see `likelihood_window`) that account for what the filter has absorbed.
+- Accommodation: an isolated sensor is left out of the update (after an alarm of a window, what the estimate had absorbed of
+  the fault is removed), its reading is replaced by the estimate, and it is readmitted by a likelihood ratio of "healthy"
+  against "as large as estimated".
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import whole
-from fusion_sfdia.core.batch_detector import Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
-from fusion_sfdia.filters.estimators import Estimator, Extended, Prior, step_stream
+from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
-from fusion_sfdia.kalman_banks.likelihood_window import Best, Evidence, Window, absorbed, advance, best_onset, empty, weigh
+from fusion_sfdia.kalman_banks.likelihood_window import (
+    Best,
+    OnsetStatistics,
+    Window,
+    absorbed,
+    advance,
+    best_onset,
+    empty,
+    weigh,
+)
 
 Array = NDArray[Any]
+
+
+class LeaveOneOutMemory(NamedTuple):
+    """The filter's estimate, the sensors that are left out, and the likelihood ratios of the window."""
+
+    estimate: GaussianState
+    exclusion: Exclusion
+    window: Window
 
 
 @dataclass(frozen=True)
@@ -38,9 +56,9 @@ class LeaveOneOutBank(ExcludingBank):
     window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
     false_alarm: probability that a healthy set of sensors begins an alarm in one step (with accommodation an alarm then lasts
     until its sensor is readmitted, without until its samples have left the window), shared equally by the sensors and,
-    with a window, by the one-sample test (half) and the onsets (half): Bonferroni, so a bound, for a model that is true.
-    max_faults: sensors that may be out at once (None: what the plant's redundancy allows). accommodate: leave faulty sensors
-    out; without, the statistics stay those of the undisturbed filter, which is what a threshold may be swept over.
+    with a window, by the one-sample test (half) and the onsets (half): Bonferroni, therefore a bound, for a true model.
+    max_faults: sensors that may be out at once (None: what the plant's redundancy allows). accommodate: leave out faulty
+    sensors; without, the statistics are those of the undisturbed filter, over which a threshold may be swept.
     """
 
     estimator: Estimator = field(default_factory=Extended)
@@ -62,17 +80,16 @@ class LeaveOneOutBank(ExcludingBank):
         half = self.false_alarm / 2 / count
         return float((scale * ndtri(half / 2)) ** 2), float((scale * ndtri(half / (self.window - 1) / 2)) ** 2)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """x, P, the exclusions, and the window's eta, a, b."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
-        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *none_excluded(batch, count), *empty(batch, self.window - 1, n, count)
+        estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self.window - 1, n, count))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        exclusion, window = Exclusion(*core[2:7]), Window(*core[7:])
+    def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
+        estimate, exclusion, window = memory
         plant, est, t = self.plant, self.estimator, now.t
         one_limit, window_limit = self.limits
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
@@ -80,9 +97,9 @@ class LeaveOneOutBank(ExcludingBank):
         size, residual = everything.innovation, everything.innovation
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
-            tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.last, core[0], u, now.dt)
-            evidence = weigh(window, tangent, plant.output_jacobian_at(t, prior.core[0], u), everything)
-            best = best_onset(evidence, usable, plant.sensor_cov)
+            tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
+            onsets = weigh(window, tangent, plant.output_jacobian_at(t, prior.core.x, u), everything)
+            best = best_onset(onsets, usable, plant.sensor_cov)
             stronger = best.statistic / window_limit > everything.chi_square / one_limit
             residual = np.where(stronger, best.size, residual)
             threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
@@ -93,7 +110,7 @@ class LeaveOneOutBank(ExcludingBank):
             chosen = (more & room)[..., None] & _only(worst, y)
             size = np.where(chosen, best.size, size)
             if np.any(chosen) and self.accommodate:
-                joint = est.joint(plant, prior := _freed(prior, evidence, best, worst, chosen), t, u)
+                joint = est.joint(plant, prior := _freed(prior, onsets, best, worst, chosen), t, u)
                 found, named, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
                 capped = capped | again
             named = named | chosen
@@ -102,12 +119,12 @@ class LeaveOneOutBank(ExcludingBank):
         x, p = posterior(joint, found)
         if self.window > 1:
             restart = np.any(named, axis=-1) & self.accommodate
-            window = advance(evidence, joint.C @ found.inverse, found, restart)
+            window = advance(onsets, joint.C @ found.inverse, found, restart)
 
         update = Update(x, p, prior, joint, found)
         verdict = Verdict(usable, named, residual, threshold, size, capped, one_limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
-        return (x, p, *exclusion, *window), decision
+        return LeaveOneOutMemory(GaussianState(x, p), exclusion, window), decision
 
     def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above the one-sample threshold until none is left or too many are out.
@@ -132,9 +149,9 @@ def _only(sensor: Array, like: Array) -> Array:
     return np.asarray(np.arange(like.shape[-1]) == sensor[..., None])
 
 
-def _freed(prior: Prior, evidence: Evidence, best: Best, sensor: Array, chosen: Array) -> Prior:
-    """The prior without what the filter had absorbed of the fault of `sensor` since its onset, and with the doubt about it."""
+def _freed(prior: Prior, onsets: OnsetStatistics, best: Best, sensor: Array, chosen: Array) -> Prior:
+    """The prior without what the filter had absorbed of the fault of `sensor` since its onset, with the uncertainty of that."""
     x, p = prior.core
-    moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(evidence, best, sensor), 0.0)
+    moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(onsets, best, sensor), 0.0)
     size, information = (np.take_along_axis(v, sensor[..., None], axis=-1) for v in (best.size, best.information))
-    return prior._replace(core=(x - moved * size, p + moved[..., :, None] * (moved / information)[..., None, :]))
+    return prior._replace(core=GaussianState(x - moved * size, p + moved[..., :, None] * (moved / information)[..., None, :]))

@@ -4,7 +4,7 @@ A unit bias on sensor i that begins at step j changes the innovation at step k b
 
     M = I - H eta,    eta <- F (eta + K M),    eta = 0 at the onset
 
-with F, H, K those of the filter as it ran; what is kept is eta before the update, whose recursion costs one product an onset:
+with F, H, K those of the filter as it ran. The window keeps eta before the update, whose recursion costs one product an onset:
 eta <- F (I - K H) eta + F K. Over the steps since the onset a = sum M' S^-1 d and b = sum diag(M' S^-1 M)
 give the statistic a^2 / b (chi-square with 1 degree of freedom when healthy) and the size of the bias a / b with variance
 1 / b. At the onset itself they are u and w of `leave_one_out`: an exact extension of the leave-one-out chi-square.
@@ -21,7 +21,7 @@ from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
 Array = NDArray[Any]
 
-LEAST_INFORMATION = 1e-3  # b in units of 1 / R_ii below which an onset tells nothing of a fault of any likely size
+LEAST_INFORMATION = 1e-3  # b in units of 1 / R_ii below which an onset has no information on a fault of any likely size
 
 
 class Window(NamedTuple):
@@ -37,7 +37,7 @@ class Window(NamedTuple):
     gain: Array
 
 
-class Evidence(NamedTuple):
+class OnsetStatistics(NamedTuple):
     """By onset 1 .. L steps ago: eta before the update (..., L, n, N), a, b (..., L, N) with the present readings; H."""
 
     eta: Array
@@ -56,50 +56,50 @@ class Best(NamedTuple):
 
 
 def empty(batch: tuple[int, ...], lags: int, states: int, sensors: int) -> Window:
-    """Return a window that has seen nothing."""
+    """Return the window before the first readings."""
     sums = (*batch, lags, sensors)
     eta, gain = np.zeros((*batch, lags, states, sensors)), np.zeros((*batch, states, sensors))
     return Window(eta, np.zeros(sums), np.zeros(sums), np.zeros((*batch, states, states)), gain)
 
 
-def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut) -> Evidence:
+def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut) -> OnsetStatistics:
     """Add the present innovations; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use."""
     eta = (tangent @ window.closed)[..., None, :, :] @ window.eta
     eta += (tangent @ window.gain)[..., None, :, :]
     effect = np.eye(found.used.shape[-1]) - output_jacobian[..., None, :, :] @ eta
     a = window.a + (np.swapaxes(effect, -1, -2) @ found.whitened[..., None, :, None])[..., 0]
     b = window.b + np.einsum("...ij,...ij->...j", effect, found.inverse[..., None, :, :] @ effect)
-    return Evidence(eta, a, b, output_jacobian)
+    return OnsetStatistics(eta, a, b, output_jacobian)
 
 
-def best_onset(evidence: Evidence, usable: Array, sensor_cov: Array) -> Best:
-    """Maximise over the onsets, for the sensors in use (..., N); a statistic of 0 where nothing is known."""
-    known = usable[..., None, :] & (evidence.b * sensor_cov > LEAST_INFORMATION)
-    information = np.where(known, evidence.b, 1.0)
-    size = np.where(known, evidence.a, 0.0) / information
+def best_onset(onsets: OnsetStatistics, usable: Array, sensor_cov: Array) -> Best:
+    """Maximise over the onsets, for the sensors in use (..., N); a statistic of 0 where there is no information."""
+    known = usable[..., None, :] & (onsets.b * sensor_cov > LEAST_INFORMATION)
+    information = np.where(known, onsets.b, 1.0)
+    size = np.where(known, onsets.a, 0.0) / information
     statistic = size**2 * information
     onset = np.argmax(statistic, axis=-2, keepdims=True)
     at = [np.take_along_axis(v, onset, axis=-2)[..., 0, :] for v in (statistic, size, information)]
     return Best(at[0], at[1], at[2], onset[..., 0, :])
 
 
-def absorbed(evidence: Evidence, best: Best, sensor: Array) -> Array:
+def absorbed(onsets: OnsetStatistics, best: Best, sensor: Array) -> Array:
     """Return what a unit bias of `sensor` (...) since its best onset has moved the predicted state by (..., n)."""
     which = sensor[..., None]
     onset = np.take_along_axis(best.onset, which, axis=-1)[..., None, None]
-    eta = np.take_along_axis(evidence.eta, onset, axis=-3)[..., 0, :, :]
+    eta = np.take_along_axis(onsets.eta, onset, axis=-3)[..., 0, :, :]
     return np.take_along_axis(eta, which[..., None], axis=-1)[..., 0]
 
 
-def advance(evidence: Evidence, gain: Array, found: LeaveOneOut, restart: Array) -> Window:
+def advance(onsets: OnsetStatistics, gain: Array, found: LeaveOneOut, restart: Array) -> Window:
     """Return the window after the update with gain K (..., n, N): every onset one step older, the present one added.
 
-    restart (...): forget, since the readings in use have changed.
+    restart (...): runs whose window begins again, because the readings in use have changed.
     """
-    eta = np.concatenate([np.zeros_like(evidence.eta[..., :1, :, :]), evidence.eta[..., :-1, :, :]], axis=-3)
-    a = np.concatenate([found.whitened[..., None, :], evidence.a[..., :-1, :]], axis=-2)
-    b = np.concatenate([found.weight[..., None, :], evidence.b[..., :-1, :]], axis=-2)
-    closed = np.eye(gain.shape[-2]) - gain @ evidence.output_jacobian
+    eta = np.concatenate([np.zeros_like(onsets.eta[..., :1, :, :]), onsets.eta[..., :-1, :, :]], axis=-3)
+    a = np.concatenate([found.whitened[..., None, :], onsets.a[..., :-1, :]], axis=-2)
+    b = np.concatenate([found.weight[..., None, :], onsets.b[..., :-1, :]], axis=-2)
+    closed = np.eye(gain.shape[-2]) - gain @ onsets.output_jacobian
     if not np.any(restart):
         return Window(eta, a, b, closed, gain)
     keep = ~restart[..., None, None]

@@ -1,11 +1,11 @@
-"""Sequential tests on standardised residuals z, white N(0, 1) when healthy: what each remembers of a sensor, as a recursion.
+"""Sequential tests on standardised residuals z, white N(0, 1) when healthy: recursions of what each keeps of a sensor.
 
     Shewhart       |z|                                             (Shewhart 1931: no memory)
     SumOfSquares   sqrt(sum of the last L z^2)                     chi with L degrees of freedom
     Cusum          g+ <- max(0, g+ + z - k), g- <- max(0, g- - z - k), the larger       (Page 1954)
     Ewma           e <- (1 - lam) e + lam z, over its own standard deviation            (Roberts 1959)
 
-The memory of a batch is an array (..., rows, N), a column a sensor. A sensor that is not judged (z is NaN) keeps its
+The memory of a batch is an array (..., rows, N), a column a sensor. A sensor without z (NaN) keeps its
 column as it was. `share` is the probability at which one healthy sensor may alarm in a step.
 """
 
@@ -29,7 +29,7 @@ LEAST = 0.1
 
 
 class Rule(Protocol):
-    """A sequential test: memory before anything was seen, after z (..., N), its statistic and the limit on it (..., N)."""
+    """A sequential test: its initial memory, that after z (..., N), the statistic and its limit (..., N)."""
 
     def start(self, batch: tuple[int, ...], sensors: int) -> Array: ...
     def advance(self, memory: Array, z: Array) -> Array: ...
@@ -82,7 +82,7 @@ class Cusum:
     """Both cumulative sums against a shift of the mean by `shift` standard deviations, for which k = shift / 2 is the best.
 
     The limit h gives each sum the mean time to a false alarm 2 / share by Siegmund's (1985) approximation of its run length,
-    (exp(2 k b) - 2 k b - 1) / (2 k^2) with b = h + 1.166; exact to some per cent for white z, that is, no bound.
+    (exp(2 k b) - 2 k b - 1) / (2 k^2) with b = h + 1.166; accurate to some per cent for white z, and therefore not a bound.
     """
 
     shift: float = 1.0

@@ -22,7 +22,7 @@ def mix(x: Array, p: Array, scale: Array) -> tuple[Array, Array]:
     """Return x_m (..., n), P_m (..., n, n) from N local estimates x (..., N, n), p (..., N, n, n), as printed.
 
     Singular covariances (an ensemble smaller than the state) are inverted on their range, which leave-one-out filters
-    with a common prior share. scale (n,): a size of each state, which makes the units of the states immaterial.
+    with a common prior share. scale (n,): a size of each state, which makes the result independent of the units of the states.
     """
     unit = scale[:, None] * scale
     information = np.linalg.pinv(p / unit, rcond=RANK_TOLERANCE, hermitian=True)
@@ -51,7 +51,7 @@ def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array
 
     With A = P_f, P_i^-1 = A^-1 - v_i v_i' / (w_i + K_i' v_i), v_i = A^-1 K_i (Sherman and Morrison), so with the
     Cholesky factor L of A and b_i = L^-1 K_i, P_m = L (N I - sum_i b_i b_i' / (w_i + |b_i|^2))^-1 L' and
-    x_m = x_f - P_m L'^-1 sum_i b_i u_i / (w_i + |b_i|^2). Serves the printed unscented filter, whose C lacks Q.
+    x_m = x_f - P_m L'^-1 sum_i b_i u_i / (w_i + |b_i|^2). Used for the printed unscented filter, whose C lacks Q.
     """
     x, a = posterior(joint, found)
     count = found.weight.shape[-1]

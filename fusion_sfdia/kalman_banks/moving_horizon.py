@@ -47,7 +47,9 @@ def empty(batch: tuple[int, ...], horizons: int, states: int, sensors: int) -> H
 
 
 def renew(now: Horizons) -> Horizons:
-    """Return the horizons each in the place of the next older one, and first one that begins with the next reading."""
+    """Return the horizons, each moved to the place of the next older one, and a new first one that begins with the next
+    reading.
+    """
     effect, g, G = (np.roll(a, 1, axis) for a, axis in zip(now, (-3, -2, -3), strict=True))
     effect[..., 0, :, :] = g[..., 0, :] = G[..., 0, :, :] = 0.0
     return Horizons(effect, g, G)
@@ -71,7 +73,9 @@ def of_present(gain: Array, found: LeaveOneOut) -> Horizons:
 
 
 def information(horizons: Horizons, usable: Array, sensor_cov: Array) -> Array:
-    """G_ii (..., J, N), 0 where a horizon tells nothing of a fault of any likely size or the sensor is not in use (..., N)."""
+    """G_ii (..., J, N), 0 where a horizon has no information on a fault of any likely size or the sensor is not in use
+    (..., N).
+    """
     own = np.diagonal(horizons.G, axis1=-2, axis2=-1)
     return np.where(usable[..., None, :] & (own * sensor_cov > LEAST_INFORMATION), own, 0.0)
 
@@ -100,8 +104,8 @@ class Fit(NamedTuple):
 def refitted(g: Array, G: Array, support: Array, penalty: float, most: int) -> Fit:
     """Return the least-squares fit of f on a support (indices) without those of its sensors that are not significant.
 
-    The penalty draws a large f towards zero, which lets neighbours enter: one by one the least significant is dropped, until
-    all are `penalty` standard deviations large and at most `most`, or one is left.
+    The penalty shrinks a large f, so that sensors coupled with it enter the solution, too. The least significant sensor is
+    removed repeatedly until all exceed `penalty` standard deviations and there are at most `most`, or one is left.
     """
     capped = False
     while True:

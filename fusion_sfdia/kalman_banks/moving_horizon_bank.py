@@ -1,27 +1,27 @@
 """Detector: moving-horizon estimation of the state with sparse sensor faults (L1), see `moving_horizon`.
 
 The sums of a horizon depend on where it begins, so that sliding it sample by sample would cost as many recursions as it has
-samples. Here a horizon is begun every L // 2 samples and dropped after twice as many: there is always one of up to half the
-length and one longer than half. With that of the present reading alone, for large faults at once, these are the problems of a
-step. They share the false-alarm budget; the one with the largest |g_i| / s_i is solved, where that exceeds lambda.
-Sensors with a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`;
-the state is that of the moving-horizon problem with these faults free, and the horizons begin anew.
+samples. Instead a horizon begins every L // 2 samples and ends after twice as many: there is always one of up to half the
+length and one that is longer. A third horizon is the present reading alone, which finds large faults immediately. The three
+problems share the false-alarm budget. The one with the largest |g_i| / s_i is solved where this exceeds lambda. Sensors with
+a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`. The state is
+that of the moving-horizon problem with these faults free, and all horizons begin again.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import whole
-from fusion_sfdia.core.batch_detector import Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
-from fusion_sfdia.filters.estimators import step_stream
+from fusion_sfdia.filters.estimators import GaussianState, step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
 from fusion_sfdia.kalman_banks.excluding_bank import Update, Verdict
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
@@ -30,6 +30,14 @@ from fusion_sfdia.kalman_banks.moving_horizon import Horizons
 
 Array = NDArray[Any]
 HORIZONS = 2  # beside that of the present reading
+
+
+class MovingHorizonMemory(NamedTuple):
+    """The filter's estimate, the sensors that are left out, and the sums of the horizons."""
+
+    estimate: GaussianState
+    exclusion: Exclusion
+    horizons: Horizons
 
 
 @dataclass(frozen=True)
@@ -49,25 +57,25 @@ class MovingHorizon(LeaveOneOutBank):
         share = self.false_alarm / len(self.plant.sensors) / (1 + HORIZONS)
         return float(-self.threshold_scale * ndtri(share / 2))
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """x, P, the exclusions, and the horizons' E, g, G."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
-        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *none_excluded(batch, count), *moving_horizon.empty(batch, HORIZONS, n, count)
+        estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        horizons = moving_horizon.empty(batch, HORIZONS, n, count)
+        return MovingHorizonMemory(estimate, none_excluded(batch, count), horizons)
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        exclusion, past = Exclusion(*core[2:7]), Horizons(*core[7:])
+    def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
+        estimate, exclusion, past = memory
         plant, est, t = self.plant, self.estimator, now.t
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         found = statistics(joint, y, usable)
         x, p = posterior(joint, found)
         gain = joint.C @ found.inverse
-        tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.last, core[0], u, now.dt)
+        tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
         if now.k % (self.window // 2) == 0:
             past = moving_horizon.renew(past)
-        past = moving_horizon.extend(past, tangent, plant.output_jacobian_at(t, prior.core[0], u), gain, found)
+        past = moving_horizon.extend(past, tangent, plant.output_jacobian_at(t, prior.core.x, u), gain, found)
         present = moving_horizon.of_present(gain, found)
         known = np.concatenate([moving_horizon.information(h, usable, plant.sensor_cov) for h in (present, past)], axis=-2)
         g = np.concatenate([present.g, past.g], axis=-2)
@@ -86,15 +94,15 @@ class MovingHorizon(LeaveOneOutBank):
         update = Update(x, p, prior, joint, found)
         verdict = Verdict(usable, named, alone, threshold, size, capped, self.penalty**2)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
-        return (x, p, *exclusion, *past), decision
+        return MovingHorizonMemory(GaussianState(x, p), exclusion, past), decision
 
     def _solve(
         self, problems: tuple[Horizons, ...], known: Array, ratio: Array, room: Array, x: Array, p: Array
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Solve, in each run with a ratio above 1 and room for a fault, the horizon with the largest.
 
-        Return estimate and covariance with the faults found free, the sensors named (..., N), the sizes of their faults
-        (..., N), and whether more would be named if there were room (...).
+        Return estimate and covariance with the faults found free, the sensors isolated (..., N), the sizes of their
+        faults (..., N), and whether more would be isolated without max_faults (...).
         """
         x, p = x.copy(), p.copy()
         shape = (*x.shape[:-1], ratio.shape[-1])
@@ -105,7 +113,7 @@ class MovingHorizon(LeaveOneOutBank):
             j, worst = divmod(int(np.argmax(ratio[run])), ratio.shape[-1])
             effect, g, G = (a[run][max(j - 1, 0)] for a in problems[min(j, 1)])
             f = moving_horizon.sparse_faults(g, G, known[run][j], self.penalty)
-            f[worst] = f[worst] or g[worst]  # it enters first; at the threshold itself f is 0 to rounding
+            f[worst] = f[worst] or g[worst]  # it enters first; exactly at the threshold f is 0 up to rounding
             fit = moving_horizon.refitted(g, G, np.flatnonzero(f), self.penalty, int(room[run]))
             named[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
             moved = effect[:, fit.sensors]

@@ -2,7 +2,7 @@
 
 A faulty sensor's noise is `inflation` times as large. The first-order generalised pseudo-Bayes estimator (GPB1; Ackerson and Fu
 1970; Bar-Shalom, Li and Kirubarajan 2001, sec. 11.6.4) starts the filters of all modes from one merged estimate, so that they
-differ by one rank: with u, w, K_i of `leave_one_out`, v = (inflation^2 - 1) R_ii and g_i = v / (1 + v w_i), those of mode i are
+differ by rank one: with u, w, K_i of `leave_one_out`, v = (inflation^2 - 1) R_ii and g_i = v / (1 + v w_i), those of mode i are
 
     likelihood    log L_i - log L_0 = (g_i u_i^2 - log(1 + v w_i)) / 2
     estimate      x_i = x_0 - K_i g_i u_i,    P_i = P_0 + g_i K_i K_i'
@@ -11,31 +11,38 @@ and the merged ones, weighted by the modes' probabilities mu_i and with c_i = g_
 
     x = x_0 - sum mu_i c_i K_i,    P = P_0 + sum mu_i (g_i + c_i^2) K_i K_i' - (sum mu_i c_i K_i)(...)'.
 
-A fault begins in a step with the probability p, `fault_probability`, on any sensor alike, and ends with 1 / `duration`.
-Sensor i is held faulty where its mode has a larger probability than "all healthy" has, mu_i / mu_0 > 1. One sensor at a time:
-modes of several would be too many. Shown as its residual are sqrt(2 log(1 + E_i)) standard deviations of its leave-one-out
-innovation, where E_i = (mu_i / mu_0) / (p / N), the odds over those with which a fault begins, against the threshold N / p.
-That is no rate of false alarms: a fault that may have begun at any time has prior odds of about p duration / N, so that
-Markov's inequality only gives a bound of about p duration a step, were the modes not merged.
+A fault begins in a step with the probability p, `fault_probability`, with equal probability on each sensor, and ends with the
+probability 1 / `duration`. Sensor i is isolated where its mode is more probable than "all healthy", mu_i / mu_0 > 1. Only
+single faults have modes: those of several sensors would be too many. The residual of a sensor is sqrt(2 log(1 + E_i)) standard
+deviations of its leave-one-out innovation, where E_i = (mu_i / mu_0) / (p / N) are the odds relative to those of a beginning
+fault, and the threshold is E_i = N / p. This is not a false-alarm rate: a fault that may have begun at any time has prior odds
+of about p duration / N, so that Markov's inequality only gives a bound of about p duration a step, if modes were not merged.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from fusion_sfdia.core.arguments import number, probability
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.filters.estimators import Estimator, Extended, require_consistent, step_stream
+from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, require_consistent, step_stream
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared, posterior, statistics
 
 Array = NDArray[Any]
+
+
+class MultipleModelMemory(NamedTuple):
+    """The merged estimate, and the logarithms of the modes' probabilities (..., N + 1), healthy first."""
+
+    estimate: GaussianState
+    log_probability: Array
 
 
 @dataclass(frozen=True)
@@ -43,8 +50,8 @@ class MultipleModel(BatchDetector):
     """GPB1 over N + 1 modes on an extended filter (or an unscented one with redraw).
 
     inflation: noise of a faulty sensor over that of a healthy one. fault_probability: that a fault begins in a step; for false
-    alarms see above. duration: mean of a fault, in samples. Faulty sensors are not left out at a threshold but as far as they
-    are improbable, so that the estimate depends on no threshold.
+    alarms see the module. duration: mean of a fault, in samples. Readings are weighted by
+    the probability that their sensor is healthy, so that the estimate depends on no threshold.
     """
 
     estimator: Estimator = field(default_factory=Extended)
@@ -60,19 +67,18 @@ class MultipleModel(BatchDetector):
             if not 1 < number(what, getattr(self, what)) < np.inf:
                 raise ValueError(f"{what} is {getattr(self, what)}; expected a number above 1")
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """x, P, and the logarithms of the modes' probabilities (N + 1,), healthy first."""
-        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+    def _start(self, batch: tuple[int, ...], seed: int) -> MultipleModelMemory:
+        estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         count = len(self.plant.sensors)
         mode = np.log(np.append(1 - self.fault_probability, np.full(count, self.fault_probability / count)))
-        return *core, np.broadcast_to(mode, (*batch, count + 1)).copy()
+        return MultipleModelMemory(estimate, np.broadcast_to(mode, (*batch, count + 1)).copy())
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: MultipleModelMemory, now: TimeStep, y: Array, u: Array) -> tuple[MultipleModelMemory, Decision]:
         plant, est = self.plant, self.estimator
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, memory.estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, now.t, u)
         found = statistics(joint, y, np.isfinite(y))
-        mode, gain = self._weigh(self._passed(core[2]), found)
+        mode, gain = self._weigh(self._passed(memory.log_probability), found)
         mu = np.exp(mode[..., 1:])
 
         x, p = posterior(joint, found)
@@ -93,7 +99,7 @@ class MultipleModel(BatchDetector):
         shown = np.where(np.signbit(found.innovation), -ratio, ratio) * limit * np.where(found.used, deviation, 1.0)
         decision = Decision(
             estimate=x,
-            measured=np.where(np.isfinite(y) & ~isolated, y, expected),
+            reconstruction=np.where(np.isfinite(y) & ~isolated, y, expected),
             residual=np.where(found.used, shown, np.nan),
             threshold=limit * deviation,
             isolated=isolated,
@@ -103,7 +109,7 @@ class MultipleModel(BatchDetector):
             nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
         )
-        return (x, p, mode), decision
+        return MultipleModelMemory(GaussianState(x, p), mode), decision
 
     def _passed(self, mode: Array) -> Array:
         """Logarithms of the modes' probabilities (..., N + 1) a step later, before the readings."""

@@ -1,13 +1,13 @@
-"""Detector: one bootstrap particle filter, which judges each sensor by the same particles weighed without it.
+"""Detector: one bootstrap particle filter that tests each sensor with the same particles, weighted without its reading.
 
-The readings' noises are independent, so the weights without sensor i are those with all sensors over its likelihood: every
-leave-one-out filter for the price of one, as `leave_one_out` does for Kalman filters, and for any model and cloud.
+The readings' noises are independent, so the weights without sensor i are those with all sensors over its likelihood: all
+leave-one-out filters at the cost of one, as `leave_one_out` does for Kalman filters, and for any model and distribution.
 
-It is no `Estimator` of the Kalman banks: they update by the covariance of state and readings and hand the mean and covariance
-of the result back to the filter; particles bent to that are an ensemble Kalman filter again. The number of particles that it
-takes grows exponentially with the number of readings (Snyder et al. 2008): it is for plants of a few sensors. Of a thousand on
-the 63 sensors of the gas pipeline one has all the weight after the first reading; their estimate errs 2.4 times as much as a
-Kalman filter's and 3.5 times as much as it claims.
+It is not an `Estimator` of the Kalman banks: these update by the covariance of state and readings and return mean and
+covariance of the result to the filter; particles transformed to these moments would be an ensemble Kalman filter. The number of
+particles needed grows exponentially with the number of readings (Snyder et al. 2008): the filter is for plants with a few
+sensors. Of a thousand particles on the 63 sensors of the gas pipeline one has all the weight after the first reading. The error
+of their estimate is 2.4 times that of a Kalman filter, and 3.5 times its own standard deviation.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import probability, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters import particle
@@ -33,8 +33,10 @@ from fusion_sfdia.filters.particle import Particles
 Array = NDArray[Any]
 
 
-class Judged(NamedTuple):
-    """Readings less what the others make of them (..., N), NaN where not used, and its standard deviation (..., N)."""
+class LeaveOneOutResiduals(NamedTuple):
+    """Readings less their expectation from the other readings (..., N), NaN where not used, and its standard deviation (...,
+    N).
+    """
 
     residual: Array
     sigma: Array
@@ -42,12 +44,12 @@ class Judged(NamedTuple):
 
 @dataclass(frozen=True)
 class ParticleFilter(BatchDetector):
-    """Residual: a reading less its mean by the particles weighed by all other readings; threshold: normal quantiles of its
-    spread at a false-alarm budget per step over all sensors (Bonferroni), nominal where its law is far from normal. Names the
-    sensor with the largest ratio and goes on without it until no ratio exceeds 1.
+    """Residual: a reading less its mean over the particles weighted by all other readings. Threshold: normal quantiles of its
+    standard deviation at a false-alarm budget per step over all sensors (Bonferroni), nominal where its distribution is far
+    from normal. The sensor with the largest ratio is isolated and left out, until no ratio exceeds 1.
 
-    size: particles. max_faults: sensors that may be named in a step (None: what the plant's redundancy allows). accommodate:
-    weigh the particles without the sensors named in this step. The state's estimate and covariance are the weighted moments.
+    size: particles. max_faults: sensors that may be isolated in a step (None: what the plant's redundancy allows). accommodate:
+    weigh the particles without the sensors isolated in this step. The state's estimate and covariance are the weighted moments.
     """
 
     size: int = 1000
@@ -62,15 +64,14 @@ class ParticleFilter(BatchDetector):
         probability("false_alarm", self.false_alarm)
         require_max_faults(self.plant, self.max_faults)
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Members (*batch, M, n) and log weights (*batch, M)."""
-        return tuple(particle.start(self.plant.x0, self.plant.initial_cov, self.size, step_stream(seed, 0), batch))
+    def _start(self, batch: tuple[int, ...], seed: int) -> Particles:
+        return particle.start(self.plant.x0, self.plant.initial_cov, self.size, step_stream(seed, 0), batch)
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: Particles, now: TimeStep, y: Array, u: Array) -> tuple[Particles, Decision]:
         plant = self.plant
         rng, over = step_stream(now.seed, now.k), np.expand_dims(u, -2)
-        _, ahead, moved, stuck, lost = guarded_points(plant, now.last, core[0], u, now.dt)
-        cloud = particle.predict(Particles(ahead, core[1]), lambda s: s, plant.process_cov_over(now.dt), rng)
+        _, ahead, moved, stuck, lost = guarded_points(plant, now.t_start, memory.members, u, now.dt)
+        cloud = particle.predict(Particles(ahead, memory.log_weights), lambda s: s, plant.process_cov_over(now.dt), rng)
         predicted = readings_of(plant, now.t, cloud.members, over)
         judged, named, capped = self._eliminated(cloud, predicted, y)
         used = np.isfinite(y) & ~(named & self.accommodate)
@@ -80,7 +81,7 @@ class ParticleFilter(BatchDetector):
         after = particle.resample(weighed, rng)
         decision = Decision(
             estimate=x,
-            measured=np.where(used, y, expected),
+            reconstruction=np.where(used, y, expected),
             residual=judged.residual,
             threshold=self._alpha * judged.sigma,
             isolated=named,
@@ -91,7 +92,7 @@ class ParticleFilter(BatchDetector):
             covariance=p,
             capped=capped,
         )
-        return tuple(after), decision
+        return after, decision
 
     @property
     def _alpha(self) -> float:
@@ -99,12 +100,12 @@ class ParticleFilter(BatchDetector):
 
     @cached_property
     def most_faults(self) -> int:
-        """How many sensors may be named in a step."""
+        """How many sensors may be isolated in a step."""
         return self.max_faults or most_faults(self.plant)
 
-    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[Judged, Array, Array]:
-        """The leave-one-out residuals of all readings, the sensors that elimination names (..., N), and whether there is one
-        more (...).
+    def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[LeaveOneOutResiduals, Array, Array]:
+        """The leave-one-out residuals of all readings, the sensors that elimination isolates (..., N), and whether there is
+        one more (...).
         """
         first = without_each(cloud, predicted, y, self.plant.sensor_cov)
         judged, named = first, np.zeros(y.shape, bool)
@@ -127,7 +128,7 @@ class ParticleFilter(BatchDetector):
         return np.where(count > 0, np.sum(d * d, axis=-1) / np.maximum(count, 1), np.nan)
 
 
-def without_each(cloud: Particles, predicted: Array, y: Array, R: Array) -> Judged:
+def without_each(cloud: Particles, predicted: Array, y: Array, R: Array) -> LeaveOneOutResiduals:
     """Return the residual of each reading y (..., N), NaN where missing, against the cloud weighed by all others.
 
     predicted (..., M, N) are the members' readings, R (N,) the variances of their noises. With L_j the likelihood of y_j,
@@ -144,4 +145,4 @@ def without_each(cloud: Particles, predicted: Array, y: Array, R: Array) -> Judg
     h = np.swapaxes(h, -1, -2)
     mean = np.sum(w * h, axis=-1)
     variance = np.sum(w * (h - mean[..., None]) ** 2, axis=-1)
-    return Judged(np.where(used, y - mean, np.nan), np.sqrt(variance + R))
+    return LeaveOneOutResiduals(np.where(used, y - mean, np.nan), np.sqrt(variance + R))

@@ -1,17 +1,17 @@
 """Detector: one central filter whose standardised innovations, or leave-one-out innovations, go through sequential tests.
 
-The textbook's ways to remember a weak fault (see `memory_rules`), on
+The textbook tests for weak faults, which accumulate over time (see `memory_rules`), on
 
     innovation       z_i = d_i / sqrt(S_ii)    reading less what the model predicts
     leave-one-out    z_i = u_i / sqrt(w_i)     reading less what the model and all other readings predict (see leave_one_out)
 
-Both are N(0, 1) when healthy; innovations are white in time for a model that is true, leave-one-out innovations (each a linear
-form of one step's innovation) with them. Tests may be combined, as a cumulative sum for small faults with a limit on the
-present sample for large ones (Lucas 1982), and then share the budget. The sensor with the largest ratio of statistic to limit
-is named. Leave-one-out statistics of the rest follow without it, until none is above its limit; an innovation does not depend
-on the other readings of its step, so that only the largest is named in a step. As in `leave_one_out_bank` a named sensor is
-left out, replaced and readmitted by a likelihood ratio, and what the others remember starts anew, since the filter has spread
-the fault over them.
+Both are N(0, 1) when healthy; innovations are white in time for a true model, and so are leave-one-out innovations, each a
+linear form of the innovation of one step. Tests may be combined, such as a cumulative sum for small faults and a limit on the
+present sample for large ones (Lucas 1982); they then share the budget. The sensor with the largest ratio of statistic to limit
+is isolated. Leave-one-out statistics of the rest follow without it, until none exceeds its limit. An innovation does not depend
+on the other readings of its step, so that only the sensor with the largest ratio is isolated in a step. As in
+`leave_one_out_bank` an isolated sensor is left out, replaced and readmitted by a likelihood ratio, and the memories of all
+sensors begin again, because the filter has spread the fault over them.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.batch_detector import Moment
-from fusion_sfdia.core.detector import Decision, State
+from fusion_sfdia.core.batch_detector import TimeStep
+from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
-from fusion_sfdia.filters.estimators import Estimator, Extended, Prior, step_stream
+from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
@@ -36,26 +36,35 @@ from fusion_sfdia.kalman_banks.memory_rules import Rule, Shewhart
 Array = NDArray[Any]
 
 
-class Judged(NamedTuple):
-    """Innovations with their standard deviations (..., N), memory of each rule with them (..., rows, N), and the
+class TestedInnovations(NamedTuple):
+    """Innovations with their standard deviations (..., N), the memory of each rule with them (..., rows, N), and the
     largest ratio of a statistic to its limit (..., N).
     """
 
     innovation: Array
     deviation: Array
-    memory: tuple[Array, ...]
+    of_rules: tuple[Array, ...]
     ratio: Array
+
+
+class SequentialMemory(NamedTuple):
+    """The filter's estimate, the sensors that are left out, and of each rule its memory (..., rows, N), see memory_rules."""
+
+    estimate: GaussianState
+    exclusion: Exclusion
+    rules: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
 class SequentialBank(ExcludingBank):
     """Sequential tests of every sensor on one central filter (extended or unscented with redraw).
 
-    rules: what is remembered of z; alarm of any. leave_one_out: z from the other readings, too; otherwise from the model alone.
+    rules: the tests of z; an alarm of any is an alarm. leave_one_out: z from the other readings, too; otherwise from the model
+    alone.
     false_alarm: probability that a healthy set of sensors begins an alarm in one step, shared equally by the sensors
-    and rules (Bonferroni); a bound for a model that is true as far as the rules' limits are exact.
-    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be.
-    accommodate: leave faulty sensors out; without, statistics stay those of the undisturbed filter and no memory starts anew.
+    and rules (Bonferroni); a bound for a true model as far as the limits of the rules are exact.
+    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be out.
+    accommodate: leave out faulty sensors; without, statistics are those of the undisturbed filter and no memory begins again.
     """
 
     rules: tuple[Rule, ...] = (Shewhart(),)
@@ -70,29 +79,28 @@ class SequentialBank(ExcludingBank):
         if not isinstance(self.rules, tuple) or not self.rules:
             raise ValueError(f"rules is {shown(self.rules)}; expected a tuple of at least one, such as (Shewhart(), Cusum())")
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """x, P, the exclusions, and the memory of each rule."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> SequentialMemory:
         count = len(self.plant.sensors)
-        core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return *core, *none_excluded(batch, count), *(rule.start(batch, count) for rule in self.rules)
+        estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
+        return SequentialMemory(estimate, none_excluded(batch, count), tuple(rule.start(batch, count) for rule in self.rules))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        exclusion, memory = Exclusion(*core[2:7]), core[7:]
+    def _judge(self, memory: SequentialMemory, now: TimeStep, y: Array, u: Array) -> tuple[SequentialMemory, Decision]:
+        estimate, exclusion, of_rules = memory
         plant, est, count = self.plant, self.estimator, y.shape[-1]
         usable = np.isfinite(y) & ~exclusion.out
-        prior = est.predict(plant, core[:2], now.last, u, now.dt, step_stream(0, 0))  # these filters draw nothing
-        joint = self._joint(now, core[0], prior, u, usable)
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        joint = self._joint(now, estimate.x, prior, u, usable)
         everything = statistics(joint, y, usable)
-        judged = self._test(joint, everything, y, memory)
-        found, named, capped = self._eliminate(joint, everything, judged, y, memory, exclusion.out)
+        judged = self._test(joint, everything, y, of_rules)
+        found, named, capped = self._eliminate(joint, everything, judged, y, of_rules, exclusion.out)
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
-        memory = judged.memory
+        of_rules = judged.of_rules
         if self.accommodate and np.any(named):
             restart = np.any(named, axis=-1)[..., None, None]
             fresh = (rule.start(y.shape[:-1], count) for rule in self.rules)
-            memory = tuple(np.where(restart, new, old) for new, old in zip(fresh, memory, strict=True))
+            of_rules = tuple(np.where(restart, new, old) for new, old in zip(fresh, of_rules, strict=True))
 
         limit = (self.threshold_scale * ndtri(self.false_alarm / count / 2)) ** 2
         signed = np.where(np.signbit(judged.innovation), -judged.ratio, judged.ratio)
@@ -100,13 +108,13 @@ class SequentialBank(ExcludingBank):
         update = Update(x, p, prior, joint, found)
         verdict = Verdict(usable, named, signed * threshold, threshold, judged.innovation, capped, limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
-        return (x, p, *exclusion, *memory), decision
+        return SequentialMemory(GaussianState(x, p), exclusion, of_rules), decision
 
-    def _joint(self, now: Moment, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
+    def _joint(self, now: TimeStep, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
         """The joint Gaussian of state and readings; before: the estimate before the step (..., n)."""
         return self.estimator.joint(self.plant, prior, now.t, u)
 
-    def _test(self, joint: Joint, found: LeaveOneOut, y: Array, memory: State) -> Judged:
+    def _test(self, joint: Joint, found: LeaveOneOut, y: Array, of_rules: tuple[Array, ...]) -> TestedInnovations:
         if self.leave_one_out:
             innovation, variance = found.innovation, found.variance
         else:
@@ -114,18 +122,19 @@ class SequentialBank(ExcludingBank):
             variance = np.where(found.used, np.diagonal(joint.S, axis1=-2, axis2=-1), np.inf)
         deviation = np.sqrt(variance)
         z = np.where(found.used, innovation / deviation, np.nan)
-        memory = tuple(rule.advance(m, z) for rule, m in zip(self.rules, memory, strict=True))
+        of_rules = tuple(rule.advance(m, z) for rule, m in zip(self.rules, of_rules, strict=True))
         share = self.false_alarm / y.shape[-1] / len(self.rules)
-        ratios = [rule.statistic(m) / rule.limit(m, share) for rule, m in zip(self.rules, memory, strict=True)]
+        ratios = [rule.statistic(m) / rule.limit(m, share) for rule, m in zip(self.rules, of_rules, strict=True)]
         ratio = np.where(found.used, np.max(ratios, axis=0) / self.threshold_scale, 0.0)
-        return Judged(innovation, deviation, memory, ratio)
+        return TestedInnovations(innovation, deviation, of_rules, ratio)
 
     def _eliminate(
-        self, joint: Joint, found: LeaveOneOut, judged: Judged, y: Array, memory: State, out: Array
+        self, joint: Joint, found: LeaveOneOut, judged: TestedInnovations, y: Array, of_rules: tuple[Array, ...], out: Array
     ) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out.
 
-        Return the statistics of the rest, the sensors eliminated (..., N), and whether one above stays for want of room (...).
+        Return the statistics of the rest, the sensors eliminated (..., N), and whether one that exceeds its limit stays because
+        of max_faults (...).
         """
         named = np.zeros(found.used.shape, bool)
         while True:
@@ -137,4 +146,4 @@ class SequentialBank(ExcludingBank):
                 return found, named, above & ~room
             named = named | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
             found = eliminate(found, worst, where)
-            judged = self._test(joint, found, y, memory)
+            judged = self._test(joint, found, y, of_rules)

@@ -1,15 +1,16 @@
-"""Detector: a filter decoupled from errors of the plant's inputs, whose leave-one-out innovations name faulty sensors.
+"""Detector: a filter decoupled from errors of the plant's inputs, whose leave-one-out innovations isolate faulty sensors.
 
-The input may err by any d, anew in each step: x = step(x_before, u + d) + w. With G = d x / d u, F = d y / d u, and the joint
-Gaussian of state and readings (P, S, C) for d = 0, the minimum-variance estimate that no d can bias (Kitanidis 1987; Gillijns
-and De Moor 2007, with the input estimate d = (F' S^-1 F)^-1 F' S^-1 (y - E y)) is the limit, for a variance V of d without
-bound, of
+The input may have any error d, another in each step: x = step(x_before, u + d) + w. With G = d x / d u, F = d y / d u, and the
+joint Gaussian of state and readings (P, S, C) for d = 0, the minimum-variance estimate that is unbiased for every d (Kitanidis
+1987; Gillijns and De Moor 2007, with the input estimate d = (F' S^-1 F)^-1 F' S^-1 (y - E y)) is the limit, for a variance V of
+d without bound, of
 
     P + G V G',    S + F V F',    C + G V F'.
 
 V is diagonal here, so large that an input would move the readings by DECOUPLED standard deviations of their noise in a step: of
-its error 1 / DECOUPLED^2 remains, about as much as rounding. An input that moves no reading within a step cannot be decoupled,
-nor one whose effect the present readings show with less than the share SEEN of the information of all: it counts as known then.
+its error the share 1 / DECOUPLED^2 remains, about as much as rounding. An input that moves no reading within a step cannot be
+decoupled. The same holds for one of which the present readings have less than the share SEEN of the information of all
+readings. Such inputs count as known.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.equation import COMPLEX_STEP, complex_step_holds, difference_jacobian
 from fusion_sfdia.core.plant import Plant
@@ -31,13 +32,14 @@ from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
 
 Array = NDArray[Any]
 
-DECOUPLED = 1e4  # the square, 1e8, lies midway between 1 and 1 / eps: what remains of d and what rounding does are alike
+DECOUPLED = 1e4  # the square, 1e8, lies midway between 1 and 1 / eps: what remains of d is about as large as rounding
 SEEN = 0.01  # an input that fewer readings show would have to be estimated ten times less accurately than by all
 
 
 @dataclass(frozen=True)
 class UnknownInputFilter(SequentialBank):
-    """Leave-one-out tests on what no error of an input can move, see SequentialBank; one sample unless it has a rule.
+    """Leave-one-out tests of what is independent of errors of the inputs, see SequentialBank; of one sample unless it has a
+    rule.
 
     NotApplicableError for a plant without an input that moves a reading within a step from x0.
     """
@@ -52,9 +54,9 @@ class UnknownInputFilter(SequentialBank):
                 "detector that takes its inputs as known"
             )
 
-    def _joint(self, now: Moment, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
+    def _joint(self, now: TimeStep, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
         joint = super()._joint(now, before, prior, u, usable)
-        moved, effect = self._input_jacobians(now.last, now.t, before, u)
+        moved, effect = self._input_jacobians(now.t_start, now.t, before, u)
         shown = effect**2 / self.plant.sensor_cov[:, None]
         information = np.sum(shown, axis=-2)
         seen = (information > 0) & (np.sum(shown * usable[..., None], axis=-2) > SEEN * information)
@@ -63,23 +65,24 @@ class UnknownInputFilter(SequentialBank):
         g_t, f_t = np.swapaxes(g, -1, -2), np.swapaxes(f, -1, -2)
         return joint._replace(P=joint.P + g @ g_t, S=joint.S + f @ f_t, C=joint.C + g @ f_t)
 
-    def _input_jacobians(self, last: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
-        return input_jacobians(self.plant, last, t, x, u, self._complex_step)
+    def _input_jacobians(self, t_start: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+        return input_jacobians(self.plant, t_start, t, x, u, self._complex_step)
 
     @cached_property
     def _complex_step(self) -> bool:
         return complex_step_in_inputs(self.plant)
 
 
-def input_jacobians(plant: Plant, last: float, t: float, x: Array, u: Array, exact: bool) -> tuple[Array, Array]:
-    """G (..., n, m) of a step over [last, t] from states x (..., n) under inputs u (..., m), F (..., N, m) of its readings; 0
-    where the model has no number. exact: by the complex step; otherwise by central differences.
+def input_jacobians(plant: Plant, t_start: float, t: float, x: Array, u: Array, exact: bool) -> tuple[Array, Array]:
+    """G (..., n, m) of a step over [t_start, t] from states x (..., n) under inputs u (..., m), F (..., N, m) of its readings.
+
+    0 where the model has no number. exact: by the complex step; otherwise by central differences.
     """
     count = u.shape[-1]
     start = np.broadcast_to(plant.guard(x)[0][..., None, :], (*x.shape[:-1], count, x.shape[-1]))
 
     def shown(inputs: Array) -> tuple[Array, Array]:
-        after = plant.step(last, start, inputs, t - last)
+        after = plant.step(t_start, start, inputs, t - t_start)
         return after, plant.output(t, after, inputs)
 
     if exact:
@@ -99,7 +102,7 @@ def input_scale(plant: Plant) -> Array:
 
 
 def complex_step_in_inputs(plant: Plant) -> bool:
-    """Whether the complex step differentiates step and output by the inputs: not so for abs, sign, interp and the like of them.
+    """Whether the complex step differentiates step and output by the inputs: not for abs, sign, interp and similar functions.
 
     At points within a tenth of `input_scale` about the usual input, under which a step from x0 is one of the operation's.
     """

@@ -1,4 +1,4 @@
-"""The diagnosers of a plant's areas behind the face of one: readings (B, N) go to those who own the sensors."""
+"""The diagnosers of a plant's areas with the interface of one: each reading (B, N) goes to the area that owns its sensor."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class AreaDiagnosers:
-    """The local diagnosers of a plant that says its areas; the core is `Diagnosers`.
+    """The local diagnosers of a plant that states its areas; their memory is `Diagnosers`.
 
     ValueError where the plant's states or inputs are not those of its areas, or a sensor has no place in them.
     """
@@ -57,19 +57,19 @@ class AreaDiagnosers:
         chosen: Array = np.concatenate([np.zeros(count * n, bool), sides])[self._place]
         return chosen
 
-    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]:
-        """At the plant's x0 and initial covariance; copies at open ties know nothing."""
+    def start(self, batch: tuple[int, ...], seed: int) -> Diagnosers:
+        """At the plant's x0 and initial covariance; copies at open ties are unknown."""
         count, n, _ = self.areas.size
         neighbour, closed = self.areas.network.topology.neighbour, self.areas.network.closed
         x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
         now = initial_state(self.areas, batch)
         now.held[...], now.doubt[...] = x0, sigma
         now.held_shared[...], now.doubt_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
-        return tuple(now)
+        return now
 
-    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
+    def predict(self, memory: Diagnosers, now: TimeStep, u: Array) -> Outlook:
         count = self.areas.size[0]
-        ahead = predict(self.areas, Diagnosers(*core), u[..., :count], u[..., count:], self.lam, self.mode)
+        ahead = predict(self.areas, memory, u[..., :count], u[..., count:], self.lam, self.mode)
         deviation = self._of_sensors(ahead.deviation, ahead.deviation_shared)
         deviation = np.where(deviation < UNKNOWN**0.5, np.abs(self._scale) * deviation, np.inf)
         expected = self._scale * self._of_sensors(ahead.estimate, ahead.estimate_shared)
@@ -78,12 +78,12 @@ class AreaDiagnosers:
 
     def take(self, outlook: Outlook, y: Array) -> Taken:
         """After the readings y (B, N), NaN where missing or left out."""
-        core = take(outlook.inner, *self._of_areas(y / self._scale, np.nan))
-        return Taken(tuple(core), core.held.reshape(*core.held.shape[:-2], -1), None)
+        memory = take(outlook.inner, *self._of_areas(y / self._scale, np.nan))
+        return Taken(memory, memory.held.reshape(*memory.held.shape[:-2], -1), None)
 
-    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]:
+    def effects(self, memory: Diagnosers, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> tuple[Array, Array]:
         """As of PresentReadings: the equations at unit readings and unit residuals."""
-        doubt, doubt_shared = (a[rows][:, None] for a in core[2:4])
+        doubt, doubt_shared = memory.doubt[rows][:, None], memory.doubt_shared[rows][:, None]
         units = self._of_areas(np.eye(self._place.size), 0.0)
         nothing = np.zeros((len(doubt), self._place.size, self.areas.size[0]))
         still, none = np.zeros_like(units[0]), np.zeros_like(units[1])
@@ -96,11 +96,11 @@ class AreaDiagnosers:
             found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
 
-    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook:
-        """As of PresentReadings; states that nobody reads stay as they are."""
+    def freed(self, memory: Diagnosers, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook:
+        """As of PresentReadings; states that no sensor reads stay as they are."""
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape, size.shape[-1]))
-        absorbed[rows] = self.effects(core, outlook, now, u, rows)[0]
+        absorbed[rows] = self.effects(memory, outlook, now, u, rows)[0]
         less = np.sum(absorbed * size[..., None, :], axis=-1)
         more = np.sum(np.abs(absorbed) * doubt[..., None, :], axis=-1)
         ahead: Prediction = outlook.inner

@@ -1,17 +1,19 @@
-"""Which sensors explain the residuals: for each, the sizes of a constant fault that leave all it reaches within thresholds.
+"""Sensor faults that explain the residuals: the sizes of a constant fault by which all affected residuals are within limits.
 
-A fault b of sensor i that began at some time changes the residuals of this step and of the last one by known shares of b:
+A fault b of sensor i changes the residuals of the last step, then of this one, by known shares of b that depend on its onset:
 
-    it began now           not at all, then e_i
-    it began a step ago    e_i, then (1 - M + L) e_i
-    it began long ago      (1 - L)^-1 (1 - M) e_i at both
+    onset now           0, then e_i
+    onset a step ago    e_i, then (1 - M + L) e_i
+    onset long ago      (1 - L)^-1 (1 - M) e_i at both
 
-where M is what the readings of the last step have in the expected ones, and L what its residuals have in the present ones.
-Its reach is its own residual and those of which M or L depend on it: in a network, those of its area and of those who share.
-Each residual within its threshold of share b gives an interval of b; intersected over the reach and both steps they are the
-sizes that explain everything there. A sensor none of whose sizes does is excluded; if all are, the fault is none of these. Of
-those that are left and that explain an alarm the one with the largest log-likelihood ratio to no fault has the name, then the
-best of those whose reach does not touch that of the first, and so on: faults apart from each other are named at once.
+where M is the derivative of the expected readings by the readings of the last step, and -L that by its residuals. The reach
+of a sensor is its own residual and those for which M or L depend on it: in a network, those of its area and of the areas that
+share it.
+Each residual within its threshold of share b gives an interval of b; the intersection over the reach and both
+steps contains the sizes that explain all of these residuals. A sensor with an empty intersection is excluded; if all are, the
+fault is none of these. Of the sensors that are left and that explain an alarm, the one with the largest log-likelihood ratio
+to no fault is isolated, then the best of those whose reach does not overlap that of the first, and so on: faults far from each
+other are isolated in one step.
 """
 
 from __future__ import annotations
@@ -24,8 +26,8 @@ from numpy.typing import NDArray
 Array = NDArray[Any]
 
 
-class Evidence(NamedTuple):
-    """Residuals (R, N) of a step, NaN where not evaluated, their standard deviations and thresholds (inf: says nothing)."""
+class StepResiduals(NamedTuple):
+    """Residuals (R, N) of a step, NaN where not evaluated, their standard deviations and thresholds (inf: cannot judge yet)."""
 
     residual: Array
     deviation: Array
@@ -33,18 +35,20 @@ class Evidence(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """Whether a sensor is named, and of the best hypothesis of each the interval and the estimate of its fault, and whether it
-    began before now, so that the expected readings have a part in it; (R, N) each.
+    """Whether a sensor is isolated; of the best hypothesis of each the interval and the estimate of its fault; and whether it
+    began before now, so that it affects the expected readings; (R, N) each.
     """
 
-    named: Array
+    isolated: Array
     low: Array
     high: Array
     size: Array
     late: Array
 
 
-def explain(before: Evidence, now: Evidence, from_readings: Array, from_residuals: Array, suspects: Array) -> Explanation:
+def explain(
+    before: StepResiduals, now: StepResiduals, from_readings: Array, from_residuals: Array, suspects: Array
+) -> Explanation:
     """Explain R runs by suspects (R, N); from_readings M and from_residuals L (R, N, N)."""
     one = np.broadcast_to(np.eye(suspects.shape[-1]), from_readings.shape)
     reach = (one != 0) | (from_readings != 0) | (from_residuals != 0)
@@ -61,34 +65,34 @@ def explain(before: Evidence, now: Evidence, from_readings: Array, from_residual
 
 
 def _apart(gain: Array, reach: Array) -> Array:
-    """(R, N): the best, then the best of those whose reach does not touch that of one chosen."""
-    named = np.zeros(gain.shape, bool)
+    """(R, N): the best sensor, then the best of those whose reach does not overlap with that of one chosen."""
+    isolated = np.zeros(gain.shape, bool)
     runs, gain = np.arange(len(gain)), gain.copy()
     while np.any(gain > -np.inf):
         best = np.argmax(gain, axis=-1)
         found = gain[runs, best] > -np.inf
-        named[runs[found], best[found]] = True
+        isolated[runs[found], best[found]] = True
         touched = np.any(reach & reach[runs, :, best][:, :, None], axis=-2)
         gain = np.where(touched & found[:, None], -np.inf, gain)
-    return named
+    return isolated
 
 
 def _sizes(
-    before: Evidence, now: Evidence, share_before: Array, share_now: Array, reach: Array
+    before: StepResiduals, now: StepResiduals, share_before: Array, share_now: Array, reach: Array
 ) -> tuple[Array, Array, Array, Array]:
     """(R, N) each: interval of the faults that explain the residuals, the best of them, and twice its log-likelihood ratio."""
     residual, deviation, threshold = (np.concatenate(parts, axis=-1)[..., None] for parts in zip(before, now, strict=True))
     share = np.concatenate([share_before, share_now], axis=-2)
-    says = np.isfinite(residual) & np.isfinite(threshold) & np.concatenate([reach, reach], axis=-2)
+    known = np.isfinite(residual) & np.isfinite(threshold) & np.concatenate([reach, reach], axis=-2)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ends = (residual - threshold) / share, (residual + threshold) / share
         without = np.where(np.abs(residual) > threshold, -np.inf, np.inf)  # of no share: explained already, or never
         least = np.where(share == 0.0, -without, np.minimum(*ends))
         most = np.where(share == 0.0, without, np.maximum(*ends))
-    low = np.max(np.where(says, least, -np.inf), axis=-2)
-    high = np.min(np.where(says, most, np.inf), axis=-2)
-    weight = np.where(says, 1.0 / np.where(says, deviation, 1.0) ** 2, 0.0)
-    value = np.where(says, residual, 0.0)
+    low = np.max(np.where(known, least, -np.inf), axis=-2)
+    high = np.min(np.where(known, most, np.inf), axis=-2)
+    weight = np.where(known, 1.0 / np.where(known, deviation, 1.0) ** 2, 0.0)
+    value = np.where(known, residual, 0.0)
     square, product = np.sum(weight * share**2, axis=-2), np.sum(weight * share * value, axis=-2)
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.clip(product / square, low, high)

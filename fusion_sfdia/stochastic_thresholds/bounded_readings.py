@@ -1,11 +1,11 @@
-"""What errors within bounds can do to the readings predicted from the present ones: the adaptive thresholds of any plant.
+"""The effect of bounded errors on the readings predicted from the present ones: adaptive thresholds for any plant.
 
-Kougiatsos and Reppa 2024 bound residuals module by module, where a plant says its scalar equations (adaptive_threshold). Here
-the prediction of `present_readings` has a bound e of the error of each state in the place of its variance,
+Kougiatsos and Reppa 2024 bound residuals module by module, where a plant states its scalar equations (adaptive_threshold). Here
+the prediction of `present_readings` has a bound e of the error of each state instead of its variance,
 
     e+ = |F| e + w,   |y - y_hat| <= |H| e+ + d,   e = |1 - W H| e+ + |W| d        with W the gain, d and w the bounds of noise
 
-which is exact where the physics is linear, and of first order in the errors elsewhere: there it is no proof.
+which is exact where the physics is linear, and of first order in the errors elsewhere, where it is not a proof.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.covariance import diagonal
-from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, PresentReadings, Taken
+from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, PresentMemory, PresentReadings, Taken
 
 Array = NDArray[Any]
 
-ROUNDING = 1e-12  # relative, by which bounds are widened: far more than a step rounds
-WITHIN = 3.0  # standard deviations: the bound of what states no bound; ours
+ROUNDING = 1e-12  # relative, by which bounds are widened: far more than the rounding of a step
+WITHIN = 3.0  # standard deviations: the bound where none is stated; ours
 
 
 @dataclass(frozen=True)
 class BoundedReadings(PresentReadings):
-    """The diagnoser of a plant; the core has the bound e (B, n) last, and `deviation` is a bound of the residual, too."""
+    """The diagnoser of a plant whose memory has the bounds e; `deviation` is a bound of the residual, too."""
 
     @cached_property
     def _noise(self) -> Array:
@@ -44,34 +44,36 @@ class BoundedReadings(PresentReadings):
             return np.broadcast_to(plant.process_bound, (len(plant.states),)) * (dt / plant.dt)
         return np.asarray(WITHIN * np.sqrt(diagonal(plant.process_cov_over(dt))))
 
-    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]:
+    def start(self, batch: tuple[int, ...], seed: int) -> PresentMemory:
         """As of PresentReadings, with the bound of x0's error."""
         error = WITHIN * np.sqrt(diagonal(self.plant.initial_cov))
-        return *super().start(batch, seed), np.broadcast_to(error, (*batch, len(self.plant.states))).copy()
+        whole = np.broadcast_to(error, (*batch, len(self.plant.states))).copy()
+        return super().start(batch, seed)._replace(error=whole)
 
-    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
-        outlook = super().predict(core[:-1], now, u)
+    def predict(self, memory: PresentMemory, now: TimeStep, u: Array) -> Outlook:
+        outlook = super().predict(memory, now, u)
         every = np.ones(outlook.lost.shape, bool)
-        F = self._tangent(core, outlook, now, u, every)
-        error = _bounded(F, core[-1]) + self._disturbance(now.dt)
-        return self._widened(core, outlook, error)
+        F = self._tangent(memory, outlook, now, u, every)
+        error = _bounded(F, memory.error) + self._disturbance(now.dt)
+        return self._widened(memory, outlook, error)
 
     def take(self, outlook: Outlook, y: Array) -> Taken:
         taken = super().take(outlook, y)
-        W, H = taken.core[2], outlook.inner.readout
+        W, H = taken.memory.gain, outlook.inner.readout
         kept = np.eye(H.shape[-1]) - W @ H
-        return taken._replace(core=(*taken.core, _bounded(kept, outlook.inner.error) + np.abs(W) @ self._noise))
+        error = _bounded(kept, outlook.inner.error) + np.abs(W) @ self._noise
+        return taken._replace(memory=taken.memory._replace(error=error))
 
-    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook:
+    def freed(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook:
         error = outlook.inner.error
         rows = np.any(size != 0, axis=-1)
-        error[rows] += _bounded(self._tangent(core, outlook, now, u, rows) @ core[2][rows], doubt[rows])
-        return self._widened(core, super().freed(core[:-1], outlook, now, u, size, doubt), error)
+        error[rows] += _bounded(self._tangent(memory, outlook, now, u, rows) @ memory.gain[rows], doubt[rows])
+        return self._widened(memory, super().freed(memory, outlook, now, u, size, doubt), error)
 
-    def _widened(self, core: tuple[Array, ...], outlook: Outlook, error: Array) -> Outlook:
+    def _widened(self, memory: PresentMemory, outlook: Outlook, error: Array) -> Outlook:
         """The outlook with the bounds (B, N) of the residuals that follow from those of the states' errors (B, n)."""
         radius = (_bounded(outlook.inner.readout, error) + self._noise) * (1 + ROUNDING)
-        return outlook._replace(deviation=self.lam * core[4] + radius, inner=outlook.inner._replace(error=error))
+        return outlook._replace(deviation=self.lam * memory.deviation + radius, inner=outlook.inner._replace(error=error))
 
 
 def _bounded(matrix: Array, bound: Array) -> Array:

@@ -1,9 +1,10 @@
 """Detector: residuals of present readings with stochastic thresholds alpha s (Boem et al. 2018, "B18", sec. III).
 
-A plant that says its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
-other has one (present_readings). Sensors are isolated by the sizes of a constant fault that explain every residual that it
-reaches (bias_hypotheses), left out, and readmitted when healthy again (exclusion). B18 isolates no sensors: there a diagnoser
-needs nothing of others but brackets and drives; who names a sensor reads the residuals of its area and of those who share.
+A plant that states its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
+other plant has one diagnoser (present_readings). Sensors are isolated by the sizes of a constant fault that explain all
+residuals that it affects (bias_hypotheses), left out, and readmitted when they are healthy again (exclusion). B18 isolates no
+sensors: there a diagnoser needs only brackets and drives of others. Isolation of a sensor needs the residuals of its area and
+of the areas that share its variable.
 """
 
 from __future__ import annotations
@@ -11,20 +12,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, number, probability, shown, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, State, run
-from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, watch
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, readmit
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
-from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
+from fusion_sfdia.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
 from fusion_sfdia.stochastic_thresholds.bounded_readings import BoundedReadings
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
 from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, PresentReadings, Taken
@@ -42,37 +44,50 @@ Array = NDArray[Any]
 CUBATURE = SigmaPoints(alpha=1.0, beta=0.0)
 PAPER_ALPHA, PAPER_LAMBDA = 2.0, 0.3  # B18, sec. VIII
 AT_ONCE = 32  # runs whose alarms are explained together
-READMISSION = 1e-3  # probability with which a sensor that is still faulty comes back: exp(-level) of the evidence
+READMISSION = 1e-3  # probability with which a sensor that is still faulty is readmitted: exp(-level) of the evidence
 
 
-class Diagnosis(Protocol):
-    """What predicts readings and takes them: AreaDiagnosers or PresentReadings."""
+class Diagnoser(Protocol):
+    """What predicts readings and takes them: AreaDiagnosers (memory: Diagnosers) or PresentReadings (memory: PresentMemory)."""
 
-    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]: ...
-    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook: ...
+    def start(self, batch: tuple[int, ...], seed: int) -> Any: ...
+    def predict(self, memory: Any, now: TimeStep, u: Array) -> Outlook: ...
     def take(self, outlook: Outlook, y: Array) -> Taken: ...
-    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook: ...
-    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]: ...
+    def freed(self, memory: Any, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook: ...
+    def effects(self, memory: Any, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> tuple[Array, Array]: ...
+
+
+class ChebyshevMemory(NamedTuple):
+    """residual, deviation: (..., N) of the last readings, NaN where not evaluated or left out. exceeded: (..., N) steps in a
+    row for which each residual has exceeded its threshold. exclusion: the sensors that are left out. diagnoser: the memory of
+    what predicts the readings, Diagnosers of a plant with areas, PresentMemory of any other.
+    """
+
+    residual: Array
+    deviation: Array
+    exceeded: Array
+    exclusion: Exclusion
+    diagnoser: Any
 
 
 @dataclass(frozen=True)
 class Chebyshev(BatchDetector):
     """Stochastic thresholds; hypotheses are the sensors.
 
-    lam: filter parameter, 0 <= lam < 1: how much of a residual stays in the next; with 0 thresholds are as tight as can be.
+    lam: filter parameter, 0 <= lam < 1: the share of a residual that stays in the next; with 0 thresholds are tightest.
     mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
-    alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability with which
-    a diagnoser alarms falsely in a step, shared by its sensors. None of both: alpha = 2 of B18, 1 with the rule "bound", by
-    which thresholds are what noise within its bounds can do (bounded_readings, one diagnoser for the whole plant). The rule
-    "conformal" needs alpha, from `calibrated`.
+    alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability of
+    a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with the rule
+    "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole plant). The
+    rule "conformal" needs alpha, from `fit_thresholds`.
     moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
     cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
-    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is named.
-    max_faults: sensors that may be out at once (None: what the plant's redundancy allows); where more would be, none more is
-    named.
-    accommodate: leave named sensors out; without, nothing is isolated.
+    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
+    max_faults: sensors that may be out at once (None: what the plant's redundancy allows); no further sensor is isolated where
+    more would be out.
+    accommodate: leave out isolated sensors; without, nothing is isolated.
 
-    residual - threshold pairs are those of (13), y - y_hat with its mean taken out of the estimate, not of the thresholds.
+    residual and threshold are those of (13), y - y_hat with its mean subtracted from the estimate, not from the thresholds.
     ValueError for settings that do not fit.
     """
 
@@ -101,12 +116,29 @@ class Chebyshev(BatchDetector):
                 f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each follows from the other: give one"
             )
         if self.alpha is None and self.rule == CONFORMAL:
-            raise ValueError("the rule 'conformal' needs alpha from healthy data; use calibrated(detector, ...)")
-        self.diagnosis  # noqa: B018 - refuses a plant whose areas do not fit
+            raise ValueError(
+                "the rule 'conformal' needs alpha from healthy data; leave it out and call fit_thresholds(healthy)"
+            )
+        self.diagnoser  # noqa: B018 - refuses a plant whose areas do not fit
         self.alphas  # noqa: B018 - refuses an alpha by which nothing is claimed
 
+    def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
+        """The detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
+
+        healthy: as in `fit`. Each sensor has its share of the rate of false alarms per step of its diagnoser; the first
+        `warm_up` samples are left out. ValueError where there are too few of them.
+        """
+        whole("warm_up", warm_up, least=0)
+        probability("false_alarm", false_alarm)
+        t, y, u = as_log(self.plant, healthy)
+        plain = replace(self, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
+        _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
+        scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
+        alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(self.components)]
+        return replace(self, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None, threshold_scale=1.0)
+
     @cached_property
-    def diagnosis(self) -> Diagnosis:
+    def diagnoser(self) -> Diagnoser:
         """The plant's diagnosers."""
         if self.rule == BOUND:
             return BoundedReadings(self.plant, self.lam, self.moments)
@@ -142,40 +174,36 @@ class Chebyshev(BatchDetector):
         """(N,): `alphas` times threshold_scale."""
         return self.threshold_scale * self.alphas
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """Last residual and its standard deviation (N,), steps for which each residual has exceeded its threshold (N,), the
-        exclusions, and the core of the diagnosers.
-        """
+    def _start(self, batch: tuple[int, ...], seed: int) -> ChebyshevMemory:
         count = len(self.plant.sensors)
         shape = (*batch, count)
-        memory = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
-        return *memory, *none_excluded(batch, count), *self.diagnosis.start(batch, seed)
+        last = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
+        return ChebyshevMemory(*last, none_excluded(batch, count), self.diagnoser.start(batch, seed))
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
-        exceeded = core[2]
-        exclusion, inner = Exclusion(*core[3:8]), core[8:]
-        outlook = self.diagnosis.predict(inner, now, u)
+    def _judge(self, memory: ChebyshevMemory, now: TimeStep, y: Array, u: Array) -> tuple[ChebyshevMemory, Decision]:
+        exceeded, exclusion = memory.exceeded, memory.exclusion
+        outlook = self.diagnoser.predict(memory.diagnoser, now, u)
         expected, deviation = outlook.expected, outlook.deviation
         residual, threshold = y - expected, self.limits * deviation
         exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
         capped = np.zeros(y.shape[:-1], bool)
         if self.accommodate:
-            exclusion = watch(exclusion, residual, deviation**2, self.limits**2, -np.log(READMISSION))  # type: ignore[arg-type]
+            exclusion = readmit(exclusion, residual, deviation**2, self.limits**2, -np.log(READMISSION))  # type: ignore[arg-type]
             trusted = np.isfinite(y) & ~exclusion.out
             rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
             if np.any(rows):
-                named, absorbed, doubt = self._explained(core, outlook, now, u, rows, trusted, residual, threshold)
+                named, absorbed, doubt = self._explained(memory, outlook, now, u, rows, trusted, residual, threshold)
                 capped = np.any(named, axis=-1) & (np.sum(exclusion.out | named, axis=-1) > self.most_faults)
                 named &= ~capped[..., None]
                 if np.any(named & (absorbed != 0)):
                     faults = np.where(named, absorbed, 0.0), np.where(named, doubt, 0.0)
-                    outlook = self.diagnosis.freed(inner, outlook, now, u, *faults)
+                    outlook = self.diagnoser.freed(memory.diagnoser, outlook, now, u, *faults)
                 exclusion = exclude(exclusion, named, y - outlook.expected)
         used = np.where(exclusion.out, np.nan, y)
-        taken = self.diagnosis.take(outlook, used)
+        taken = self.diagnoser.take(outlook, used)
         decision = Decision(
             estimate=taken.estimate,
-            measured=np.where(np.isfinite(used), used, outlook.expected),
+            reconstruction=np.where(np.isfinite(used), used, outlook.expected),
             residual=residual,
             threshold=threshold,
             isolated=exclusion.out,
@@ -187,51 +215,34 @@ class Chebyshev(BatchDetector):
             capped=capped,
         )
         seen = np.where(exclusion.out, np.nan, residual)
-        return (seen, deviation, exceeded, *exclusion, *taken.core), decision
+        return ChebyshevMemory(seen, deviation, exceeded, exclusion, taken.memory), decision
 
     def _explained(
         self,
-        core: State,
+        memory: ChebyshevMemory,
         outlook: Outlook,
-        now: Moment,
+        now: TimeStep,
         u: Array,
         rows: Array,
         trusted: Array,
         residual: Array,
         threshold: Array,
     ) -> tuple[Array, Array, Array]:
-        """Which sensors explain the runs chosen by `rows`; of those whose fault began before now the least that explains, by
-        which their last readings erred too, and by how much it may be more (B, N).
+        """The sensors that explain the runs chosen by `rows`; of those whose fault began before now, which also affects their
+        last readings, the smallest fault that explains them, and by how much it may be larger (B, N).
         """
         named = np.zeros(trusted.shape, bool)
         absorbed, doubt = np.zeros(trusted.shape), np.zeros(trusted.shape)
         flat = np.flatnonzero(rows)
         for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
             few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
-            earlier = Evidence(core[0][few], core[1][few], self.limits * core[1][few])
-            said = np.where(trusted[few], residual[few], np.nan)
-            present = Evidence(said, threshold[few] / self.limits, threshold[few])
-            found = explain(earlier, present, *self.diagnosis.effects(core[8:], outlook, now, u, few), trusted[few])
-            named[few] = found.named
-            late = found.named & found.late
+            deviation_before = memory.deviation[few]
+            earlier = StepResiduals(memory.residual[few], deviation_before, self.limits * deviation_before)
+            judged = np.where(trusted[few], residual[few], np.nan)
+            present = StepResiduals(judged, threshold[few] / self.limits, threshold[few])
+            found = explain(earlier, present, *self.diagnoser.effects(memory.diagnoser, outlook, now, u, few), trusted[few])
+            named[few] = found.isolated
+            late = found.isolated & found.late
             absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
             doubt[few] = np.where(late, found.high - found.low, 0.0)
         return named, absorbed, doubt
-
-
-def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> Chebyshev:
-    """Return the detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
-
-    t (K,), y (K, ..., N), u (K, ..., m). Each sensor has its share of what its diagnoser may alarm falsely in a step; the
-    first `warm_up` samples are left out. ValueError where there are too few of them.
-    """
-    plain = replace(detector, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
-    whole("warm_up", warm_up, least=0)
-    probability("false_alarm", false_alarm)
-    t, y = floats("t", t), floats("y", y)
-    if t.ndim != 1 or not t.size or y.ndim < 2:
-        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; expected at least one time (K,) and readings (K, ..., sensors)")
-    _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - detector.plant.dt), t, y, u)
-    scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
-    alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(detector.components)]
-    return replace(detector, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None)

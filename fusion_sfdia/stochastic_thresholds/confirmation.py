@@ -1,13 +1,14 @@
 """Alarms from streams of normalised residuals z = residual / deviation: several in a row, cumulative sums, windows.
 
 Each has `start(shape)` -> state and `step(state, z)` -> (state, statistic), of any shape and elementwise, so streams, seeds
-and components may be mixed; it alarms where the statistic exceeds `level`. A missing z (NaN) changes nothing and alarms
-nothing. `run` is the loop over z (K, ...).
+and components may be mixed; it alarms where the statistic exceeds `level`. A missing z (NaN) changes nothing and raises
+no alarm. `run` is the loop over z (K, ...).
 
-What they promise. Of q alarms in a row, each is an alarm: their probability is at most that of one, 1 / alpha^2 by Chebyshev.
-Boem et al. 2018, Proposition 5, bound it by (1 / alpha^2)^q, with a proof that takes consecutive alarms for independent. They
-are not: neighbouring residuals share a reading and, with lam > 0, a memory; and that bound does not hold (a test). For a stated
-probability of any of the three set `level` to an order statistic of healthy runs (`threshold_rules.conformal_alpha`).
+False-alarm probability. Of q alarms in a row each is an alarm: their probability is at most that of one, 1 / alpha^2 by
+Chebyshev. Boem et al. 2018, Proposition 5, bound it by (1 / alpha^2)^q, with a proof that takes consecutive alarms for
+independent. They are not: neighbouring residuals share a reading and, with lam > 0, a memory; and that bound does not hold (a
+test). For a stated probability of any of the three set `level` to an order statistic of healthy runs
+(`threshold_rules.conformal_alpha`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ State = tuple[Array, ...]
 
 
 class SequentialTest(Protocol):
-    """What turns a stream into alarms."""
+    """A test of a stream of residuals."""
 
     @property
     def level(self) -> float: ...

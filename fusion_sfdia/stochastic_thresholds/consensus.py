@@ -1,7 +1,7 @@
 """The diagnosers of all areas of a network, one step at a time (Boem et al. 2018, sec. III; see consensus_equations).
 
-One loop stands for all diagnosers, but each number of an area is made of its own readings and of what its neighbours
-tell it: the drive of a state that they share, and the brackets of (6) and (15).
+One loop computes all diagnosers, but each number of an area depends only on its own readings and on what its neighbours
+send: the drive of a state that they share, and the brackets of (6) and (15).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MODES = ("corrected", "paper")
 
 
 class Diagnosers(NamedTuple):
-    """What the diagnosers keep: own (B, N, n) of each, then shared (B, 2E), of the copies at the sides.
+    """The memory of the diagnosers: own (B, N, n) of each, then shared (B, 2E), of the copies at the sides.
 
     held: the last readings, or the estimates where there were none. doubt: 0, or then a bound of the standard deviation of
     their errors. residual: y - x_hat, 0 where there was no reading. deviation: s, a bound of its standard deviation.
@@ -35,6 +35,14 @@ class Diagnosers(NamedTuple):
     deviation: Array
     deviation_shared: Array
 
+    @property
+    def own(self) -> tuple[Array, Array, Array, Array]:
+        return self.held, self.doubt, self.residual, self.deviation
+
+    @property
+    def shared(self) -> tuple[Array, Array, Array, Array]:
+        return self.held_shared, self.doubt_shared, self.residual_shared, self.deviation_shared
+
 
 class Prediction(NamedTuple):
     """For the next reading: estimate (6), deviation s of its residual (14, 15), doubt of the estimate itself."""
@@ -47,8 +55,21 @@ class Prediction(NamedTuple):
     doubt_shared: Array
 
 
+class NetworkReadings(NamedTuple):
+    """What a step of the diagnosers takes: own (B, N, n) and shared (B, 2E) readings, NaN where missing; reference and load
+    (B, N), which acted since the last readings. Of a part of the network those of its areas and sides.
+    """
+
+    own: Array
+    shared: Array
+    reference: Array
+    load: Array
+
+
 def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
-    """Diagnosers of a batch of runs that know nothing: each copy starts from its first reading, judged from the second on."""
+    """Diagnosers of a batch of runs without information: each copy starts from its first reading and is tested from the second
+    on.
+    """
     count, n, sides = areas.size
     own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
     unknown = np.full_like(own, UNKNOWN), np.full_like(shared, UNKNOWN)
@@ -60,7 +81,7 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
     count, n, sides = areas.size
-    of_areas, of_sides, inputs = now[::2], now[1::2], (reference, load)
+    of_areas, of_sides, inputs = now.own, now.shared, (reference, load)
     batch = np.broadcast_shapes(*{a.shape[:-2] for a in of_areas}, *{a.shape[:-1] for a in (*of_sides, *inputs)})
     own = [_flat(a, batch, (count, n)) for a in of_areas]
     shared = [_flat(a, batch, (sides,)) for a in of_sides]
@@ -77,7 +98,11 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
 def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
     kept = []
-    for y, estimate, deviation, doubt in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
+    own_and_shared = (
+        (own, predicted.estimate, predicted.deviation, predicted.doubt),
+        (shared, predicted.estimate_shared, predicted.deviation_shared, predicted.doubt_shared),
+    )
+    for y, estimate, deviation, doubt in own_and_shared:
         held, unsure, s = (
             np.array(a if a.shape == y.shape else np.broadcast_to(a, y.shape), order="C") for a in (estimate, doubt, deviation)
         )

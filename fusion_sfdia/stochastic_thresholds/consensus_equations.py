@@ -5,7 +5,7 @@ areas S = {i, neighbours of i} each read it with a sensor of their own, so an ar
 network) and z_j of each neighbour. With e the residual y - x_hat, lam the filter parameter:
 
     drive_i  = what z_i+ takes from all but z_i itself: row 0 of the model without its first term, of area i's readings.
-               One number, which area i tells the others of S; f_j(y_j) = a y_j + drive_i with a = F_i[0, 0] is then known to j.
+               One number, which area i sends to the others of S; with it j has f_j(y_j) = a y_j + drive_i, a = F_i[0, 0].
     (5)      x_hat+   = f(y) - lam e                                            of a state that is not shared
     (6)      z_hat_i+ = sum_j W_j (a y_j + drive_i - lam e_j)                    the same number for all of S, since
     (17)     W_j = (1 / v_j) / sum_S (1 / v)                                     does not depend on who uses it
@@ -14,8 +14,8 @@ network) and z_j of each neighbour. With e the residual y - x_hat, lam the filte
 On the right of (14) and (15) stands the threshold of the present step, as in (32), not that of the next as printed. Then
 s >= sd(e) by the triangle inequality of standard deviations, however the chi of different times correlate: e is a sum
 of lam^k chi, whose deviation is at most the sum of lam^k sd(chi). So 1 / alpha^2 bounds the false alarms of a component, as
-long as sd(chi) is what it is said to be. That needs noise which is white within one chi: it holds the readings' noise of two
-instants, whose variances are added below. Of noise that changes its sign at each reading both terms pull the same way:
+long as sd(chi) is correct. That needs noise that is white within one chi, which contains the readings' noise of two
+instants, whose variances are added below. For noise that changes its sign at each reading both terms have the same sign:
 sd(chi) is up to sqrt(2) times as large, and at alpha = 5 a component may alarm in 0.076 of the steps instead of 0.04.
 
 What (15) should be. Let z_i+ = a z_i + drive* + w, with the true drive, and y_j = z_i + r_j. Subtract (6) from
@@ -46,13 +46,13 @@ import numpy as np
 
 from fusion_sfdia.core.equation import compiled, equation
 
-UNKNOWN = 1e100  # a doubt beyond which nothing is known: such residuals are not judged
+UNKNOWN = 1e100  # a doubt from which on nothing is known: such residuals are not tested
 ENOUGH = UNKNOWN**0.5  # deviations below are of what is known
 
 
 @equation
 def noise_read(variance: Any, doubt: Any) -> Any:
-    """Noise variance of what stands for a reading: 0 where it is an estimate, which `doubt` > 0 says."""
+    """Noise variance of what stands for a reading: 0 where it is an estimate, that is, `doubt` > 0."""
     return variance * (doubt == 0.0)
 
 
@@ -64,7 +64,7 @@ def private_term(value: Any, residual: Any, lam: Any) -> Any:
 
 @equation
 def shared_term(held: Any, drive: Any, residual: Any, a: Any, lam: Any) -> Any:
-    """The bracket of (6), which an area tells the others who share: a y_j + drive - lam e_j."""
+    """The bracket of (6), which an area sends to the others that share: a y_j + drive - lam e_j."""
     return a * held + drive - lam * residual
 
 
@@ -108,7 +108,7 @@ def predict_areas(
     """Write estimates, deviations s and doubts for the next readings into the last six arrays (B, N, n), (B, 2E) by turns.
 
     held to deviation_shared: of consensus.Diagnosers, in this order; reference, load (B, N); printed: (15), (17) as printed.
-    matrices to opposite: of Areas; its sides may be followed by others, such as copies that are kept elsewhere. All who share
+    matrices to opposite: of Areas; its sides may be followed by others, such as copies that are kept elsewhere. All copies of
     z_i are treated with area i: it needs the copies at its sides and at their opposites, and writes the latter.
     """
     n = held.shape[2]
@@ -184,7 +184,7 @@ def take_readings(y: Any, held: Any, doubt: Any, residual: Any, s: Any) -> None:
     for k in range(y.size):
         if np.isfinite(y[k]):
             known = s[k] < ENOUGH
-            residual[k] = y[k] - held[k] if known else 0.0  # a copy that knew nothing starts here
+            residual[k] = y[k] - held[k] if known else 0.0  # a copy without information starts here
             held[k], doubt[k] = y[k], 0.0
             if not known:
                 s[k] = 0.0

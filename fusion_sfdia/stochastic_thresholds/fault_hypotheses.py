@@ -1,11 +1,11 @@
-"""Which fault an area has: an estimator with thresholds for each fault function of a named set (Boem et al. 2018, "B18",
+"""The fault of an area: an estimator with thresholds for each fault function of a given set (Boem et al. 2018, "B18",
 sec. IV, the generalised observer scheme).
 
-With hypothesis l area i goes by x+ = F x + b u + g e + phi_l(x, u, e) + w, e = sum_j P_ij z_j - d, so (24) to (28) are the
-equations of its diagnoser (consensus_equations) for that model; what phi_l does to the shared first state the area tells those
-who read it. Var[Delta f + Delta phi_l] is of both at once, with their covariance in (26): by differences of phi_l over the
-deviations of the readings, exact where phi_l is affine and of first order elsewhere. On the right of (26) and (27) stand the
-thresholds of the present step, in (27) of area j, not i as printed.
+Under hypothesis l area i follows x+ = F x + b u + g e + phi_l(x, u, e) + w, e = sum_j P_ij z_j - d, so (24) to (28) are the
+equations of its diagnoser (consensus_equations) for that model; the area sends the effect of phi_l on the shared first state to
+the areas that read it. Var[Delta f + Delta phi_l] is of both at once, with their covariance in (26): by differences of phi_l
+over the deviations of the readings, exact where phi_l is affine and of first order elsewhere. On the right of (26) and (27)
+stand the thresholds of the present step, in (27) of area j, not i as printed.
 
 A hypothesis is excluded when, p steps in a row, a residual of the area's own readings exceeds its threshold alpha s. The answer
 is the one that is left, once its own residuals are within their thresholds; "none of these" when all are excluded; "not
@@ -15,8 +15,8 @@ Guaranteed, in mode "corrected": a residual of the true hypothesis exceeds its t
 of the rule (1 / alpha^2 by Chebyshev), any of n with n r. Of any p steps in a row one is a multiple of p, and all of them must
 alarm for an exclusion. So the true fault is excluded within T steps with probability at most floor(T / p) n r, however alarms
 depend on each other. (1 / alpha^2)^p (B18, Proposition 5) would need independence, which residuals that share a reading do not
-have. At alpha = 2, n = 4 this says nothing: take alpha from `exclusion_alpha`. It holds where the readings do not choose the
-start: an alarm chooses those of which the first residuals are made. A step later all noise in them is new.
+have. At alpha = 2, n = 4 the bound exceeds 1: take alpha from `exclusion_alpha`. It holds where the start does not depend on
+the readings: an alarm selects the readings that enter the first residuals. A step later all noise in them is new.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class FaultHypotheses:
 
     @property
     def answers(self) -> tuple[str, ...]:
-        """The hypotheses, then what else `answer` may say."""
+        """The hypotheses, then the other results of `answer`."""
         return (*self.faults, NONE, NOT_ISOLATED, UNDECIDED)
 
     @cached_property
@@ -130,7 +130,9 @@ class FaultHypotheses:
         return Isolation(z, z, z, z, np.zeros(shape, int), np.zeros(shape, bool), np.full(runs, -1))
 
     def begin(self, state: Isolation, runs: Array, now: Diagnosers) -> Isolation:
-        """Start in the runs chosen by (B,) truth values, anew if need be, from what the diagnosers hold after their alarm."""
+        """Start, or start again, in the runs chosen by (B,) truth values, from the memory of the diagnosers after their
+        alarm.
+        """
         chosen = np.asarray(runs, bool)[:, None, None]
         return Isolation(
             np.where(chosen, self._of_area(now.held, now.held_shared), state.held),
@@ -168,8 +170,8 @@ class FaultHypotheses:
         calm = np.take_along_axis(state.exceeded, one[:, None], axis=-1)[:, 0] == 0
         late = state.age >= self.patience
         named = (count == 1) & (calm | late) & (state.age >= self.confirmations)
-        said: Array = np.select([count == 0, named, late], [none, one, none + 1], none + 2)
-        return said
+        answers: Array = np.select([count == 0, named, late], [none, one, none + 1], none + 2)
+        return answers
 
     def _of_area(self, own: Array, shared: Array) -> Array:  # (B, 1, m)
         return np.concatenate([own[:, self._area], shared[:, self._there]], axis=-1)[:, None]
@@ -238,9 +240,9 @@ class FaultHypotheses:
         values, slopes = [], []
         for one, phi in enumerate(self.faults.values()):
             points = np.concatenate([x[:, one], e], axis=-1)[:, None] + shifts
-            told = np.asarray(phi(points[..., :n], np.broadcast_to(u, points.shape[:-1]), points[..., n]), float)
-            values.append(told[:, 0])
-            slopes.append(np.swapaxes(told[:, 1 : n + 2] - told[:, n + 2 :], -1, -2) / (2 * width))
+            found = np.asarray(phi(points[..., :n], np.broadcast_to(u, points.shape[:-1]), points[..., n]), float)
+            values.append(found[:, 0])
+            slopes.append(np.swapaxes(found[:, 1 : n + 2] - found[:, n + 2 :], -1, -2) / (2 * width))
         return np.stack(values, axis=1), np.stack(slopes, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""Moments of a nonlinear model by random draws, where B18 would have them (Assumption 4: "Monte Carlo methods")."""
+"""Moments of a nonlinear model by random draws, as B18 suggests (Assumption 4: "Monte Carlo methods")."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from fusion_sfdia.core.arguments import Array, whole
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import gaussian
-from fusion_sfdia.filters.estimators import Core, Prior, Reading, guarded_points, readings_of
+from fusion_sfdia.filters.estimators import Core, GaussianState, Prior, Reading, guarded_points, readings_of
 from fusion_sfdia.filters.gaussian import Joint
 
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """Mean and covariance of `draws` Gaussian points; a standard deviation errs by about 1 / sqrt(2 draws) of itself.
+    """Mean and covariance of `draws` Gaussian points; a standard deviation has a relative error of about 1 / sqrt(2 draws).
 
     The draws of a step are those of its seed and time, the same for all runs of a batch.
     """
@@ -32,16 +32,16 @@ class MonteCarlo:
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
         n = plant.x0.size
         p = np.broadcast_to(gaussian.dense(plant.initial_cov), (*batch, n, n))
-        return np.broadcast_to(plant.x0, (*batch, n)).copy(), p.copy()
+        return GaussianState(np.broadcast_to(plant.x0, (*batch, n)).copy(), p.copy())
 
-    def predict(self, plant: Plant, core: Core, t: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        start, moved = plant.guard(core[0])
-        points = self._points(start, core[1], rng.standard_normal((self.draws, start.shape[-1])))
-        _, ahead, any_moved, stuck, lost = guarded_points(plant, t, points, u, dt)
+    def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
+        start, moved = plant.guard(core.x)
+        points = self._points(start, core.P, rng.standard_normal((self.draws, start.shape[-1])))
+        _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, points, u, dt)
         mean, spread = _centred(ahead)
         p = gaussian.add(gaussian.symmetrise(np.swapaxes(spread, -1, -2) @ spread), plant.process_cov_over(dt))
         further = rng.standard_normal((self.draws, start.shape[-1]))  # for `joint`, which has no generator
-        return Prior((mean, p), moved | any_moved | stuck, lost, propagated=further)
+        return Prior(GaussianState(mean, p), moved | any_moved | stuck, lost, propagated=further)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
@@ -52,7 +52,7 @@ class MonteCarlo:
         return Joint(x, p, mean, S, np.swapaxes(_centred(points)[1], -1, -2) @ spread)
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
-        return x, p
+        return GaussianState(x, p)
 
     def _points(self, x: Array, p: Array, normal: Array) -> Array:
         points: Array = x[..., None, :] + normal @ np.swapaxes(gaussian.square_root(p), -1, -2)

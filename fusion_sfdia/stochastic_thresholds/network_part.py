@@ -1,8 +1,9 @@
 """A part of a large network: a contiguous block of areas with its diagnosers, and what crosses its border at each step.
 
-A part treats the states of its areas with all their copies, also those that areas elsewhere read: it is given these readings
-too, and tells the others what became of the copies. So each step of a part needs one message from each neighbouring part, of
-four numbers for every copy at the border, and gives the bits that the whole network gives in one process on a like processor.
+A part computes the states of its areas with all their copies, also those that areas in other parts read: it receives these
+readings too, and sends the results for the copies to the other parts. Each step of a part needs one message from each
+neighbouring part, of four numbers for every copy at the border, and gives the same bits as the whole network in one process on
+a processor of the same kind.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.stochastic_thresholds import consensus_equations
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers
+from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings
 
 Array = NDArray[Any]
 
 
-class Block(NamedTuple):
-    """What a part knows of the network, which it keeps for life; all positions but the last three lines' are its own.
+class PartLayout(NamedTuple):
+    """The network as a part has it, constant over time. All positions are its own, except those of `areas` and `sides`.
 
     matrices to opposite: as of consensus_equations.predict_areas, for M areas and their sides, then the copies read elsewhere.
-    border: its sides at which the neighbour is elsewhere; it is told of these. near: the first of the copies read elsewhere.
-    areas: first and past last area of the network. sides: the network's sides, in the order of the part's.
+    border: its sides at which the neighbour is in another part, from which it receives these. near: the first of the copies
+    read elsewhere. areas: first and past last area of the network. sides: the network's sides, in the order of the part's.
     """
 
     matrices: Array
@@ -42,7 +43,7 @@ class Block(NamedTuple):
     sides: Array
 
 
-def blocks(areas: Areas, parts: int) -> list[Block]:
+def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
     """The network in so many blocks of equal size; ValueError for less than one part or more parts than areas."""
     count = areas.size[0]
     if not 1 <= parts <= count:
@@ -57,7 +58,7 @@ def blocks(areas: Areas, parts: int) -> list[Block]:
         sides = np.concatenate([np.arange(first, past), other[elsewhere]])
         opposite = np.where(elsewhere, past - first + np.cumsum(elsewhere) - 1, other - first)
         found.append(
-            Block(
+            PartLayout(
                 areas.matrices[lo:hi].copy(), areas.slope[sides], areas.network.closed[sides],
                 areas.process_variance[lo:hi].copy(), areas.noise[lo:hi].copy(), areas.shared_noise[sides],
                 at.start[lo : hi + 1] - first, opposite, np.flatnonzero(elsewhere), past - first, (lo, hi), sides,
@@ -66,53 +67,53 @@ def blocks(areas: Areas, parts: int) -> list[Block]:
     return found
 
 
-def routes(parts: Sequence[Block]) -> list[Array]:
-    """For each part: where what it has to be told stands among the copies of all parts that are read elsewhere."""
-    told = np.concatenate([p.sides[p.near :] for p in parts])
-    order = np.argsort(told)
-    return [order[np.searchsorted(told, p.sides[p.border], sorter=order)] for p in parts]
+def routes(parts: Sequence[PartLayout]) -> list[Array]:
+    """For each part: the positions of what it receives among the copies of all parts that are read elsewhere."""
+    sent = np.concatenate([p.sides[p.near :] for p in parts])
+    order = np.argsort(sent)
+    return [order[np.searchsorted(sent, p.sides[p.border], sorter=order)] for p in parts]
 
 
-def share(block: Block, state: Diagnosers) -> Diagnosers:
-    """The part of the whole network's diagnosers that a block keeps."""
-    lo, hi = block.areas
-    return Diagnosers(*((a[:, lo:hi] if a.ndim == 3 else a[:, block.sides]).copy(order="C") for a in state))
+def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
+    """The part of the whole network's diagnosers that a layout keeps."""
+    lo, hi = layout.areas
+    return Diagnosers(*((a[:, lo:hi] if a.ndim == 3 else a[:, layout.sides]).copy(order="C") for a in state))
 
 
-def at_borders(parts: Sequence[Block], state: Diagnosers) -> Array:
-    """(4, B, K): held, doubt, residual, deviation of the copies read elsewhere, one part's after the other's."""
-    return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state[1::2]]) for p in parts], axis=-1)
+def at_borders(parts: Sequence[PartLayout], state: Diagnosers) -> Array:
+    """(4, B, K): held, doubt, residual, deviation of the copies read elsewhere, part after part."""
+    return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state.shared]) for p in parts], axis=-1)
 
 
 class Part:
-    """The diagnosers of a block for a batch of B runs, from its share of their state; two sets of arrays take turns."""
+    """The diagnosers of a layout for a batch of B runs, from its share of their state; two sets of arrays take turns."""
 
-    def __init__(self, block: Block, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
-        self.block, self.alpha, self.lam, self.printed = block, alpha, lam, printed
+    def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
+        self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
         self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
 
-    def step(self, told: Array, own: Array, shared: Array, reference: Array, load: Array) -> tuple[Array, Array, Array]:
-        """One step: alarms of its areas (B, M), of the copies read elsewhere (B, K), and what became of these (4, B, K).
+    def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
+        """One step: alarms of its areas (B, M), of the copies read elsewhere (B, K), and the results for these (4, B, K).
 
-        told (4, B, border): held, doubt, residual, deviation that others tell after the step before. own (B, M, n), shared
-        (B, its sides and the copies read elsewhere): readings. reference, load (B, M).
+        received (4, B, border): held, doubt, residual, deviation, from other parts after the step before. given: of its M
+        areas; shared readings at its sides, then of the copies read elsewhere.
         """
-        b, state = self.block, self._now
-        for a, new in zip(state[1::2], told, strict=True):
+        b, state = self.layout, self._now
+        for a, new in zip(state.shared, received, strict=True):
             a[:, b.border] = new
         after = self._before
         consensus_equations.step_areas(
-            *state, reference, load, self.lam, self.printed, b.matrices, b.slope, b.closed, b.process_variance, b.noise,
-            b.shared_noise, b.start, b.opposite, own, shared, *after,
+            *state, given.reference, given.load, self.lam, self.printed, b.matrices, b.slope, b.closed, b.process_variance,
+            b.noise, b.shared_noise, b.start, b.opposite, given.own, given.shared, *after,
         )  # fmt: skip
-        after.residual_shared[:, b.border] = 0.0  # until they are told
+        after.residual_shared[:, b.border] = 0.0  # until they are received
         self._now, self._before = after, state
         alarm = consensus_equations.find_alarms(
             after.residual, after.residual_shared, after.deviation, after.deviation_shared, self.alpha, b.start
         )
-        copies = np.stack([a[:, b.near :] for a in after[1::2]])
+        copies = np.stack([a[:, b.near :] for a in after.shared])
         return alarm, np.abs(copies[2]) > self.alpha * copies[3], copies
 
     def kept(self) -> Diagnosers:
-        """What it keeps; of its border sides only once it is told."""
+        """Its memory; complete at the border sides only after the next `received`."""
         return self._now

@@ -1,10 +1,10 @@
-"""One diagnoser of a whole plant: what the readings will be, predicted from the present readings alone.
+"""One diagnoser of a whole plant: the next readings, predicted from the present readings alone.
 
-Boem et al. 2018 ("B18") predict x+ = f(y, u) with y in the place of the state, so an old reading has no part in it. Here so
-for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). A state that
-is not read now, for its sensor is missing, left out or does not exist, is estimated from its own past by the Kalman gain.
-The moments E and Var of f(x) - f(y) come with the covariance of what stands for the state, which for directly read states is
-that of their sensors' noise. With W the gain and R the noise:
+Boem et al. 2018 ("B18") predict x+ = f(y, u) with y instead of the state, so that old readings do not enter. The same is done
+here for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). A state
+that is not read now, because its sensor is missing, left out or does not exist, is estimated from its past by the Kalman gain.
+The moments E and Var of f(x) - f(y) follow from the covariance of the state or of the readings in its place, which for directly
+read states is that of their sensors' noise. With W the gain and R the noise:
 
     x_bar = x + W (y - E[y]),   P_bar = (1 - W H) P (1 - W H)' + W R W'      for any gain, Joseph's form
     y_hat = E[y+] - lam (y - y_hat),   s+ = lam s + sqrt(Var[y+])             (5), (14)
@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.batch_detector import Moment
+from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import gaussian
-from fusion_sfdia.filters.estimators import Estimator, Prior, step_stream
+from fusion_sfdia.filters.estimators import Estimator, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 
 Array = NDArray[Any]
@@ -41,10 +41,24 @@ class Outlook(NamedTuple):
     inner: Any
 
 
-class Taken(NamedTuple):
-    """The core after readings, and the state estimate (B, n) with its covariance, or None where there is none."""
+class PresentMemory(NamedTuple):
+    """What stands for the state: x_bar (B, n) and P_bar (B, n, n); the gain W (B, n, N) by which readings entered it; residual
+    y - y_hat and deviation s (B, N) of the last readings, 0 where missing; error: bounds e (B, n) of the error of x_bar where
+    they are kept, otherwise (B, 0).
+    """
 
-    core: tuple[Array, ...]
+    x: Array
+    P: Array
+    gain: Array
+    residual: Array
+    deviation: Array
+    error: Array
+
+
+class Taken(NamedTuple):
+    """The memory after readings, and the state estimate (B, n) with its covariance, or None where there is none."""
+
+    memory: Any
     estimate: Array
     covariance: Array | None
 
@@ -53,12 +67,12 @@ class _Inner(NamedTuple):
     prior: Prior
     joint: Joint
     readout: Array
-    error: Array | None = None  # bounds of the states' errors, for those who keep them
+    error: Array | None = None  # bounds of the states' errors, where they are kept
 
 
 @dataclass(frozen=True)
 class PresentReadings:
-    """The diagnoser of a plant: core x_bar (B, n), P_bar (B, n, n), gain (B, n, N), residual and deviation (B, N)."""
+    """The diagnoser of a plant; its memory is a PresentMemory."""
 
     plant: Plant
     lam: float
@@ -73,19 +87,20 @@ class PresentReadings:
         alone = np.sum(h != 0, axis=1) == 1
         return np.where(named & alone, np.swapaxes(h, 0, 1), 0.0)
 
-    def start(self, batch: tuple[int, ...], seed: int) -> tuple[Array, ...]:
+    def start(self, batch: tuple[int, ...], seed: int) -> PresentMemory:
         """At the plant's x0 and initial covariance."""
         n, count = len(self.plant.states), len(self.plant.sensors)
         x = np.broadcast_to(self.plant.x0, (*batch, n)).copy()
         P = np.broadcast_to(gaussian.dense(self.plant.initial_cov), (*batch, n, n)).copy()
-        return x, P, np.zeros((*batch, n, count)), np.zeros((*batch, count)), np.zeros((*batch, count))
+        of_sensors = np.zeros((*batch, count))
+        return PresentMemory(x, P, np.zeros((*batch, n, count)), of_sensors, of_sensors.copy(), np.zeros((*batch, 0)))
 
-    def predict(self, core: tuple[Array, ...], now: Moment, u: Array) -> Outlook:
-        x, P, _, residual, deviation = core
-        prior = self.moments.predict(self.plant, (x, P), now.last, u, now.dt, step_stream(now.seed, 2 * now.k))
+    def predict(self, memory: PresentMemory, now: TimeStep, u: Array) -> Outlook:
+        state = GaussianState(memory.x, memory.P)
+        prior = self.moments.predict(self.plant, state, now.t_start, u, now.dt, step_stream(now.seed, 2 * now.k))
         joint = self.moments.joint(self.plant, prior, now.t, u)
-        expected = joint.y - self.lam * residual
-        ahead = self.lam * deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
+        expected = joint.y - self.lam * memory.residual
+        ahead = self.lam * memory.deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
         readout = self.plant.output_jacobian_at(now.t, joint.x, u)
         lost = prior.lost | broken(joint.x, joint.P)
         return Outlook(expected, ahead, prior.guarded, lost, _Inner(prior, joint, readout))
@@ -113,34 +128,35 @@ class PresentReadings:
             P = gaussian.symmetrise(P)
         residual = np.where(used, y - outlook.expected, 0.0)
         deviation = np.where(used, outlook.deviation, 0.0)
-        return Taken((estimate, P, W, residual, deviation), estimate, P)
+        error = np.zeros((*estimate.shape[:-1], 0))
+        return Taken(PresentMemory(estimate, P, W, residual, deviation, error), estimate, P)
 
-    def freed(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, size: Array, doubt: Array) -> Outlook:
-        """The outlook without what the last readings of some sensors put into it, faults of that size and doubt (B, N) or 0."""
+    def freed(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook:
+        """The outlook without the effect of faults in the last readings: their size and uncertainty `doubt` (B, N), or 0."""
         rows = np.any(size != 0, axis=-1)
-        absorbed = np.zeros((*size.shape[:-1], *core[2].shape[-2:]))
-        absorbed[rows] = self._tangent(core, outlook, now, u, rows) @ core[2][rows]
+        absorbed = np.zeros((*size.shape[:-1], *memory.gain.shape[-2:]))
+        absorbed[rows] = self._tangent(memory, outlook, now, u, rows) @ memory.gain[rows]
         prior, joint, readout, error = outlook.inner
         spread = absorbed * doubt[..., None, :]
         x, P = joint.x - np.sum(absorbed * size[..., None, :], axis=-1), joint.P + spread @ np.swapaxes(spread, -1, -2)
-        joint = self.moments.joint(self.plant, prior._replace(core=(x, P)), now.t, u)
-        expected = joint.y - self.lam * np.where(size != 0, 0.0, core[3])
-        ahead = self.lam * core[4] + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
+        joint = self.moments.joint(self.plant, prior._replace(core=GaussianState(x, P)), now.t, u)
+        expected = joint.y - self.lam * np.where(size != 0, 0.0, memory.residual)
+        ahead = self.lam * memory.deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
         return outlook._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout, error))
 
-    def _tangent(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> Array:
+    def _tangent(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> Array:
         """F (R, n, n) of the runs chosen by `rows`, or (n, n) of all."""
         tangent = outlook.inner.prior.tangent
         if tangent is None:
-            return self.plant.step_jacobian_at(now.last, self.plant.guard(core[0][rows])[0], u[rows], now.dt)
+            return self.plant.step_jacobian_at(now.t_start, self.plant.guard(memory.x[rows])[0], u[rows], now.dt)
         chosen: Array = tangent[rows] if tangent.ndim > 2 else tangent
         return chosen
 
-    def effects(self, core: tuple[Array, ...], outlook: Outlook, now: Moment, u: Array, rows: Array) -> tuple[Array, Array]:
+    def effects(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> tuple[Array, Array]:
         """For the runs chosen by `rows` (B,), (R, N, N): how much more is expected of each reading for one more unit in each
         reading of the last step, and how much less for one more in each residual of it.
         """
         readout = outlook.inner.readout
         H = readout[rows] if readout.ndim > 2 else readout
-        from_readings = np.asarray(H @ (self._tangent(core, outlook, now, u, rows) @ core[2][rows]))
+        from_readings = np.asarray(H @ (self._tangent(memory, outlook, now, u, rows) @ memory.gain[rows]))
         return from_readings, np.broadcast_to(self.lam * np.eye(H.shape[-2]), from_readings.shape)

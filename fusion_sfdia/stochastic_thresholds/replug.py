@@ -1,12 +1,12 @@
-"""A network that changes between two steps: the same detector on the changed plant, with all it knew that is still so.
+"""A network that changes between two steps: the same detector on the changed plant, with the memory that is still valid.
 
 Boem et al. 2018, sec. VI. Call it after the step at which areas join or leave, before the next: the last transition was still
-that of the old network. Models, weights and thresholds change of the states of those areas and of their neighbours, of these
-wherever they are shared; all other numbers keep their bits.
+that of the old network. Models, weights and thresholds change for the states of those areas and of their neighbours, wherever
+they are shared; all other numbers keep their bits.
 
-    a tie that opens    its two copies are forgotten: they no longer count, and nothing is held against their sensors
-    a tie that closes   its two copies start as any do, from their first reading, and are judged from the next on
-    an area alone       goes on with its own readings
+    a tie that opens    its two copies are reset: they no longer count, and their sensors are no longer isolated
+    a tie that closes   its two copies start from their first reading, as at the beginning, and are tested from the next on
+    an area alone       continues with its own readings
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.core.detector import State
+from fusion_sfdia.core.exclusion import Exclusion
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State
 from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
-from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev, ChebyshevMemory
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 
@@ -31,8 +32,8 @@ Array = NDArray[Any]
 def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, State]:
     """Return the detector on the changed plant, and its state; the given ones stay as they are, also where this fails.
 
-    ValueError where the plant has other states or sensors (an area that is away has them still, unread), or other areas than
-    the same in another network, and for a state of another detector.
+    ValueError where the plant has other states or sensors (an area that is unplugged still has them, without readings), or
+    other areas than the same in another network, and for a state of another detector.
     """
     now = detector.plant
     if plant.sensor_names != now.sensor_names or [s.name for s in plant.states] != [s.name for s in now.states]:
@@ -49,12 +50,17 @@ def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, 
             )
         return after, state
     opened = opened_sides(now.structure.areas, plant.structure.areas)
-    assert isinstance(after.diagnosis, AreaDiagnosers)
-    gone = after.diagnosis.at_sides(opened)
-    head, memory, exclusion, inner = state[:4], state[4:7], state[7:12], state[12:]
-    memory = tuple(np.where(gone, fresh, a) for a, fresh in zip(memory, (np.nan, np.inf, 0.0), strict=True))
-    exclusion = tuple(np.where(gone, np.zeros((), a.dtype), a) for a in exclusion)
-    return after, (*head, *memory, *exclusion, *forgotten(Diagnosers(*inner), opened))
+    assert isinstance(after.diagnoser, AreaDiagnosers)
+    gone = after.diagnoser.at_sides(opened)
+    memory: ChebyshevMemory = state.memory
+    kept = ChebyshevMemory(
+        residual=np.where(gone, np.nan, memory.residual),
+        deviation=np.where(gone, np.inf, memory.deviation),
+        exceeded=np.where(gone, 0.0, memory.exceeded),
+        exclusion=Exclusion(*(np.where(gone, np.zeros((), a.dtype), a) for a in memory.exclusion)),
+        diagnoser=forgotten(memory.diagnoser, opened),
+    )
+    return after, state._replace(memory=kept)
 
 
 def opened_sides(before: Areas, after: Areas) -> Array:
@@ -67,7 +73,7 @@ def opened_sides(before: Areas, after: Areas) -> Array:
 
 
 def forgotten(now: Diagnosers, sides: Array) -> Diagnosers:
-    """The diagnosers without what they knew at some sides (2E,); held values stay where they were, in doubt."""
+    """The diagnosers without their information at some sides (2E,); held values stay, with unknown error."""
     return now._replace(
         doubt_shared=np.where(sides, UNKNOWN, now.doubt_shared),
         residual_shared=np.where(sides, 0.0, now.residual_shared),

@@ -1,4 +1,4 @@
-"""How many standard deviations a residual may have: rules that turn a false-alarm probability into alpha, and back.
+"""The limit of a residual in standard deviations: rules between a false-alarm probability and alpha.
 
 For a residual of mean 0 and standard deviation at most s, alarming where |residual| > alpha s:
 
@@ -30,7 +30,7 @@ Array = NDArray[Any]
 
 
 class Rule(NamedTuple):
-    """false_alarm(alpha), alpha(false_alarm); alpha must be larger than `least`, where the claim becomes empty."""
+    """false_alarm(alpha), alpha(false_alarm); alpha must be larger than `least`, at which the probability is 1 or more."""
 
     false_alarm: Callable[[Any], Any]
     alpha: Callable[[Any], Any]
@@ -53,7 +53,7 @@ def require_rule(rule: object) -> None:
 
 
 def require_alpha(rule: str, alpha: object) -> float:
-    """Return alpha; ValueError where it is no number by which the rule claims anything (alpha <= 1 of Chebyshev)."""
+    """Return alpha; ValueError where the rule makes no claim with it (alpha <= 1 of Chebyshev)."""
     value, least = number("alpha", alpha), RULES[rule].least if rule in RULES else 0.0
     if not least < value < np.inf:
         raise ValueError(
@@ -63,17 +63,21 @@ def require_alpha(rule: str, alpha: object) -> float:
 
 
 def false_alarm_of(rule: str, alpha: float) -> float:
-    """The largest false-alarm probability of a component under alpha; ValueError for `conformal`, which alpha does not tell."""
+    """The largest false-alarm probability of a component under alpha; ValueError for `conformal`, where alpha does not
+    determine it.
+    """
     require_rule(rule)
     if rule == BOUND:
         return 0.0
     if rule == CONFORMAL:
-        raise ValueError("a conformal alpha does not tell its false-alarm probability; it is what it was calibrated for")
+        raise ValueError(
+            "a conformal alpha does not determine its false-alarm probability; it is the one that it was calibrated for"
+        )
     return float(RULES[rule].false_alarm(require_alpha(rule, alpha)))
 
 
 def alpha_for(rule: str, false_alarm: float, components: int = 1) -> float:
-    """The alpha by which a diagnoser of so many components alarms falsely with at most this probability in a step.
+    """The alpha with which a diagnoser of so many components has at most this false-alarm probability in a step.
 
     Bonferroni: each component has false_alarm / components, however they correlate. ValueError for a probability that is not
     strictly between 0 and 1, and for `conformal`, which is calibrated.
@@ -93,7 +97,7 @@ def conformal_alpha(scores: Array, false_alarm: float) -> Array:
 
     A further score exceeds it with probability at most false_alarm, for any M and any distribution, if it is exchangeable with
     the M; scores that follow each other in time are so only roughly: take them far apart, or from different runs. NaN scores
-    count as the largest. ValueError for less than 1 / false_alarm - 1 of them, from which nothing follows.
+    count as the largest. ValueError for fewer than 1 / false_alarm - 1 of them, which determine no limit.
     """
     probability("false_alarm", false_alarm)
     scores = floats("scores", scores)

@@ -10,16 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, probability, shown, whole
-from fusion_sfdia.core.batch_detector import BatchDetector, Moment
-from fusion_sfdia.core.detector import Decision, NotApplicableError, State, check_reading
+from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
+from fusion_sfdia.core.detector import Decision, NotApplicableError, check_reading
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import mapped
 from fusion_sfdia.structural_residuals.selection import reads, selected
 from fusion_sfdia.structural_residuals.sequences import Sequences
 from fusion_sfdia.structural_residuals.structure import Residual, modules_of
@@ -27,6 +29,17 @@ from fusion_sfdia.structural_residuals.structure import Residual, modules_of
 Array = NDArray[Any]
 
 CONTRADICTION = 1e6  # standard deviations: the residual of readings at which the equations have no value
+
+
+class StructuralMemory(NamedTuple):
+    """x: (..., R, S) the states that each residual integrates, SI. In sensor units (..., N): last, the last readings, NaN where
+    missing; held, the last that there were; trusted, the last reconstruction. The two latter are nominal at first.
+    """
+
+    x: Array
+    last: Array
+    held: Array
+    trusted: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +52,8 @@ class StructuralResiduals(BatchDetector):
 
     isolated: the smallest diagnosis of the residuals beyond their limits, of at most max_faults sensors, where there is one
     alone; none where several are as small. A silent residual clears no sensor: how much of a fault it shows depends on the
-    equations and on time. measured: of named and missing readings the value computed without them, or else the last
-    trusted, at first nominal. fault_size: reading less measured. No state is estimated: estimate is the plant's x0.
+    equations and on time. reconstruction: of isolated and missing readings the value computed without them, or else the last
+    trusted, at first nominal. fault_size: reading less reconstruction. No state is estimated: estimate is the plant's x0.
     """
 
     residuals: tuple[Residual, ...]
@@ -63,9 +76,9 @@ class StructuralResiduals(BatchDetector):
         whole("max_faults", self.max_faults, least=1)
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, u: Array, false_alarm: float = 1e-3, max_faults: int = 3) -> StructuralResiduals:
-        """The selected residuals with limits from healthy readings y (K, ..., N), plant.dt apart, under inputs u (K, ..., m),
-        at a rate of false alarms per step over all residuals.
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
+        """The selected residuals with limits from healthy readings, plant.dt apart, in any form that `as_log` takes, at a rate
+        of false alarms per step over all residuals.
 
         A limit is the residual's unit times a common factor. Of every other sample in time: the unit is the order statistic
         that the residual exceeds with its share of the rate. Of the rest: the factor is the order statistic of the largest
@@ -76,7 +89,12 @@ class StructuralResiduals(BatchDetector):
         probability("false_alarm", false_alarm)
         if not (residuals := selected(plant)):
             raise NotApplicableError(f"plant {plant.name!r} has no residual that its own equations can compute; add sensors")
-        watcher = cls(plant, residuals, np.ones(len(residuals)), max_faults)
+        t, y, u = as_log(plant, healthy)
+        if not np.allclose(np.diff(t), plant.dt, rtol=1e-6, atol=8 * np.spacing(np.max(np.abs(t)))):
+            raise ValueError(
+                f"the healthy readings are not {plant.dt:g} s apart, the step of plant {plant.name!r}; resample them"
+            )
+        watcher = cls(plant, residuals, np.ones(len(residuals)), **settings)
         size = np.abs(watcher.trace(y, u)).reshape(len(y), -1, len(residuals))
         units, rest = (part[np.all(np.isfinite(part), axis=-1)] for part in (size[::2], size[1::2]))
         if len(rest) * false_alarm < 1 or not len(units):
@@ -95,11 +113,11 @@ class StructuralResiduals(BatchDetector):
         if y.ndim < 2 or not y.size or u.shape[:1] != y.shape[:1]:
             raise ValueError(f"y has shape {y.shape}, u {u.shape}; expected (K, ..., sensors) and (K, ..., inputs)")
         batch = y.shape[1:-1]
-        core, found = self._start((int(np.prod(batch)),), 0), []
+        memory, found = self._start((int(np.prod(batch)),), 0), []
         for reading, applied in zip(y, u, strict=True):
             checked = check_reading(self.plant, reading, applied, batch)
             now, acting = (a.reshape(-1, a.shape[-1]) for a in checked)
-            core, residual, _ = self._follow(core, self.plant.dt, now, acting)
+            memory, residual, _ = self._follow(memory, self.plant.dt, now, acting)
             found.append(residual.reshape(*batch, -1))
         return np.stack(found)
 
@@ -138,15 +156,15 @@ class StructuralResiduals(BatchDetector):
         found[[variables.index(s.measures) for s in self.plant.sensors]] = (y / self.plant.sensor_scale).T
         return found
 
-    def _start(self, batch: tuple[int, ...], seed: int) -> State:
-        """States of the residuals (R, S), and readings (N,): the last, NaN where missing, the last there, the last trusted."""
+    def _start(self, batch: tuple[int, ...], seed: int) -> StructuralMemory:
         modules, n = modules_of(self.plant), self._nominal
         x = np.tile([modules.nominal[v] for v in modules.states], (len(self.residuals), 1))
-        return tuple(np.broadcast_to(a, (*batch, *a.shape)).copy() for a in (x, np.full_like(n, np.nan), n, n))
+        start = StructuralMemory(x, np.full_like(n, np.nan), n, n)
+        return StructuralMemory(*(np.broadcast_to(a, (*batch, *a.shape)).copy() for a in start))
 
-    def _follow(self, core: State, dt: float, y: Array, u: Array) -> tuple[State, Array, Array]:
-        """The core after readings y (B, N) under u (B, m), the residuals and the computed values of their targets (B, R)."""
-        x, before, held, good = core
+    def _follow(self, memory: StructuralMemory, dt: float, y: Array, u: Array) -> tuple[StructuralMemory, Array, Array]:
+        """The memory after readings y (B, N) under u (B, m), the residuals and the computed values of their targets (B, R)."""
+        x, before, held, trusted = memory
         now = np.where(np.isfinite(y), y, held)
         si, acting = self._by_variable(now), np.ascontiguousarray(u.T)
         states = np.ascontiguousarray(np.moveaxis(x, 0, -1))
@@ -158,31 +176,31 @@ class StructuralResiduals(BatchDetector):
         missing = (np.isnan(y)[:, None] & self._reads).any(axis=-1)
         residual = (now[:, self._target] - computed) / self.plant.sensor_sigma[self._target]
         residual = np.where(missing, np.nan, np.where(np.isfinite(residual), residual, CONTRADICTION))
-        return (np.moveaxis(states, -1, 0).copy(), y.copy(), now, good), residual, computed
+        return StructuralMemory(np.moveaxis(states, -1, 0).copy(), y.copy(), now, trusted), residual, computed
 
-    def _judge(self, core: State, now: Moment, y: Array, u: Array) -> tuple[State, Decision]:
+    def _judge(self, memory: StructuralMemory, now: TimeStep, y: Array, u: Array) -> tuple[StructuralMemory, Decision]:
         batch, n = y.shape[:-1], y.shape[-1]
-        flat = tuple(a.reshape(-1, *a.shape[len(batch) :]) for a in core)
+        flat = mapped(lambda a: a.reshape(-1, *a.shape[len(batch) :]), memory)
         y, u = y.reshape(-1, n), u.reshape(-1, u.shape[-1])
-        (x, before, held, good), residual, computed = self._follow(flat, now.dt, y, u)
+        followed, residual, computed = self._follow(flat, now.dt, y, u)
         limits = self.limits * self.threshold_scale
         ratio = np.where(np.isfinite(residual), np.abs(residual) / limits, -1.0)
         isolated = self._diagnosed(ratio > 1)
         shown = np.argmax(np.where(self._reads, ratio[..., None], -2.0), axis=1)
         sigma, read = self.plant.sensor_sigma, self._reads.any(axis=0)
-        measured = self._accommodated(y, good, isolated | np.isnan(y), computed)
+        reconstruction = self._accommodated(y, followed.trusted, isolated | np.isnan(y), computed)
         decision = {
             "estimate": np.broadcast_to(self.plant.x0, (len(y), self.plant.x0.size)).copy(),
-            "measured": measured,
+            "reconstruction": reconstruction,
             "residual": np.where(read, np.take_along_axis(residual, shown, axis=1) * sigma, np.nan),
             "threshold": np.where(read, limits[shown] * sigma, np.inf),
             "isolated": isolated,
-            "fault_size": np.where(isolated, y - measured, np.nan),
+            "fault_size": np.where(isolated, y - reconstruction, np.nan),
             "diverged": np.zeros(len(y), bool),
             "guarded": np.zeros(len(y), bool),
             "nis": np.full(len(y), np.nan),
         }
-        after = tuple(a.reshape(*batch, *a.shape[1:]) for a in (x, before, held, measured))
+        after = mapped(lambda a: a.reshape(*batch, *a.shape[1:]), followed._replace(trusted=reconstruction))
         return after, Decision(**{name: a.reshape(*batch, *a.shape[1:]) for name, a in decision.items()})
 
     def _diagnosed(self, fired: Array) -> Array:
@@ -198,12 +216,12 @@ class StructuralResiduals(BatchDetector):
             rows = rows[count == 0]
         return found
 
-    def _accommodated(self, y: Array, good: Array, lost: Array, computed: Array) -> Array:
+    def _accommodated(self, y: Array, trusted: Array, lost: Array, computed: Array) -> Array:
         """Readings (B, N), the lost ones from the first residual that computes them without lost ones, or the last good."""
-        measured = np.where(lost, good, y)
+        reconstruction = np.where(lost, trusted, y)
         for k in reversed([k for k, r in enumerate(self.residuals) if not r.target_is_read]):
             i, others = self._target[k], self._reads[k].copy()
             others[i] = False
             known = ~(lost & others).any(axis=-1) & np.isfinite(computed[:, k])
-            measured[:, i] = np.where(lost[:, i] & known, computed[:, k], measured[:, i])
-        return measured
+            reconstruction[:, i] = np.where(lost[:, i] & known, computed[:, k], reconstruction[:, i])
+        return reconstruction

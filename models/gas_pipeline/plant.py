@@ -161,10 +161,10 @@ class _Pipe:
     c: PipelineParameters
     stencil: Array
 
-    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         return self._advance(equations.advance, x, u, dt)
 
-    def step_jacobian(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         require_dense(self.nodes)
         return self._advance(equations.advance_tangent, x, u, dt)
 

@@ -166,11 +166,11 @@ class _Compiled:
     law: bool
     substeps: int
 
-    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         parts = self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
         batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         result: Array = equations.advance(
-            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, self.parameters_at(t), self.law
+            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, self.parameters_at(t_start), self.law
         )
         return result.reshape(*batch, len(STATES))
 

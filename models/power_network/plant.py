@@ -125,13 +125,13 @@ class _Running:
     condition: Callable[[float], NetworkCondition]
     profile: Callable[[float], Array]
 
-    def step(self, t: float, x: Array, u: Array, dt: float) -> Array:
+    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         n = self.n
-        after = self.condition(t).step(x.reshape(*x.shape[:-1], n, 4), u[..., :n], u[..., n:])
+        after = self.condition(t_start).step(x.reshape(*x.shape[:-1], n, 4), u[..., :n], u[..., n:])
         return after.reshape(*after.shape[:-2], 4 * n)
 
-    def step_jacobian(self, t: float, x: Array, u: Array, dt: float) -> Array:
-        return self.condition(t).true.matrices[0]
+    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        return self.condition(t_start).true.matrices[0]
 
     def operation(self, t: float) -> Array:
         return np.tile(self.profile(t), 2)

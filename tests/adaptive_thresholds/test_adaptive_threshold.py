@@ -99,7 +99,7 @@ def test_missing_readings_widen_and_never_alarm() -> None:
     y[50:150, :, 1::2] = np.nan
     y[200] = np.nan
     d = judge(DETECTOR, y, recording)
-    assert not d.alarm.any() and np.isnan(d.residual[60, :, 1::2]).all() and np.isfinite(d.measured).all()
+    assert not d.alarm.any() and np.isnan(d.residual[60, :, 1::2]).all() and np.isfinite(d.reconstruction).all()
 
 
 def test_what_is_refused() -> None:

@@ -161,7 +161,7 @@ def test_every_pattern_of_the_engine_is_explained():
 # equations of the paper
 
 
-def test_an_agent_fires_where_the_papers_17_says():
+def test_an_agent_fires_where_17_of_the_paper_states():
     """D_chi = 1 where the local diagnosis set holds a fault sent to or received from another agent."""
     for agent in AGENTS.values():
         own = {m: K24_LOCAL[m] for m in agent.modules}

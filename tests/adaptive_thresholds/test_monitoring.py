@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, into_envelope, monitor, verdict
+from fusion_sfdia.core.modules import Modules
 
 Array = NDArray[Any]
 DT = 0.1
@@ -23,16 +24,22 @@ def z_alone(x: Array, c: Any) -> Array:
     return 0.5 * x
 
 
+def modules(equations: dict[str, Any]) -> Modules:
+    return Modules(
+        equations=equations, rates=SETTINGS.rates, nominal={"x": 10.0, "z": 5.0}, parameters=0.1, inputs=("v",),
+        names={"x": "M1", "z": "M2"}, gains={"x": 0.5},
+    )  # fmt: skip
+
+
 def step(before: list[float], settings: Settings = SETTINGS, x: float = 10.5) -> list[float]:
     equations = {"x": EQUATIONS["x"], "z": z_alone}
     reading, u = np.array([[10.2, 5.1]]), np.array([[1.0]])
-    found = monitor(
-        equations, ("x", "z", "v"), 0.1, np.array([[x]]), np.array([[0.4]]), np.array([before]), reading, u, DT, settings
-    )
+    m = modules(equations)
+    found = monitor(m, np.array([[x]]), np.array([[0.4]]), np.array([before]), reading, u, DT, settings)
     return [float(a[0, 0]) for a in found]
 
 
-def test_a_step_of_an_observer_by_hand() -> None:
+def test_a_step_of_an_observer_checked_by_hand() -> None:
     """x' = h - 0.2 x + 0.5 (y - x), h = 3 z - v - 0.1 x: z in [4.8, 5.3] over the step, x in [9.9, 10.5] with the estimate."""
     lam = np.exp(-0.7 * DT)
     held = (1 - lam) / 0.7
@@ -67,7 +74,7 @@ def test_what_is_not_proved_and_what_rounds_widens_bounds() -> None:
     assert step([10.0, 5.0], loose)[2:] == pytest.approx([5.05 - slack, 5.15 + slack], rel=1e-12)
 
 
-def test_boxes_by_hand() -> None:
+def test_boxes_checked_by_hand() -> None:
     low, high = box(np.array([[1.0, np.nan]]), np.array([[2.0, 7.0]]), np.array([[3.0]]), SETTINGS)
     np.testing.assert_allclose(low, [[0.9, -45.0, 3.0]])
     np.testing.assert_allclose(high, [[2.1, 55.0, 3.0]])
@@ -78,7 +85,7 @@ def test_boxes_by_hand() -> None:
     np.testing.assert_array_equal(high, [[0.0, 55.0, 1e9]])
 
 
-def test_a_verdict_by_hand() -> None:
+def test_a_verdict_checked_by_hand() -> None:
     """Sensors of the state in kilo-units, of the other variable, and of the state again; the last has fired before."""
     y = np.array([[0.012, 5.0, np.nan], [0.0104, np.nan, 10.0]])
     x, state_bound, lower, upper = (
@@ -91,11 +98,11 @@ def test_a_verdict_by_hand() -> None:
     scale = np.array([-1e-3, 1.0, 1.0])
     y[:, 0] *= -1
     found = verdict(y, x, state_bound, lower, upper, extra, np.array([0, 1, 0]), scale, fired, 2.0)
-    residual, threshold, measured, firing, lost = found
+    residual, threshold, reconstruction, firing, lost = found
     np.testing.assert_allclose(residual[0], [-2e-3, 0.5, np.nan], rtol=1e-12)
     np.testing.assert_allclose(threshold, [[1.5e-3, 2 * (0.5 + 0.1), 1.5]] * 2, rtol=1e-12)
-    np.testing.assert_allclose(measured[0], [-0.012, 5.0, 10.0], rtol=1e-12)
-    np.testing.assert_allclose(measured[1], [-0.0104, 4.5, 10.0], rtol=1e-12)
+    np.testing.assert_allclose(reconstruction[0], [-0.012, 5.0, 10.0], rtol=1e-12)
+    np.testing.assert_allclose(reconstruction[1], [-0.0104, 4.5, 10.0], rtol=1e-12)
     assert firing.tolist() == [[True, False, True], [False, False, False]]
     assert lost.tolist() == [False, True]
 
@@ -131,7 +138,7 @@ def test_an_equation_without_a_value_is_evaluated_in_the_envelope() -> None:
     z, x = -3.0, -2.8
     given = np.array([[10.5]]), np.array([[0.4]]), np.array([[10.0, z]]), np.array([[x, z]]), np.array([[1.0]])
     with np.errstate(invalid="ignore"):
-        found = monitor(equations, ("x", "z", "v"), 0.1, *given, DT, settings)
+        found = monitor(modules(equations), *given, DT, settings)
     lam = np.exp(-0.7 * DT)
     held = (1 - lam) / 0.7
     ahead, root = lam * 10.5 + held * (np.sqrt(3.0) + 0.5 * 10.0), np.sqrt(8.0)

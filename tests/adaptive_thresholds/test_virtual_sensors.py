@@ -13,7 +13,8 @@ from toy_plants import changed, readings, tanks
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
-from fusion_sfdia.core.detector import Decision, State, run
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.state import State
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.models.marine_engine.plant import marine_engine
@@ -105,17 +106,17 @@ def test_reconstructed_readings_keep_the_neighbours_silent() -> None:
     np.testing.assert_array_equal(fed.isolated.any(axis=0), np.broadcast_to(np.arange(10) == TORQUE, (10, 10)))
     neighbours = np.delete(fed.scores, TORQUE, axis=-1)
     assert neighbours.max() <= 1
-    error = np.abs(fed.measured - recording.signal)[100:, :, TORQUE]
+    error = np.abs(fed.reconstruction - recording.signal)[100:, :, TORQUE]
     assert error.max() < 0.6 * 3.8e4  # what is left of the interval and the noise; see the scenario for the usual error
 
 
-def test_healthy_readings_accuse_nobody() -> None:
+def test_healthy_readings_isolate_no_sensor() -> None:
     recording = healthy(500, 20)
     for detector in (DETECTOR, replace(DETECTOR, learning_rates=RATES, intersect=False)):
         _, decision, interval = watch(detector, recording, recording.y)
         assert not decision.isolated.any() and np.isnan(decision.fault_size).all() and decision.scores.max() <= 1
         assert np.isinf(interval.lo).all() and np.isinf(interval.hi).all()
-        np.testing.assert_array_equal(decision.measured, recording.y)
+        np.testing.assert_array_equal(decision.reconstruction, recording.y)
 
 
 def test_an_empty_intersection_is_no_constant_offset_and_the_sensor_counts_as_missing() -> None:
@@ -134,7 +135,7 @@ def test_an_empty_intersection_is_no_constant_offset_and_the_sensor_counts_as_mi
     # the algebraic modules have no memory: those of states still know what they read before
     algebraic = [i for i in others if ENGINE.sensors[i].measures not in ENGINE.structure.modules.states]  # type: ignore[union-attr]
     np.testing.assert_array_equal(drifting.threshold[-1][:, algebraic], missing.threshold[-1][:, algebraic])
-    np.testing.assert_array_equal(drifting.measured[-1, :, CHARGE], missing.measured[-1, :, CHARGE])
+    np.testing.assert_array_equal(drifting.reconstruction[-1, :, CHARGE], missing.reconstruction[-1, :, CHARGE])
     np.testing.assert_array_equal(drifting.fault_size[-1, :, CHARGE], drifting.residual[-1, :, CHARGE])
 
 
@@ -165,7 +166,7 @@ def test_a_single_run_is_stepped_without_a_batch() -> None:
     found = DETECTOR.fault_interval(state)
     assert found.shape == (10,) and decision.isolated[TORQUE]
     np.testing.assert_array_equal([found.lo, found.hi], [held.lo[-1, 1], held.hi[-1, 1]])
-    np.testing.assert_array_equal(decision.measured, whole.measured[-1, 1])
+    np.testing.assert_array_equal(decision.reconstruction, whole.reconstruction[-1, 1])
 
 
 def test_without_compiled_modules_it_is_the_same() -> None:
@@ -177,7 +178,7 @@ def test_without_compiled_modules_it_is_the_same() -> None:
     np.testing.assert_array_equal(one.isolated, other.isolated)
     # a hundred operations' rounding a step, as between the two drivers
     np.testing.assert_allclose(a.hi, b.hi, rtol=1e-10)
-    np.testing.assert_allclose(one.measured, other.measured, rtol=1e-10)
+    np.testing.assert_allclose(one.reconstruction, other.reconstruction, rtol=1e-10)
 
 
 def test_missing_readings_widen_and_are_replaced() -> None:
@@ -191,7 +192,7 @@ def test_missing_readings_widen_and_are_replaced() -> None:
     width = (interval.hi - interval.lo)[..., TORQUE]
     named = decision.isolated[-1] == (np.arange(10) == TORQUE)
     right = named.all(axis=-1)
-    assert right.any() and np.isfinite(decision.measured).all()
+    assert right.any() and np.isfinite(decision.reconstruction).all()
     assert np.all(width[60:70, right].min(axis=0) > width[50:60, right].max(axis=0))
     np.testing.assert_array_equal(interval.lo[70:75, :, TORQUE], np.broadcast_to(interval.lo[69, :, TORQUE], (5, 5)))
     _, kept, held = watch(DETECTOR, recording, y)
@@ -247,4 +248,4 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="envelope names nothing"):
         VirtualSensors(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="no state of VirtualSensors"):
-        DETECTOR.fault_interval(DETECTOR.init()[:-1])
+        DETECTOR.fault_interval(DETECTOR.init()._replace(memory=()))

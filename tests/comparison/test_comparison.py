@@ -281,7 +281,7 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
         np.testing.assert_allclose(seen.runs[rows], silent_score(as_silent)[:, 0], rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(outcomes.alarm[rows], as_deployed.alarm[:, 0])
         np.testing.assert_array_equal(outcomes.isolated[rows], as_deployed.isolated[:, 0, : len(plant.sensors)])
-        np.testing.assert_allclose(outcomes.measured[rows], as_deployed.measured[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(outcomes.reconstruction[rows], as_deployed.reconstruction[:, 0], rtol=1e-9)
         np.testing.assert_allclose(outcomes.scores[rows], as_deployed.scores[:, 0], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(outcomes.fault_size[rows], as_deployed.fault_size[:, 0, : len(plant.sensors)], rtol=1e-9)
     np.testing.assert_allclose(seen.trunk, silent_scores(quiet, recording), rtol=1e-9, atol=1e-9)

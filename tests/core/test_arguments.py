@@ -16,7 +16,7 @@ from fusion_sfdia.core.arguments import batch_shape, floats, number, probability
 from fusion_sfdia.core.detector import Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.evaluation.diagnose import diagnose
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.logs import write_log
@@ -24,11 +24,11 @@ from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
+from fusion_sfdia.named import diagnose
 
 PLANT = tanks()
 DETECTORS: list[Detector] = [
@@ -161,7 +161,7 @@ def test_a_start_that_makes_no_sense_is_named(detector: Detector) -> None:
         with pytest.raises(ValueError, match=message) as error:
             detector.init(**arguments)  # type: ignore[arg-type]
         one_line(error)
-    assert detector.init(3)[3].shape == (3,)  # type: ignore[arg-type]
+    assert detector.init(3).diverged.shape == (3,)  # type: ignore[arg-type]
 
 
 @every_detector
@@ -193,9 +193,10 @@ def test_the_state_of_another_detector_is_refused(detector: Detector) -> None:
     own = detector.init()
     others = [replace(d, plant=chain(3)) for d in DETECTORS if not isinstance(d, FusingBank)]  # type: ignore[type-var]
     strangers = [d.init() for d in (*others, *DETECTORS)]
-    foreign = [s for s in strangers if [np.shape(a) for a in s] != [np.shape(a) for a in own]]
+    foreign = [s for s in strangers if [a.shape for a in leaves(s)] != [a.shape for a in leaves(own)]]
     assert len(foreign) >= 7
-    for state in (*foreign, own[:-1], (), None, "state", own[3], detector.init((2,))[:-1] + own[-1:]):
+    broken = own[:-1], own._replace(memory=()), detector.init((2,))._replace(memory=own.memory), tuple(leaves(own))
+    for state in (*foreign, *broken, (), None, "state", own.diverged):
         with pytest.raises(
             ValueError, match=rf"no state of {type(detector).__name__} on plant 'two-tanks' .*; take it from"
         ) as error:
@@ -241,8 +242,8 @@ def test_runs_and_calibrations_take_lists_and_name_what_does_not_fit() -> None:
         run(detector, detector.init(), *lists)[1].estimate, run(detector, detector.init(), t, y, u)[1].estimate
     )
     bank = FusingBank(PLANT, Extended())
-    assert calibrate(bank, *lists, false_alarm=0.2).thresholds == calibrate(bank, t, y, u, false_alarm=0.2).thresholds
-    for read in (lambda *a: run(detector, detector.init(), *a), lambda *a: calibrate(bank, *a, false_alarm=0.2)):
+    assert bank.fit_thresholds(lists, 0.2).thresholds == bank.fit_thresholds((t, y, u), 0.2).thresholds
+    for read in (lambda *a: run(detector, detector.init(), *a), lambda *a: bank.fit_thresholds(a, 0.2)):
         for arguments in ((t, y[:-1], u), (t[:-1], y, u), (t, y, u[:-1]), (t[0], y, u)):
             with pytest.raises(ValueError, match="do not fit; expected") as error:
                 read(*arguments)
@@ -250,7 +251,7 @@ def test_runs_and_calibrations_take_lists_and_name_what_does_not_fit() -> None:
         with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers"):
             read("noon", y, u)
     with pytest.raises(ValueError, match="warm_up is -1; expected a whole number of at least 0"):
-        calibrate(bank, t, y, u, false_alarm=0.2, warm_up=-1)
+        bank.fit_thresholds((t, y, u), 0.2, warm_up=-1)
 
 
 def test_an_array_of_readings_is_not_written_to() -> None:
@@ -258,7 +259,7 @@ def test_an_array_of_readings_is_not_written_to() -> None:
     y: Array = np.ones(4)
     y.flags.writeable = False
     _, d = detector.step(detector.init(), 5.0, y, PLANT.input_at(0.0))
-    assert not np.shares_memory(d.measured, y)
+    assert not np.shares_memory(d.reconstruction, y)
 
 
 SECONDS = 5.0 * np.arange(1, 7)
@@ -285,7 +286,7 @@ def test_dates_are_not_read_as_seconds(dates: Any, tmp_path: Path) -> None:
         lambda: apply_faults(PLANT, dates, y, [Fault("l1", "bias", onset=10.0, magnitude=1.0)]),
         lambda: simulate(PLANT, dates, [0]),
         lambda: write_log(tmp_path / "log.csv", PLANT, dates, y, u),
-        lambda: calibrate(bank, dates, y, u),
+        lambda: bank.fit_thresholds((dates, y, u)),
     ):
         with pytest.raises(
             ValueError, match=r"expected an array of numbers: of dates the seconds since the first, .*timedelta64"

@@ -38,7 +38,7 @@ def test_a_possible_reading_resolves_its_noise_and_an_absurd_one_is_missing() ->
     np.testing.assert_allclose(largest_readings(converted), factor * limit, rtol=1e-14)
 
 
-def test_a_large_possible_reading_leaves_the_others_unblemished() -> None:
+def test_a_large_possible_reading_does_not_affect_the_others() -> None:
     """Its rounding stays below their noise: at a hundredth of the limit the others are judged as without it."""
     plant = chain(6)
     t, _, y, u = readings(plant, 40, 4, seed=1)

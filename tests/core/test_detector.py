@@ -17,7 +17,7 @@ def decision(residual: list[float], threshold: list[float], isolated: list[bool]
     count = len(residual)
     return Decision(
         estimate=np.zeros(2),
-        measured=np.zeros(count),
+        reconstruction=np.zeros(count),
         residual=np.array(residual),
         threshold=np.array(threshold),
         isolated=np.array(isolated),
@@ -82,8 +82,8 @@ def test_irregular_times_are_steps_of_their_own_length() -> None:
     short, _ = detector.step(detector.init(), 5.0, y, u)
     long, _ = detector.step(detector.init(), 10.0, y, u)
     later, _ = detector.step(detector.init((), 5.0), 10.0, y, u)
-    np.testing.assert_array_equal(short[-1], later[-1])  # the tanks do not know the hour
-    assert np.all(np.diagonal(long[-1]) > np.diagonal(short[-1]))  # more process noise
+    np.testing.assert_array_equal(short.memory.P, later.memory.P)  # the tanks do not know the hour
+    assert np.all(np.diagonal(long.memory.P) > np.diagonal(short.memory.P))  # more process noise
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_inputs_that_broadcast_fit(u_shape: tuple[int, ...]) -> None:
         ("pca", chain(1), "at least 2"),
     ],
 )
-def test_a_plant_that_lacks_what_a_method_needs_is_told_apart_from_other_errors(name: str, plant: Plant, message: str) -> None:
+def test_a_plant_that_lacks_what_a_method_needs_raises_its_own_error(name: str, plant: Plant, message: str) -> None:
     with pytest.raises(NotApplicableError, match=message):
         registry.detector(name, plant)
     assert issubclass(NotApplicableError, ValueError)

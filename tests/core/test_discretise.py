@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,20 +36,23 @@ def implicit(phi: Callable[..., Any], nominal: tuple[float, ...] = (1.0,)) -> Ph
     )
 
 
+def order_of(step: Callable[..., Any], slope: Callable[..., Any], start: np.ndarray, end: float, counts: list[int]) -> float:
+    """Order of step(slope, t, x, dt) from its largest errors at `end` after `counts` steps, by a line through logarithms."""
+    exact = solve_ivp(slope, (0, end), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    errors = []
+    for count in counts:
+        x, dt = start, end / count
+        for k in range(count):
+            x = step(slope, k * dt, x, dt)
+        errors.append(np.abs(x - exact).max())
+    return float(-np.polyfit(np.log(counts), np.log(errors), 1)[0])
+
+
 def test_runge_kutta_4_is_of_order_4() -> None:
     def slope(t: float, x: np.ndarray) -> np.ndarray:
         return np.stack([x[..., 1], -np.sin(x[..., 0]) + np.cos(t)], axis=-1)
 
-    start = np.array([0.5, 0.0])
-    exact = solve_ivp(slope, (0, 2), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    counts = np.array([10, 20, 40, 80])
-    errors = []
-    for count in counts:
-        x, dt = start, 2 / count
-        for k in range(count):
-            x = runge_kutta_4(slope, k * dt, x, dt)
-        errors.append(np.abs(x - exact).max())
-    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    order = order_of(runge_kutta_4, slope, np.array([0.5, 0.0]), 2.0, [10, 20, 40, 80])
     assert order == pytest.approx(4.0, abs=0.15)  # the next term of the error tilts the line by its share at 10 steps
 
 
@@ -65,16 +69,7 @@ def test_the_exponential_midpoint_rule_is_of_order_2() -> None:
     def slope(t: float, x: np.ndarray) -> np.ndarray:
         return np.stack([np.cos(x[..., 1] + t), 50 * np.sin(x[..., 0])], axis=-1) - decay * x
 
-    start = np.array([0.5, 0.5])
-    exact = solve_ivp(slope, (0, 1), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    counts = np.array([80, 160, 320, 640])
-    errors = []
-    for count in counts:
-        x, dt = start, 1 / count
-        for k in range(count):
-            x = exponential_midpoint(slope, k * dt, x, dt, decay)
-        errors.append(np.abs(x - exact).max())
-    order = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    order = order_of(partial(exponential_midpoint, decay=decay), slope, np.array([0.5, 0.5]), 1.0, [80, 160, 320, 640])
     assert order == pytest.approx(2.0, abs=0.15)  # the stiff state's next terms tilt the line by their share at 80 steps
 
 

@@ -9,7 +9,7 @@ import pytest
 from rounding import rounding
 from scipy.stats import norm
 
-from fusion_sfdia.core.exclusion import MEMORY, QUIET, Exclusion, exclude, none_excluded, watch
+from fusion_sfdia.core.exclusion import MEMORY, QUIET, Exclusion, exclude, none_excluded, readmit
 
 LIMIT, LEVEL = 9.0, 4.0  # three standard deviations; a likelihood ratio of e^4
 
@@ -27,11 +27,11 @@ class Sensor:
     def exclude(self, size: float) -> None:
         self.out, self.size, self.samples, self.evidence, self.quiet = True, size, 1, 0.0, 0
 
-    def watch(self, error: float, variance: float) -> None:
+    def readmit(self, error: float, variance: float) -> None:
         if not self.out or np.isnan(error):
             return
         deviation = np.sqrt(variance)
-        if error**2 > LIMIT * variance:  # no healthy sensor reads this: whatever spoke for it is void
+        if error**2 > LIMIT * variance:  # no healthy sensor reads this: its evidence is void
             self.evidence, self.quiet = 0.0, 0
         else:
             assumed = self.size if abs(self.size) > deviation else np.copysign(deviation, self.size)
@@ -67,9 +67,9 @@ def test_readmission_is_the_literal_one() -> None:
     near = rounding(30**2, steps)
     for k in range(steps):
         held = np.array([literal[i].evidence for i in np.ndindex(batch)]).reshape(batch)
-        before, now = now, watch(now, e[k], variance[k], LIMIT, LEVEL)
+        before, now = now, readmit(now, e[k], variance[k], LIMIT, LEVEL)
         for i, sensor in literal.items():
-            sensor.watch(e[k][i], variance[k][i])
+            sensor.readmit(e[k][i], variance[k][i])
         readmitted += int(np.sum(before.out & ~now.out))
         voided += int(np.sum((held > 1.0) & now.out & (now.evidence == 0.0)))
         now = exclude(now, faulty[k], e[k])
@@ -84,22 +84,22 @@ def test_readmission_is_the_literal_one() -> None:
     assert readmitted > 50 and voided > 20
 
 
-def test_an_implausible_reading_voids_what_spoke_for_the_sensor() -> None:
+def test_an_implausible_reading_voids_the_evidence_of_health() -> None:
     """Fault of 10: a healthy reading weighs (10^2 - 0) / 2 = 50; one at -4 is nearer to healthy, too, but no healthy one."""
     now = exclude(none_excluded((), 1), np.array([True]), np.array([10.0]))
     one = np.ones(1)
-    doubted = watch(now, 0 * one, one, LIMIT, 60.0)
-    assert doubted.out[0] and doubted.evidence[0] == 50.0
-    assert not watch(doubted, 0 * one, one, LIMIT, 60.0).out[0]  # 100 after a second
-    void = watch(doubted, -4 * one, one, LIMIT, 60.0)
+    gathered = readmit(now, 0 * one, one, LIMIT, 60.0)
+    assert gathered.out[0] and gathered.evidence[0] == 50.0
+    assert not readmit(gathered, 0 * one, one, LIMIT, 60.0).out[0]  # 100 after a second
+    void = readmit(gathered, -4 * one, one, LIMIT, 60.0)
     assert void.out[0] and void.evidence[0] == 0.0 and void.quiet[0] == 0
-    after = watch(void, 0 * one, one, LIMIT, 60.0)
-    assert after.out[0] and after.quiet[0] == 1  # it has to be quiet anew
+    after = readmit(void, 0 * one, one, LIMIT, 60.0)
+    assert after.out[0] and after.quiet[0] == 1  # the count of quiet samples starts again
 
 
-def test_a_missing_reading_teaches_nothing() -> None:
-    now = watch(exclude(none_excluded((), 1), np.array([True]), np.array([10.0])), np.zeros(1), np.ones(1), LIMIT, 60.0)
-    for a, b in zip(watch(now, np.array([np.nan]), np.ones(1), LIMIT, 60.0), now, strict=True):
+def test_a_missing_reading_changes_nothing() -> None:
+    now = readmit(exclude(none_excluded((), 1), np.array([True]), np.array([10.0])), np.zeros(1), np.ones(1), LIMIT, 60.0)
+    for a, b in zip(readmit(now, np.array([np.nan]), np.ones(1), LIMIT, 60.0), now, strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -107,10 +107,10 @@ def test_the_size_follows_the_fault_over_the_last_samples_and_rests_while_eviden
     now = exclude(none_excluded((), 1), np.array([True]), np.array([20.0]))
     size, one = 20.0, np.ones(1)
     for k, error in enumerate([20.0, 22.0, 24.0, 26.0, 28.0, 30.0, 32.0], start=2):
-        now = watch(now, error * one, one, LIMIT, 1e9)
+        now = readmit(now, error * one, one, LIMIT, 1e9)
         size += (error - size) / min(k, MEMORY)
         assert now.size[0] == pytest.approx(size, rel=rounding(1, 20))
-    rests = watch(now, one, one, LIMIT, 1e9)
+    rests = readmit(now, one, one, LIMIT, 1e9)
     assert rests.evidence[0] > 0 and rests.size[0] == now.size[0]
 
 
@@ -118,24 +118,24 @@ def test_a_sensor_left_out_for_nothing_comes_back() -> None:
     """A size estimated as 0 is taken as one standard deviation: readings of 0 then weigh 1/2 each."""
     now, one = exclude(none_excluded((), 1), np.array([True]), np.array([0.0])), np.ones(1)
     for k in range(1, 9):
-        now = watch(now, 0 * one, one, LIMIT, LEVEL)
+        now = readmit(now, 0 * one, one, LIMIT, LEVEL)
         assert now.out[0] and now.evidence[0] == k / 2
-    assert not watch(now, 0 * one, one, LIMIT, LEVEL).out[0]
+    assert not readmit(now, 0 * one, one, LIMIT, LEVEL).out[0]
 
 
 def test_a_size_is_averaged_over_five_samples_and_readmission_takes_two_quiet_ones() -> None:
     """Size 10, reading 20: (20 - 10) / 5 is learned. Each reading of 0 weighs 10^2 / 2 = 50, more than the level of 4."""
     one = np.ones(1)
     now = Exclusion(np.array([True]), 10 * one, 100 * one, 0 * one, 0 * one)
-    assert watch(now, 20 * one, one, LIMIT, LEVEL).size[0] == 12.0
-    first = watch(now, 0 * one, one, LIMIT, LEVEL)
+    assert readmit(now, 20 * one, one, LIMIT, LEVEL).size[0] == 12.0
+    first = readmit(now, 0 * one, one, LIMIT, LEVEL)
     assert first.out[0] and first.evidence[0] == 50.0
-    assert not watch(first, 0 * one, one, LIMIT, LEVEL).out[0]
+    assert not readmit(first, 0 * one, one, LIMIT, LEVEL).out[0]
 
 
 def test_a_reading_at_the_limit_is_plausible_and_a_fault_without_sign_counts_as_positive() -> None:
     one = np.ones(1)
     large, none = (Exclusion(np.array([True]), size * one, one, 0 * one, 0 * one) for size in (10.0, 0.0))
-    at_limit = watch(large, 3 * one, one, LIMIT, 60.0)
+    at_limit = readmit(large, 3 * one, one, LIMIT, 60.0)
     assert at_limit.quiet[0] == 1 and at_limit.evidence[0] == ((3 - 10) ** 2 - 3**2) / 2
-    assert watch(none, -0.5 * one, one, LIMIT, 60.0).evidence[0] == ((-0.5 - 1) ** 2 - 0.5**2) / 2
+    assert readmit(none, -0.5 * one, one, LIMIT, 60.0).evidence[0] == ((-0.5 - 1) ** 2 - 0.5**2) / 2

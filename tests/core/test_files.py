@@ -50,7 +50,7 @@ def refuse(number: int, text: str) -> Callable[..., NoReturn]:
     return raised
 
 
-def test_an_error_names_the_file_that_was_wanted_and_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_names_the_expected_file_and_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "file.csv"
     with pytest.raises(OSError) as full, atomic_write(path):
         raise OSError(errno.ENOSPC, "No space left on device")

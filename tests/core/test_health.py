@@ -44,7 +44,7 @@ def test_broken_runs_are_replaced_and_the_others_stay() -> None:
 
 
 def test_a_decision_of_a_broken_run_has_no_number_and_isolates_nothing() -> None:
-    numbers = {"estimate": 2, "measured": 3, "residual": 3, "threshold": 3, "fault_size": 4}
+    numbers = {"estimate": 2, "reconstruction": 3, "residual": 3, "threshold": 3, "fault_size": 4}
     given = Decision(
         **{name: np.ones((2, width)) for name, width in numbers.items()},
         isolated=np.ones((2, 4), bool), diverged=np.zeros(2, bool), guarded=np.ones(2, bool), nis=np.ones(2),

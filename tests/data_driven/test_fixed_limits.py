@@ -43,7 +43,7 @@ def test_by_hand() -> None:
     np.testing.assert_allclose(d.residual[:, 0] / d.threshold[:, 0], expected, atol=1e-12)
     np.testing.assert_array_equal(d.isolated[:, 0], [False, False, True, True, True, False, False])
     # in place of the three the last good reading, 1.5 sigma; sizes are less that
-    np.testing.assert_allclose(d.measured[2:5, 0], 1.0 + 1.5 * PLANT.sensor_sigma[0], rtol=1e-12)
+    np.testing.assert_allclose(d.reconstruction[2:5, 0], 1.0 + 1.5 * PLANT.sensor_sigma[0], rtol=1e-12)
     np.testing.assert_allclose(d.fault_size[2:5, 0] / PLANT.sensor_sigma[0], [-2.5, 0.5, 2.0], atol=1e-9)
     assert not d.isolated[:, 1:].any() and np.all(d.scores[:, 1:] < 1e-9)
     np.testing.assert_array_equal(d.estimate, np.broadcast_to(PLANT.x0, (7, 2)))
@@ -55,10 +55,10 @@ def test_after_a_missing_reading_only_the_level_is_checked() -> None:
     y[3, 0] += 2.5 * PLANT.sensor_sigma[0]  # beyond the change of 2 sigma, within the level of 3
     d = judged(DETECTOR, y)
     assert not d.alarm.any() and np.isnan(d.residual[1:3, 0]).all()
-    np.testing.assert_array_equal(d.measured[1:3, 0], 1.0)
+    np.testing.assert_array_equal(d.reconstruction[1:3, 0], 1.0)
     assert d.scores[3, 0] == pytest.approx(2.5 / 3)
     first = judged(DETECTOR, np.full((1, 4), np.nan))
-    np.testing.assert_array_equal(first.measured[0], CENTRE)
+    np.testing.assert_array_equal(first.reconstruction[0], CENTRE)
 
 
 def test_all_that_violate_are_named_at_once() -> None:
@@ -164,7 +164,7 @@ def test_what_is_refused() -> None:
         (y[:3], "of at least 4 times"),
         (silent, "healthy readings of q12 are missing; leave"),
         (infinite, "infinite readings"),
-        ("healthy", "y is 'healthy'; expected an array of numbers"),
+        ("healthy", "the readings are 'healthy'; expected t, y and u, a Log, a Recording"),
     ):
         with pytest.raises(ValueError, match=message):
             FixedLimits.fit(PLANT, bad, 0.1)
@@ -173,7 +173,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="false_alarm is 0; a probability"):
         FixedLimits.fit(PLANT, y, 0)
     for change, message in (
-        ({"centre": np.ones(3)}, r"centre has shape \(3,\); expected 4 finite numbers, one a sensor of 'two-tanks'"),
+        ({"centre": np.ones(3)}, r"centre has shape \(3,\); expected 4 finite numbers, one a sensor of plant 'two-tanks'"),
         ({"level": np.full(4, np.nan)}, "expected 4 finite numbers"),
         ({"change": np.array([1.0, 0.0, 1.0, 1.0])}, "change has limits of 0 and more; expected positive ones"),
     ):

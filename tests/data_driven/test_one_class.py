@@ -74,8 +74,10 @@ def test_one_and_two_faults_are_isolated_and_replaced() -> None:
         exact = np.all(d.isolated == np.isin(np.arange(6), sensors), axis=-1)
         assert exact.mean() > 0.9
         # what replaces a reading errs by the noise of four or five others: by 1 where two causes move readings by 1 each
-        assert np.sqrt(np.mean((d.measured - y)[exact][:, sensors] ** 2)) < 1.0
-        np.testing.assert_allclose(d.measured[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors])
+        assert np.sqrt(np.mean((d.reconstruction - y)[exact][:, sensors] ** 2)) < 1.0
+        np.testing.assert_allclose(
+            d.reconstruction[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors]
+        )
 
 
 def test_more_samples_than_a_machine_is_trained_on_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,13 +88,13 @@ def test_more_samples_than_a_machine_is_trained_on_are_thinned(monkeypatch: pyte
 
 def test_what_is_refused() -> None:
     y = data(100, 2)
-    for arguments, message in (
-        ((y, 1e-3), "100 healthy samples cannot set a limit that one in 1000 exceeds"),
-        ((y, 0.0), "false_alarm is 0.0; a probability"),
-        ((y, 0.1, 1.0), "outliers is 1.0; a probability strictly between 0 and 1"),
+    for arguments, settings, message in (
+        ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 1000 exceeds"),
+        ((y, 0.0), {}, "false_alarm is 0.0; a probability"),
+        ((y, 0.1), {"outliers": 1.0}, "outliers is 1.0; a probability strictly between 0 and 1"),
     ):
         with pytest.raises(ValueError, match=message):
-            OneClass.fit(PLANT, *arguments)
+            OneClass.fit(PLANT, *arguments, **settings)
     for change, message in (
         ({"support": np.ones((3, 5))}, r"support has shape \(3, 5\) for .* weights; expected \(S, 6\) and \(S,\)"),
         ({"weights": -DETECTOR.weights}, "weights is .*; expected positive numbers, as of OneClass.fit"),

@@ -159,7 +159,7 @@ def test_the_score_is_the_largest_of_the_statistics_over_their_limits() -> None:
     expected = np.sqrt(np.max(ratios, axis=0)).reshape(40, 3)
     np.testing.assert_allclose(d.score, expected, rtol=1e-9)
     assert d.score[5, 1] == 0.0 and not d.alarm[5, 1]
-    np.testing.assert_allclose(d.measured[5, 1], MODEL.centre)  # all is missing: the mean
+    np.testing.assert_allclose(d.reconstruction[5, 1], MODEL.centre)  # all is missing: the mean
     assert np.all(d.alarm == (expected > 1))
 
 
@@ -243,14 +243,16 @@ def test_one_and_several_faults_are_isolated_with_their_sizes() -> None:
         sensitivity = np.linalg.inv(MODEL.precision[np.ix_(sensors, sensors)])
         sigma = MODEL.scale[sensors] * np.sqrt(np.diagonal(sensitivity))  # of a reading given the others
         assert np.all(np.abs(error) < 5 * sigma)
-        np.testing.assert_allclose(d.measured[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors])
+        np.testing.assert_allclose(
+            d.reconstruction[exact][:, sensors] + d.fault_size[exact][:, sensors], wrong[exact][:, sensors]
+        )
 
 
 def test_none_is_isolated_where_no_reconstruction_explains_the_readings() -> None:
     y = data(50, seed=7) + np.array([20.0, -20.0, 20.0, -20.0, 20.0, -20.0])
     d = judged(replace(DETECTOR, max_faults=1), y)
     assert d.alarm.all() and not d.isolated.any() and np.isnan(d.fault_size).all()
-    np.testing.assert_array_equal(d.measured, y)
+    np.testing.assert_array_equal(d.reconstruction, y)
 
 
 def test_what_moves_together_is_learnt_from_an_operation_that_moves() -> None:
@@ -285,30 +287,30 @@ def test_a_small_fault_is_found_however_far_the_operation_moves() -> None:
 
 def test_as_many_components_as_are_asked_for() -> None:
     for k in (0, 1, 4, 5):
-        assert len(PrincipalComponents.fit(PLANT, data(500, 2), 0.02, k).model.variances) == k
+        assert len(PrincipalComponents.fit(PLANT, data(500, 2), 0.02, components=k).model.variances) == k
 
 
 @pytest.mark.parametrize("components", [None, 0])
 def test_readings_without_any_noise_are_refused_with_the_cure(components: int | None) -> None:
     with pytest.raises(ValueError, match=r"beside 0 components the healthy readings .* do not move.*use limits"):
-        PrincipalComponents.fit(PLANT, np.full((500, 2, 6), 3.0), 0.02, components)
+        PrincipalComponents.fit(PLANT, np.full((500, 2, 6), 3.0), 0.02, components=components)
 
 
 def test_what_is_refused() -> None:
     y = data(100, 2)
-    for arguments, message in (
-        ((y, 1e-3), "100 healthy samples cannot set a limit that one in 3000 exceeds"),
-        ((y, 1.5), "false_alarm is 1.5; a probability"),
-        ((y, 0.1, 6), "components is 6; expected fewer than the 6 readings of a window"),
-        ((y, 0.1, -1), "components is -1; expected a whole number of at least 0"),
-        ((y, 0.1, None, 0), "max_faults is 0; expected a whole number"),
-        ((y, 0.1, None, 3, -1), "lags is -1; expected a whole number"),
-        ((y[:6, 0], 0.5), "3 complete samples of 6 readings to train on"),
-        ((y[:40, 0], 0.5, None, 3, 2), "complete samples of 18 readings to train on"),
-        ((y[..., :5], 0.1), "expected healthy readings"),
+    for arguments, settings, message in (
+        ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 3000 exceeds"),
+        ((y, 1.5), {}, "false_alarm is 1.5; a probability"),
+        ((y, 0.1), {"components": 6}, "components is 6; expected fewer than the 6 readings of a window"),
+        ((y, 0.1), {"components": -1}, "components is -1; expected a whole number of at least 0"),
+        ((y, 0.1), {"max_faults": 0}, "max_faults is 0; expected a whole number"),
+        ((y, 0.1), {"lags": -1}, "lags is -1; expected a whole number"),
+        ((y[:6, 0], 0.5), {}, "3 complete samples of 6 readings to train on"),
+        ((y[:40, 0], 0.5), {"lags": 2}, "complete samples of 18 readings to train on"),
+        ((y[..., :5], 0.1), {}, "expected healthy readings"),
     ):
         with pytest.raises(ValueError, match=message):
-            PrincipalComponents.fit(PLANT, *arguments)  # type: ignore[arg-type]
+            PrincipalComponents.fit(PLANT, *arguments, **settings)  # type: ignore[arg-type]
     with pytest.raises(NotApplicableError, match="has 1 sensor; principal components take at least 2"):
         PrincipalComponents.fit(chain(1), y[..., :1], 0.1)
     for change, message in (

@@ -105,7 +105,7 @@ def test_a_missing_reading_is_no_reading_and_does_not_shift_the_stream(method: M
     enkf.update(EnKFSettings(9, method), E, h, np.ones(N), R, other)
     assert rng.standard_normal() == other.standard_normal()
     far = enkf.update(EnKFSettings(9, method), E, h, np.nan_to_num(y, nan=3.0), R * [1, 1e30, 1, 1], np.random.default_rng(0))
-    np.testing.assert_allclose(with_gap, far, **near(E))  # a reading of infinite noise says as little, in any method
+    np.testing.assert_allclose(with_gap, far, **near(E))  # a reading of infinite noise has as little effect, in any method
 
 
 @pytest.mark.parametrize(("method", "localised"), [*((m, False) for m in METHODS), *((m, True) for m in METHODS[:2])])

@@ -126,7 +126,7 @@ def test_a_parity_relation_is_solved_for_its_unknown() -> None:
 
 
 @pytest.mark.parametrize("contract", [False, True])
-def test_a_budget_is_kept_and_its_end_is_told(contract: bool) -> None:
+def test_a_budget_is_kept_and_its_end_is_reported(contract: bool) -> None:
     box = Interval([-3.0, -3.0], [3.0, 3.0])
     points = samples(box, 3000, 5)
     solution = points[(ring(*points.T) >= 1) & (ring(*points.T) <= 4)]

@@ -62,7 +62,7 @@ def test_a_jump_is_named_with_its_size_and_nothing_is_replaced(estimator: object
     np.testing.assert_array_equal(d.fault_size[30, :, 2], d.residual[30, :, 2])
     # the innovation's own deviation is less than sqrt(2) of the reading's; four of them
     np.testing.assert_allclose(d.fault_size[30, :, 2] / plant.sensor_sigma[2], -15.0, atol=4 * np.sqrt(2))
-    np.testing.assert_array_equal(d.measured, y)
+    np.testing.assert_array_equal(d.reconstruction, y)
 
 
 def test_one_sensor_is_named_at_a_time_the_largest_ratio() -> None:
@@ -71,7 +71,7 @@ def test_one_sensor_is_named_at_a_time_the_largest_ratio() -> None:
     y = np.array([20.0, 0.0, -30.0, np.nan])
     _, d = detector.step(detector.init(), 1.0, y, np.zeros(0))
     assert d.isolated.tolist() == [False, False, True, False]
-    assert np.sum(d.scores > 1) == 2 and np.isnan(d.residual[3]) and np.isfinite(d.measured[3])
+    assert np.sum(d.scores > 1) == 2 and np.isnan(d.residual[3]) and np.isfinite(d.reconstruction[3])
 
 
 def test_without_readings_it_predicts() -> None:
@@ -79,7 +79,7 @@ def test_without_readings_it_predicts() -> None:
     detector = CentralFilter(plant)
     _, d = detector.step(detector.init(), 5.0, np.full(4, np.nan), plant.input_at(0.0))
     np.testing.assert_array_equal(d.estimate, plant.step(0.0, plant.x0, plant.input_at(0.0), 5.0))
-    np.testing.assert_array_equal(d.measured, plant.output(5.0, d.estimate, plant.input_at(0.0)))
+    np.testing.assert_array_equal(d.reconstruction, plant.output(5.0, d.estimate, plant.input_at(0.0)))
     assert not d.alarm and not d.diverged
 
 

@@ -54,7 +54,7 @@ def test_sensors_that_are_out_are_replaced_and_compared_with_their_expected_read
     assert after.out.tolist() == decision.isolated.tolist() == [False, True, True, False, True]
     assert after.size[2] == pytest.approx(40.0) and after.samples[2] == 1
     np.testing.assert_allclose(decision.fault_size, [np.nan, -100.0, 40.0, np.nan, -100.0])
-    np.testing.assert_array_equal(decision.measured, np.where([1, 0, 0, 1, 0], READINGS, EXPECTED))
+    np.testing.assert_array_equal(decision.reconstruction, np.where([1, 0, 0, 1, 0], READINGS, EXPECTED))
     np.testing.assert_allclose(decision.residual, [10.0, 2.0, 12.0, 13.0, np.nan])
     np.testing.assert_allclose(decision.threshold, [20.0, 3 * np.sqrt(VARIANCE[1]), 22.0, 23.0, 24.0])
     assert decision.guarded and decision.capped and not decision.diverged
@@ -78,7 +78,7 @@ def test_a_sensor_is_readmitted_at_odds_of_its_share_of_the_false_alarms(evidenc
     assert after.out[1] == decision.isolated[1] == (not back)
 
 
-def test_a_reading_beyond_the_limit_voids_what_spoke_for_a_sensor() -> None:
+def test_a_reading_beyond_the_limit_voids_the_evidence_of_health() -> None:
     y = EXPECTED.copy()
     y[1] += 3.1 * np.sqrt(VARIANCE[1])
     after, _ = conclude(out(1, size=20.0, evidence=100.0, quiet=1.0), y, VERDICT._replace(named=NOTHING))

@@ -87,7 +87,7 @@ def test_a_healthy_again_sensor_is_readmitted_and_missing_is_not_isolated() -> N
     assert np.all(np.isnan(decisions.residual[120:140, :, 7]))
     # what is missing or left out is replaced by its estimate, each sensor reading a state as it is
     kept = np.isfinite(y) & ~decisions.isolated
-    np.testing.assert_array_equal(decisions.measured, np.where(kept, y, decisions.estimate))
+    np.testing.assert_array_equal(decisions.reconstruction, np.where(kept, y, decisions.estimate))
 
 
 def test_accommodation_keeps_the_error_of_a_healthy_run() -> None:

@@ -14,7 +14,7 @@ from toy_plants import chain, readings
 
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.likelihood_window import LEAST_INFORMATION, Evidence, best_onset
+from fusion_sfdia.kalman_banks.likelihood_window import LEAST_INFORMATION, OnsetStatistics, best_onset
 
 Array = NDArray[Any]
 
@@ -179,7 +179,7 @@ def test_an_alarm_of_the_window_frees_the_estimate_of_what_it_had_absorbed(missi
     assert checked >= 4
 
 
-def test_after_an_alarm_the_window_begins_anew() -> None:
+def test_after_an_alarm_the_window_starts_again() -> None:
     """The filter goes on without the sensor, and onsets before it did are forgotten: those since are as in a run from there."""
     runs = 16
     t, y, u = data(runs, 0.1, 6.0)
@@ -212,7 +212,7 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
     """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
     a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
     b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
-    onsets = Evidence(np.zeros((2, 1, 3)), a, b, np.zeros((3, 1)))
+    onsets = OnsetStatistics(np.zeros((2, 1, 3)), a, b, np.zeros((3, 1)))
     found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
     np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
     np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)

@@ -13,7 +13,8 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from toy_plants import chain, readings
 
-from fusion_sfdia.core.detector import State, run
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.core.state import State
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons, refitted, sparse_faults
 from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon
 
@@ -79,7 +80,8 @@ def watched(y: Array, window: int, u: Array, t: Array) -> Horizons:
     bank = MovingHorizon(PLANT, window=window, threshold_scale=UNREACHED)
     state: State
     state, _ = run(bank, bank.init(), t, y, u[:, 0])
-    return Horizons(*state[-3:])
+    horizons: Horizons = state.memory.horizons
+    return horizons
 
 
 def weak_bias(steps: int, seed: int) -> tuple[Array, Array, Array]:
@@ -173,7 +175,7 @@ def test_statistics_of_every_horizon_are_standard_normal_when_healthy() -> None:
     t, _, y, u = readings(PLANT, 17, runs, seed=5)
     bank = MovingHorizon(PLANT, window=8, threshold_scale=UNREACHED)
     state, _ = run(bank, bank.init((runs,)), t, y, u)
-    g, G = state[-2], state[-1]
+    _, g, G = state.memory.horizons
     z = g / np.sqrt(np.diagonal(G, axis1=-2, axis2=-1))
     assert np.all(np.abs(np.mean(z, axis=0)) < 4 / np.sqrt(runs))
     assert np.all(np.abs(np.var(z, axis=0) - 1) < 4 * np.sqrt(2 / runs))

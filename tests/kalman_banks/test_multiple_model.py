@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import multivariate_normal
 from toy_plants import chain, readings
 
-from fusion_sfdia.core.batch_detector import CLOCK
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.estimators import Ensemble, Unscented
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
@@ -47,7 +46,7 @@ def test_it_is_the_literal_bank_of_filters_merged_at_every_step() -> None:
         x = sum(m * a for m, a in zip(mu, xs, strict=True))
         p = sum(m * (c + np.outer(a - x, a - x)) for m, a, c in zip(mu, xs, ps, strict=True))
         # a few inverses of matrices of condition 40 at most
-        np.testing.assert_allclose(np.exp(state[CLOCK + 3]), mu, rtol=1e-9, atol=1e-14)
+        np.testing.assert_allclose(np.exp(state.memory.log_probability), mu, rtol=1e-9, atol=1e-14)
         np.testing.assert_allclose(d.estimate, x, rtol=1e-9, atol=1e-11)
         assert d.covariance is not None
         np.testing.assert_allclose(d.covariance, p, rtol=1e-9, atol=1e-11)
@@ -66,7 +65,7 @@ def test_probabilities_sum_to_one_with_missing_readings_and_huge_faults() -> Non
     for k in range(60):
         state, d = bank.step(state, float(t[k]), y[k], u[k])
         assert not d.diverged.any()
-        np.testing.assert_allclose(np.exp(state[CLOCK + 3]).sum(axis=-1), 1.0, rtol=1e-12)
+        np.testing.assert_allclose(np.exp(state.memory.log_probability).sum(axis=-1), 1.0, rtol=1e-12)
 
 
 def test_in_other_units_it_is_the_same() -> None:
@@ -98,7 +97,7 @@ def test_the_threshold_of_the_residual_is_where_the_odds_are_even() -> None:
     state = bank.init((20,))
     for k in range(80):
         state, d = bank.step(state, float(t[k]), y[k], u[k])
-        mode = state[CLOCK + 3]
+        mode = state.memory.log_probability
         np.testing.assert_array_equal(np.abs(d.residual) > d.threshold, mode[:, 1:] > mode[:, :1])
         if 45 <= k < 60:
             assert d.isolated[:, 3].mean() > 0.8

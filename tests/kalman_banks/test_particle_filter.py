@@ -14,6 +14,7 @@ from toy_plants import chain, readings, tanks
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -58,8 +59,8 @@ def test_on_a_linear_plant_it_is_the_kalman_filter(clouds: Decision, k: int) -> 
     assert_near(clouds.estimate[k], kalman.estimate[k], sigma)
     assert_near(clouds.covariance[k], kalman.covariance[k], np.outer(sigma, sigma))
     filled = np.isnan(y[k])
-    np.testing.assert_array_equal(clouds.measured[k][:, ~filled], np.broadcast_to(y[k, ~filled], (RUNS, (~filled).sum())))
-    assert_near(clouds.measured[k][:, filled], kalman.measured[k, filled], sigma[filled])
+    np.testing.assert_array_equal(clouds.reconstruction[k][:, ~filled], np.broadcast_to(y[k, ~filled], (RUNS, (~filled).sum())))
+    assert_near(clouds.reconstruction[k][:, filled], kalman.reconstruction[k, filled], sigma[filled])
     if np.all(filled):
         assert np.isnan(clouds.nis[k]).all()
     else:
@@ -94,7 +95,7 @@ def square() -> Plant:
     )
 
 
-def test_two_peaks_are_weighed_as_the_integral_says() -> None:
+def test_two_peaks_have_the_weights_of_the_integral() -> None:
     """E[x^2 | y_b], its variance and E[x^2 | y_a, y_b] by quadrature; a Kalman filter, extended, learns nothing here."""
     plant, y = square(), np.array([1.6, 2.1])
     x = np.linspace(-8, 8, 20001)
@@ -144,14 +145,14 @@ def test_jumps_are_named_with_their_size_and_replaced() -> None:
     during = d.isolated[20:]
     # 1e-3 of 100 steps: two false names are the 99.98 % point of a Poisson law of mean .1
     assert np.sum(np.any(during != expected, axis=-1)) <= 2
-    # a size errs by the noise (1) and by the doubt of the others; the accommodated reading by the latter alone
+    # a size errs by the noise (1) and by the error of the others; the accommodated reading by the latter alone
     sizes = d.fault_size[20:][..., [2, 5]]
     np.testing.assert_allclose(np.nanmean(sizes, axis=(0, 1)), [15.0, -25.0], atol=1.0)
-    error = (d.measured - y)[20:][..., [2, 5]]
+    error = (d.reconstruction - y)[20:][..., [2, 5]]
     assert np.sqrt(np.mean(error**2)) < 2.0
     healthy = np.flatnonzero(~expected)
     np.testing.assert_array_equal(
-        d.measured[20:][..., healthy][~during[..., healthy]], faulty[20:][..., healthy][~during[..., healthy]]
+        d.reconstruction[20:][..., healthy][~during[..., healthy]], faulty[20:][..., healthy][~during[..., healthy]]
     )
 
 
@@ -164,7 +165,7 @@ def test_the_same_seed_gives_the_same_bits_and_a_saved_state_goes_on_with_them(t
     middle, _ = run(detector, detector.init((3,), seed=7), t[:4], y[:4], u[:4])
     save_state(tmp_path / "state.npz", detector, middle)
     again, rest = run(detector, load_state(tmp_path / "state.npz", detector), t[4:], y[4:], u[4:])
-    for one, other in zip(state, again, strict=True):
+    for one, other in zip(leaves(state), leaves(again), strict=True):
         np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(whole.estimate[4:], rest.estimate)
     np.testing.assert_array_equal(whole.residual[4:], rest.residual)
@@ -178,10 +179,9 @@ def test_a_run_without_a_batch_and_one_that_breaks_down_alone() -> None:
     detector = ParticleFilter(plant, size=200)
     single = detector.step(detector.init(), float(t[0]), y[0, 0], u[0, 0])[1]
     assert single.estimate.shape == (2,) and single.isolated.shape == (4,) and single.alarm.shape == ()
-    state = list(detector.init((2,)))
-    state[4] = state[4].copy()
-    state[4][1] = np.nan
-    after, d = detector.step(tuple(state), float(t[0]), y[0], u[0])
+    state = detector.init((2,))
+    state.memory.members[1] = np.nan
+    after, d = detector.step(state, float(t[0]), y[0], u[0])
     assert d.diverged.tolist() == [False, True] and np.isfinite(d.estimate[0]).all() and np.isnan(d.estimate[1]).all()
     _, later = detector.step(after, float(t[1]), y[1], u[1])
     assert later.diverged.tolist() == [False, True]

@@ -98,7 +98,7 @@ def test_what_is_named_is_left_out_replaced_and_readmitted() -> None:
     _, d = run(bank, bank.init((30,)), t, faulty, u)
     assert d.isolated[65:90, :, 4].all() and not d.isolated[100:, :, 4].any()
     assert abs(d.fault_size[75:90, :, 4].mean() - 8.0) < 4 * d.fault_size[75:90, :, 4].mean(axis=0).std() / np.sqrt(30)
-    off = np.mean((d.measured - clean.estimate)[65:90, :, 4])
+    off = np.mean((d.reconstruction - clean.estimate)[65:90, :, 4])
     assert abs(off) < 1.0  # of a bias of 8
 
 
@@ -114,7 +114,7 @@ def test_settings_that_make_no_sense() -> None:
             SequentialBank(plant, rules)  # type: ignore[arg-type]
 
 
-def test_where_as_many_are_out_as_may_be_it_says_so() -> None:
+def test_a_bank_reports_when_no_more_sensors_may_be_left_out() -> None:
     plant = chain(12)
     t, _, y, u = readings(plant, 60, 10, seed=6)
     y = y.copy()

@@ -8,14 +8,14 @@ from toy_plants import changed
 
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
-from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, predict, take
+from fusion_sfdia.stochastic_thresholds.consensus import predict, take
 
 
 def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
     t, y, u = (a[:, :2] if a.ndim > 1 else a for a in healthy("network"))
     d = decisions(Chebyshev(network(), **WATCHING), (t, y, u))
     areas = network_areas_of(network())
-    now = Diagnosers(*Chebyshev(network()).init((2,))[-8:])
+    now = Chebyshev(network()).init((2,)).memory.diagnoser
     for k in range(STEPS):
         ahead = predict(areas, now, u[k, :, :15], u[k, :, 15:], 0.3, "corrected")
         now = take(ahead, y[k, :, :60].reshape(2, 15, 4), y[k, :, 60:])

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
+from fusion_sfdia.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
 
 Array = np.ndarray
 
@@ -64,7 +64,7 @@ def test_explanations_are_those_of_plain_loops() -> None:
     residual[rng.random(residual.shape) < 0.05] = np.nan
     threshold[rng.random(threshold.shape) < 0.05] = np.inf
     steps = [(residual[k], deviation[k], threshold[k]) for k in (0, 1)]
-    found = explain(*(Evidence(*step) for step in steps), M, L, suspects)
+    found = explain(*(StepResiduals(*step) for step in steps), M, L, suspects)
     explained = late = pairs = 0
     for r in range(runs):
         faults = [best_faults(i, [tuple(a[r] for a in step) for step in steps], M[r], L[r]) for i in range(6)]
@@ -79,7 +79,7 @@ def test_explanations_are_those_of_plain_loops() -> None:
             best = max(left, key=lambda i: left[i][0].gain)
             named.add(best)
             left = {i: fault for i, fault in left.items() if not np.any(reach[:, i] & reach[:, best])}
-        assert set(np.flatnonzero(found.named[r])) == named, r
+        assert set(np.flatnonzero(found.isolated[r])) == named, r
         pairs += len(named) > 1
     assert explained - late > 30 and late > 100 and pairs > 30
 
@@ -94,8 +94,8 @@ def test_explanations_are_those_of_plain_loops() -> None:
 )
 def test_a_fault_that_began_before_now_is_late(before: float, now: float, late: bool, low: float, high: float) -> None:
     """A residual with the part M = 0.5 of the last reading and L = 0.2 of the last residual, thresholds of 3."""
-    said = (Evidence(np.array([[z]]), np.ones((1, 1)), np.full((1, 1), 3.0)) for z in (before, now))
+    said = (StepResiduals(np.array([[z]]), np.ones((1, 1)), np.full((1, 1), 3.0)) for z in (before, now))
     found = explain(*said, np.array([[[0.5]]]), np.array([[[0.2]]]), np.array([[True]]))
-    assert found.named.all() and bool(found.late[0, 0]) is late
+    assert found.isolated.all() and bool(found.late[0, 0]) is late
     assert (found.low[0, 0], found.high[0, 0]) == pytest.approx((low, high))
     assert found.size[0, 0] == pytest.approx({0.0: 7.0}.get(before, 10.0))

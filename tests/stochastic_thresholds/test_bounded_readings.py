@@ -45,7 +45,7 @@ def test_noise_within_its_bounds_never_alarms() -> None:
 
 def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:
     plant = chain(6)
-    one = detector(plant).diagnosis
+    one = detector(plant).diagnoser
     assert isinstance(one, BoundedReadings)
     np.testing.assert_allclose(one._noise, WITHIN * plant.sensor_sigma)
 

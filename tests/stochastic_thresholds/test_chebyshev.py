@@ -13,8 +13,8 @@ from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended, Unscented
 from fusion_sfdia.models.power_network.plant import power_network
-from fusion_sfdia.stochastic_thresholds.bias_hypotheses import Evidence, explain
-from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev, calibrated
+from fusion_sfdia.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.stochastic_thresholds.monte_carlo import MonteCarlo
 from fusion_sfdia.stochastic_thresholds.threshold_rules import false_alarm_of
 
@@ -40,7 +40,7 @@ def test_sigma_points_are_the_closed_form_where_the_physics_is_linear() -> None:
     t, y, u = (a[:, :20] if a.ndim > 1 else a for a in healthy("chain"))
     y = np.where(np.random.default_rng(3).random(y.shape) < 0.2, np.nan, y)
     closed, points = (decisions(Chebyshev(chain(), moments=m, **WATCHING), (t, y, u)) for m in (Extended(), Unscented()))
-    for name in ("estimate", "residual", "threshold", "measured"):
+    for name in ("estimate", "residual", "threshold", "reconstruction"):
         # sigma points with alpha = 1e-3 magnify roundings of values near 1 by 1e6
         np.testing.assert_allclose(getattr(points, name), getattr(closed, name), rtol=1e-7, atol=1e-7, err_msg=name)
 
@@ -80,17 +80,17 @@ def test_as_printed_shared_states_alarm_too_often() -> None:
 
 def test_conformal_thresholds_from_healthy_readings() -> None:
     t, y, u = healthy("tanks")
-    detector = calibrated(Chebyshev(tanks(), **WATCHING), t, y[:, :200], u[:, :200], false_alarm=0.04, warm_up=5)
+    detector = Chebyshev(tanks(), **WATCHING).fit_thresholds((t, y[:, :200], u[:, :200]), false_alarm=0.04, warm_up=5)
     assert detector.rule == "conformal"
     rate = np.mean(decisions(detector, (t, y[:, 200:], u[:, 200:])).scores[5:] > 1, axis=(0, 1))
     assert np.all(rate <= 0.01 + 5 * np.sqrt(0.01 / 100)) and np.mean(rate) > 0.005
     with pytest.raises(ValueError, match="give at least"):
-        calibrated(detector, t, y[:, :1], u[:, :1], false_alarm=1e-3)
-    with pytest.raises(ValueError, match="do not fit"):
-        calibrated(detector, t[:0], y[:0], u[:0])
+        detector.fit_thresholds((t, y[:, :1], u[:, :1]), false_alarm=1e-3)
+    with pytest.raises(ValueError, match="t is empty"):
+        detector.fit_thresholds((t[:0], y[:0], u[:0]))
     # of one run, with or without an axis of runs; products of a batch may round differently
     alone, of_one = (
-        calibrated(detector, t, a, b, false_alarm=0.9, warm_up=5) for a, b in ((y[:, 0], u[:, 0]), (y[:, :1], u[:, :1]))
+        detector.fit_thresholds((t, a, b), false_alarm=0.9, warm_up=5) for a, b in ((y[:, 0], u[:, 0]), (y[:, :1], u[:, :1]))
     )
     np.testing.assert_allclose(alone.alphas, of_one.alphas, rtol=1e-9)
 
@@ -122,14 +122,14 @@ def test_silence_of_all_sensors_passes(name: str) -> None:
     y = y.copy()
     y[8:30] = np.nan
     d = decisions(Chebyshev(plant_of(name), alpha=5.0), (t, y, u))
-    assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.measured)) and not d.alarm.any()
-    if name == "network":  # the levels of the others run to rest, and are known better then than one reading tells
+    assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.reconstruction)) and not d.alarm.any()
+    if name == "network":  # the levels of the others run to rest, and are then known better than from one reading
         assert np.all(d.threshold[30] > d.threshold[9])
     left = 0.3**9  # of the memory; what stands for the readings is as it was
     assert np.all(d.threshold[39] <= d.threshold[7] * 1.01 + left * d.threshold[30])
 
 
-def test_one_diagnoser_follows_states_that_nobody_reads() -> None:
+def test_one_diagnoser_follows_unmeasured_states() -> None:
     plant = chain(6, sensors=4)  # sums of neighbours: no state is read directly
     t, _, y, u = readings(plant, 60, RUNS, seed=4)
     d = decisions(Chebyshev(plant, lam=0.0, rule="gaussian", alpha=1.0, moments=Extended(), **WATCHING), (t, y, u))
@@ -141,21 +141,21 @@ def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:
     """Of two residuals the second sees the fault of the first ten times as large, after a step."""
     M = np.array([[[0.5, 0.0], [-10.0, 0.0]]])
     quiet, one = np.zeros((1, 2)), np.ones((1, 2))
-    before = Evidence(np.array([[2.0, 0.0]]), one, 3 * one)
-    now = Evidence(np.array([[1.0, 20.0]]), one, 3 * one)
+    before = StepResiduals(np.array([[2.0, 0.0]]), one, 3 * one)
+    now = StepResiduals(np.array([[1.0, 20.0]]), one, 3 * one)
     found = explain(before, now, M, np.zeros((1, 2, 2)), np.array([[True, True]]))
     # as the fault of sensor 2, fresh, 20 would be left unexplained nowhere; of sensor 1 a step ago it fits every residual
-    np.testing.assert_array_equal(found.named, [[True, False]])
+    np.testing.assert_array_equal(found.isolated, [[True, False]])
     assert found.size[0, 0] == pytest.approx(2.0, abs=0.1) and 1.7 <= found.low[0, 0] <= found.high[0, 0] <= 2.3
-    healthy, both = Evidence(quiet, one, 3 * one), Evidence(9 * one, one, 3 * one)
-    assert not explain(healthy, both, M, np.zeros((1, 2, 2)), one > 0).named[0, 0], "it would not have moved the other yet"
+    healthy, both = StepResiduals(quiet, one, 3 * one), StepResiduals(9 * one, one, 3 * one)
+    assert not explain(healthy, both, M, np.zeros((1, 2, 2)), one > 0).isolated[0, 0], "it would not have moved the other yet"
     apart = explain(healthy, both, 0 * M, np.zeros((1, 2, 2)), one > 0)
-    np.testing.assert_array_equal(apart.named, [[True, True]])  # neither reaches the other: two faults
+    np.testing.assert_array_equal(apart.isolated, [[True, True]])  # neither reaches the other: two faults
     np.testing.assert_array_equal(apart.size, [[9.0, 9.0]])
 
 
 @pytest.mark.parametrize("name", ["theta_4", "theta_4@3", "omega_9", "p_v_13", "p_m_1"])
-def test_faults_of_every_kind_of_reading_are_named_exactly(name: str) -> None:
+def test_faults_of_every_kind_of_reading_are_isolated_exactly(name: str) -> None:
     plant = power_network(loads=(), noise="small")
     r = simulate(plant, 45, range(20), truth="model", process_noise=True)
     i, y = plant.sensor_index(name), r.y.copy()
@@ -165,7 +165,7 @@ def test_faults_of_every_kind_of_reading_are_named_exactly(name: str) -> None:
     assert not d.isolated[:25].any()
     size = np.nanmean(d.fault_size[40:, :, i]) / plant.sensor_sigma[i]
     assert size == pytest.approx(40.0, abs=3.0)
-    error = (d.measured - r.y)[26:, :, i] / plant.sensor_sigma[i]
+    error = (d.reconstruction - r.y)[26:, :, i] / plant.sensor_sigma[i]
     assert np.sqrt(np.mean(error**2)) < 20.0, "what stands for the reading is nearer to the truth than the reading"
 
 
@@ -191,7 +191,7 @@ def test_a_fault_that_grew_unnoticed_is_taken_out_of_the_estimate(name: str) -> 
     d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (t, y, u))
     first = np.argmax(d.isolated[..., i], axis=0)
     assert np.all(np.any(d.isolated[..., i], axis=0)) and np.median(first) > 11, "named, and late"
-    error = np.array([abs(d.measured[k, b, i] - truth[k, b, i]) for b, k in enumerate(first)])
+    error = np.array([abs(d.reconstruction[k, b, i] - truth[k, b, i]) for b, k in enumerate(first)])
     bias = np.array([abs(y[k, b, i] - truth[k, b, i]) for b, k in enumerate(first)])
     assert np.median(error) < 0.5 * np.median(bias)
 

@@ -14,7 +14,7 @@ AREAS = network_areas(network_model())
 AT = AREAS.network.topology
 
 
-def test_an_area_reads_nothing_but_its_own_and_what_neighbours_tell() -> None:
+def test_an_area_uses_only_its_own_data_and_what_neighbours_send() -> None:
     rng, i = np.random.default_rng(1), AT.index("5")
     count = AREAS.size[0]
     whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in initial_state(AREAS, (2,))))

@@ -147,7 +147,7 @@ def test_equations_take_scalars_and_arrays() -> None:
     np.testing.assert_array_equal(equations.private_term(np.ones(3), np.ones(3), 0.5), np.full(3, 0.5))
     assert equations.printed_variance(2.0, 0.0, 0.5, 1.0, 4.0) == 0.5 + 1.0 + 4.0 + 2.0
     assert equations.precision_printed(2.0, 0.0, 0.5, 1.0, 4.0) == 1 / 7.5
-    # of an estimate the doubt stands for the noise of the reading, which counts besides as that of the next
+    # the error bound of an estimate stands for the noise of its reading, which also counts as that of the next
     assert equations.precision_printed(2.0, 3.0, 0.5, 1.0, 4.0) == 1 / (0.25 * 9.0 + 1.0 + 4.0 + 2.0)
     assert equations.error_deviation(0.25, 3.0, 1.0, 0.5) == 2.75
     assert equations.residual_deviation(0.25, 3.0, 1.0, 5.0, 0.5) == 3.75

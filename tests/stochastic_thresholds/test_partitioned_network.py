@@ -15,10 +15,10 @@ from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
-from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, initial_state
-from fusion_sfdia.stochastic_thresholds.network_part import Part, at_borders, blocks, routes, share
+from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, NetworkReadings, initial_state
+from fusion_sfdia.stochastic_thresholds.network_part import Part, at_borders, part_layouts, routes, share
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
-from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork, Readings
+from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNetwork
 
 ALPHA, LAM, BATCH, STEPS = 2.0, 0.3, 2, 6
 AREAS = network_areas(network_model(generate_network(23, 3, degree=5.0), unplugged=["7", "8"]))
@@ -31,14 +31,15 @@ class Drawn(NamedTuple):
     n: int
     total: int
 
-    def __call__(self, k: int, areas: tuple[int, int], sides: Array) -> Readings:
+    def __call__(self, k: int, areas: tuple[int, int], sides: Array) -> NetworkReadings:
         rng = np.random.default_rng(k)
         own, shared = rng.standard_normal((BATCH, self.count, self.n)), rng.standard_normal((BATCH, self.total))
         reference, load = rng.standard_normal((2, BATCH, self.count))
         for a in (own, shared):
             a[rng.random(a.shape) < 0.2] = np.nan
         lo, hi = areas
-        return tuple(np.ascontiguousarray(a) for a in (own[:, lo:hi], shared[:, sides], reference[:, lo:hi], load[:, lo:hi]))
+        mine = own[:, lo:hi], shared[:, sides], reference[:, lo:hi], load[:, lo:hi]
+        return NetworkReadings(*map(np.ascontiguousarray, mine))
 
 
 SOURCE = Drawn(*AREAS.size)
@@ -48,7 +49,7 @@ def in_one_process(areas: Areas, mode: str, source: Drawn = SOURCE) -> tuple[Dia
     count, _, total = areas.size
     state, alarms = initial_state(areas, (BATCH,)), []
     for k in range(STEPS):
-        state, alarm = network_step(areas, state, *source(k, (0, count), np.arange(total)), ALPHA, LAM, mode)
+        state, alarm = network_step(areas, state, source(k, (0, count), np.arange(total)), ALPHA, LAM, mode)
         alarms.append(alarm)
     assert 0 < np.mean(alarms) < 1
     return state, alarms
@@ -58,12 +59,12 @@ def in_one_process(areas: Areas, mode: str, source: Drawn = SOURCE) -> tuple[Dia
 @pytest.mark.parametrize("size", [1, 2, 5, 23])
 def test_parts_give_the_bits_of_the_whole(size: int, mode: str) -> None:
     expected, alarms = in_one_process(AREAS, mode)
-    found, start = blocks(AREAS, size), initial_state(AREAS, (BATCH,))
+    found, start = part_layouts(AREAS, size), initial_state(AREAS, (BATCH,))
     parts = [Part(b, share(b, start), ALPHA, LAM, mode == "paper") for b in found]
     told, reader = at_borders(found, start), AREAS.network.topology.node
     for k in range(STEPS):
         answers = [
-            p.step(told[..., r], *SOURCE(k, b.areas, b.sides)) for p, b, r in zip(parts, found, routes(found), strict=True)
+            p.step(told[..., r], SOURCE(k, b.areas, b.sides)) for p, b, r in zip(parts, found, routes(found), strict=True)
         ]
         told = np.concatenate([a[2] for a in answers], axis=-1)
         alarm = np.concatenate([a[0] for a in answers], axis=-1)
@@ -115,7 +116,7 @@ def test_it_goes_on_from_what_it_kept_with_other_parts(client: Any) -> None:
     state, one = network.state(), list(client.scheduler_info(n_workers=-1)["workers"])[:1]
     count, _, total = AREAS.size
     for k in range(3, STEPS):
-        state, alarm = network_step(AREAS, state, *SOURCE(k, (0, count), np.arange(total)), ALPHA, LAM)
+        state, alarm = network_step(AREAS, state, SOURCE(k, (0, count), np.arange(total)), ALPHA, LAM)
         np.testing.assert_array_equal(alarm, alarms[k])
     alone = PartitionedNetwork(client, AREAS, initial_state(AREAS, (BATCH,)), SOURCE, ALPHA, LAM, workers=one)
     np.testing.assert_array_equal(alone.step(), alarms[0])

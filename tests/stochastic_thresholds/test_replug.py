@@ -1,4 +1,4 @@
-"""Networks that change between two steps: what changes, what keeps its bits, what starts anew, and what is refused."""
+"""Networks that change between two steps: what changes, what keeps its bits, what starts again, and what is refused."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from toy_plants import chain
 
-from fusion_sfdia.core.detector import Decision, State, run
+from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Array, Plant
 from fusion_sfdia.core.plant_groups import Structure, Truth
+from fusion_sfdia.core.state import State, leaves
 from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import Switch
@@ -58,9 +59,9 @@ def test_only_the_neighbours_change(
 ) -> None:
     data, detector = closed_loop(before, switch), Chebyshev(plant(*before), mode=mode, alpha=8.0)
     state = until(detector, data)
-    kept = tuple(a.copy() for a in state)
+    kept = [a.copy() for a in leaves(state)]
     changed, moved = replug(detector, state, plant(*away))
-    for a, b in zip(state, kept, strict=True):
+    for a, b in zip(leaves(state), kept, strict=True):
         np.testing.assert_array_equal(a, b)
     t, y, u = (a[AT] for a in data)
     (_, old), (_, new) = detector.step(state, float(t), y, u), changed.step(moved, float(t), y, u)
@@ -82,7 +83,7 @@ def test_a_replugged_detector_is_silent_and_goes_on_without_a_gap(
     assert not d.alarm.any() and not d.diverged.any()
     open_now = np.isnan(data[1][-1, 0])
     assert np.all(np.isinf(d.threshold[:, :, open_now])) and np.all(np.isfinite(d.threshold[:, :, ~open_now]))
-    assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.measured))
+    assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.reconstruction))
     # the memory of the old network fades as 0.3^k, and then there is no difference to a detector that was always so
     fresh = Chebyshev(plant(*away), alpha=8.0)
     _, always = after(fresh, until(fresh, (data[0], np.where(open_now, np.nan, data[1]), data[2])), data)
@@ -97,7 +98,7 @@ def test_a_copy_that_joins_starts_from_its_first_reading() -> None:
     t, y, u = closed_loop(before, switch)
     y = y.copy()
     joins = [plant().sensor_index(n) for n in ("theta_15@14", "theta_14@15")]
-    y[AT - 1, :, joins] += 0.5  # far off: its estimate until now says nothing
+    y[AT - 1, :, joins] += 0.5  # far off: its estimate until now has no part in it
     y[AT:, :, joins] += 0.5
     detector = Chebyshev(plant(*before), lam=0.3, alpha=8.0, accommodate=False)
     changed, state = replug(detector, until(detector, (t, y, u)), plant(*away))
@@ -112,7 +113,7 @@ def test_a_sensor_held_faulty_is_forgotten_with_its_tie() -> None:
     detector = Chebyshev(plant(), lam=0.0, alpha=8.0)
     state = until(detector, (t, y, u))
     changed, moved = replug(detector, state, plant("4"))
-    assert np.all(state[7][:, i]) and not np.any(moved[7][:, i])
+    assert np.all(state.memory.exclusion.out[:, i]) and not np.any(moved.memory.exclusion.out[:, i])
     assert not after(changed, moved, (t, y, u))[1].alarm.any()
 
 
@@ -121,9 +122,9 @@ def test_there_and_back_is_as_before_but_for_the_ties_that_were_open() -> None:
     state = until(detector, data)
     again, restored = replug(*replug(detector, state, plant("4")), plant())
     ties = np.array(["4" in (s.measures.split("_")[1], s.owner.split()[1]) and "@" in s.name for s in plant().sensors])
-    assert again.diagnosis.areas.matrices.tobytes() == detector.diagnosis.areas.matrices.tobytes()
-    np.testing.assert_array_equal(restored[4][:, ~ties], state[4][:, ~ties])
-    for a, b in zip(restored[12:], state[12:], strict=True):
+    assert again.diagnoser.areas.matrices.tobytes() == detector.diagnoser.areas.matrices.tobytes()
+    np.testing.assert_array_equal(restored.memory.residual[:, ~ties], state.memory.residual[:, ~ties])
+    for a, b in zip(restored.memory.diagnoser, state.memory.diagnoser, strict=True):
         if a.ndim == 3:
             np.testing.assert_array_equal(a, b)
 
@@ -146,7 +147,7 @@ def test_a_state_is_saved_and_loaded_across_a_change(tmp_path: Path) -> None:
 def test_a_change_that_fails_leaves_all_as_it_was() -> None:
     data, detector = closed_loop((), UNPLUG[1]), Chebyshev(plant(), alpha=8.0)
     state = until(detector, data)
-    kept = tuple(a.copy() for a in state)
+    kept = [a.copy() for a in leaves(state)]
     smaller = power_network(10, loads=())
     count = len(plant().sensors)
     idle = {"step": lambda t, x, u, dt: x, "output": lambda t, x, u: np.repeat(x[..., :1], count, axis=-1), "truth": Truth()}
@@ -160,8 +161,8 @@ def test_a_change_that_fails_leaves_all_as_it_was() -> None:
         with pytest.raises(ValueError, match=message):
             replug(detector, state, wrong)
     with pytest.raises(ValueError, match="this is no state of Chebyshev"):
-        replug(detector, state[:-1], plant("4"))
-    for a, b in zip(state, kept, strict=True):
+        replug(detector, state._replace(memory=state.memory[:-1]), plant("4"))
+    for a, b in zip(leaves(state), kept, strict=True):
         np.testing.assert_array_equal(a, b)
     assert np.all(np.isfinite(after(detector, state, data)[1].estimate))
 

@@ -71,7 +71,7 @@ def test_missing_scores_count_as_the_largest() -> None:
         (lambda: false_alarm_of("gaussian", 0.0), "must exceed 0"),
         (lambda: false_alarm_of("chebyshev", np.nan), "must exceed 1"),
         (lambda: false_alarm_of("chebyshev", "2"), "alpha is '2'; expected a number"),
-        (lambda: false_alarm_of("conformal", 2.0), "does not tell"),
+        (lambda: false_alarm_of("conformal", 2.0), "does not determine"),
         (lambda: false_alarm_of("markov", 2.0), "rule is 'markov'; known: chebyshev, cantelli"),
         (lambda: false_alarm_of("chebyshev", np.inf), "must exceed 1 and be finite"),
         (lambda: alpha_for("markov", 0.1), "rule is 'markov'; known: chebyshev, cantelli"),

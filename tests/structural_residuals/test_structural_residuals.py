@@ -22,6 +22,7 @@ from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Structure
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.two_tanks.plant import GAIN, INFLOW, LEVEL, NOISE, Tanks, two_tanks
@@ -157,7 +158,7 @@ def test_a_bias_has_a_name_where_the_structure_tells_it_from_all_others(name: st
         assert np.diagonal(named).all()
         size = np.diagonal(d.fault_size[20]) / plant.sensor_sigma
         np.testing.assert_allclose(size, 30, atol=4)  # the bound of the noise of a reading; the computed value has none
-        error = (d.measured[-1] - recording.signal[-1, 0]) / plant.sensor_sigma
+        error = (d.reconstruction[-1] - recording.signal[-1, 0]) / plant.sensor_sigma
         assert np.all(np.abs(error) <= 4) and np.all(np.abs(np.diagonal(error)) < 1e-9)
 
 
@@ -169,7 +170,7 @@ def test_readings_at_which_the_equations_have_no_value_contradict_them() -> None
     y[10:, torque] *= -2
     state, d = run(detector, detector.init(), recording.t, y, recording.u)
     assert d.isolated[10:, torque].all() and d.isolated.sum() == 10 and np.all(np.isfinite(d.residual))
-    assert all(np.all(np.isfinite(a)) for a in state)
+    assert all(np.all(np.isfinite(a)) for a in leaves(state))
 
 
 def test_the_diagnosis_is_the_only_smallest_hitting_set() -> None:
@@ -194,7 +195,7 @@ def test_a_missing_reading_leaves_out_what_reads_it() -> None:
     np.testing.assert_array_equal(np.isnan(trace[-1]), reads(plant, detector.residuals)[:, 3])
     assert np.all(np.isfinite(trace[:4]))
     _, d = run(detector, detector.init(), recording.t, y, recording.u)
-    np.testing.assert_array_equal(d.measured[4:, 3], np.full(6, y[3, 3]))  # only its own reading computes it
+    np.testing.assert_array_equal(d.reconstruction[4:, 3], np.full(6, y[3, 3]))  # only its own reading computes it
 
 
 def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -223,7 +224,9 @@ def test_bad_settings_and_data_are_named() -> None:
         (y, u, 1e-3, "15 complete healthy samples"), (np.full_like(y, np.nan), u, 0.5, "0 complete"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):
-            StructuralResiduals.fit(plant, bad_y, bad_u, rate)
+            StructuralResiduals.fit(plant, (5.0 * np.arange(1, 11), bad_y, bad_u), rate)
+    with pytest.raises(ValueError, match="the healthy readings are not 5 s apart"):
+        StructuralResiduals.fit(plant, (6.0 * np.arange(1, 11), y, u), 0.1)
     two = replace(plant, sensors=(plant.sensors[0], replace(plant.sensors[1], measures="level_1"), *plant.sensors[2:]))
     with pytest.raises(ValueError, match="several sensors read level_1"):
         selected(two)

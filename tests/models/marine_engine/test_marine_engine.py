@@ -179,7 +179,7 @@ def test_a_longer_step_is_divided() -> None:
     np.testing.assert_allclose(PLANT.step(0.0, PLANT.x0, low, 0.1), x, rtol=200 * EPS)  # a hundred roundings of each factor
 
 
-def test_a_finer_twin_is_the_same_engine() -> None:
+def test_a_truth_model_with_finer_steps_is_the_same_engine() -> None:
     assert PLANT.truth.finer is not None
     finer, to_states = PLANT.truth.finer()
     x = around((2,))
@@ -207,7 +207,7 @@ def test_bad_settings_name_the_cure() -> None:
         engine_variables(np.array([1e-5, 3e5, 3e5]), C)
 
 
-def test_a_simulation_that_leaves_the_model_says_where() -> None:
+def test_a_simulation_that_leaves_the_model_states_where() -> None:
     with pytest.raises(ArithmeticError, match=r"left the limits of 'marine-engine' at .* fuel = 0.003"):
         simulate(PLANT, 100, [0], inputs=lambda t: np.array([1.5]))
     with pytest.raises(ArithmeticError, match=r"left the limits of 'marine-engine' at 0.01 s: "):

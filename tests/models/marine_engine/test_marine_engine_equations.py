@@ -186,7 +186,7 @@ def test_the_structure_is_that_of_tables_1_to_3() -> None:
     assert ours["M(1,1)"] == {"fuel"}
 
 
-def test_options_change_the_structure_as_they_say() -> None:
+def test_options_change_the_structure_as_stated() -> None:
     full, constant = rows(EQUATIONS), rows(EQUATIONS | CONSTANT_SLIP)
     assert full["M(2,1)"] - rows(EQUATIONS | NOMINAL_SPEED)["M(2,1)"] == {"torque"}  # K22 (6)
     assert full["M(3,2)"] - constant["M(3,2)"] == {"torque"}

@@ -50,6 +50,6 @@ def test_every_load_has_an_equilibrium_and_more_load_gives_more(slip: str) -> No
     np.testing.assert_allclose(moved, points, rtol=1e-12)
 
 
-def test_without_an_equilibrium_the_solver_says_so() -> None:
+def test_without_an_equilibrium_the_solver_reports_it() -> None:
     with pytest.raises(ArithmeticError, match=r"no equilibrium at load 1: residual .* of the pressures"):
         equilibrium(1.0, C._replace(loss_nominal=1e6))

@@ -61,7 +61,7 @@ def test_predictive_control_keeps_the_limits_and_balances_the_loads() -> None:
     assert control(model, x, np.zeros(15))[0, 3] < 0
 
 
-def test_predictive_control_is_set_up_anew_where_the_model_changed() -> None:
+def test_predictive_control_is_set_up_again_where_the_model_changed() -> None:
     pytest.importorskip("osqp", reason="the predictive controller needs osqp")
     control = PredictiveControl()
     control(MODEL, X, LOAD)
@@ -72,7 +72,7 @@ def test_predictive_control_is_set_up_anew_where_the_model_changed() -> None:
         PredictiveControl(horizon=0)
 
 
-def test_predictive_control_says_what_it_could_not_solve() -> None:
+def test_predictive_control_reports_what_it_could_not_solve() -> None:
     pytest.importorskip("osqp", reason="the predictive controller needs osqp")
     with pytest.raises((ArithmeticError, ValueError)):
         PredictiveControl()(MODEL, np.full((15, 4), np.nan), LOAD)

@@ -38,7 +38,7 @@ def test_the_published_table() -> None:
     assert c.constants.sum(axis=0).tolist() == pytest.approx([139, 0.925, 11.98, 9.0, 1.65])  # sums of the printed rows
 
 
-def test_what_the_text_says_of_the_ties() -> None:
+def test_the_ties_are_those_of_the_text() -> None:
     c = load_network()
     network = Network.of(c.topology)
     assert 4 * len(c.topology.names) + 2 * len(c.slope) == 94
@@ -46,7 +46,7 @@ def test_what_the_text_says_of_the_ties() -> None:
     assert network.neighbours("15") == ("14",)
 
 
-def test_provenance_says_what_is_not_published() -> None:
+def test_provenance_states_what_is_not_published() -> None:
     document = tomllib.loads(TEXT)
     assert {entry["provenance"] for entry in document["area"].values()} == {"paper"}
     recalled = {tie for tie, entry in document["tie"].items() if entry["provenance"] == "recalled"}

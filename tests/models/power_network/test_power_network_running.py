@@ -9,7 +9,7 @@ from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.parameters import generate_network
 from fusion_sfdia.models.power_network.running import RunningNetwork
-from fusion_sfdia.stochastic_thresholds.consensus import initial_state
+from fusion_sfdia.stochastic_thresholds.consensus import NetworkReadings, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 
 ARRAYS = ("matrices", "slope", "shared_gain", "process_variance", "noise", "shared_noise")
@@ -55,7 +55,8 @@ def test_diagnosers_go_on_through_a_change() -> None:
     at = model.network.topology
     for k in range(12):
         reference, load = rng.standard_normal((2, 2, 15))
-        given = (rng.standard_normal((2, 15, 4)), rng.standard_normal((2, at.node.size)), reference, load, 2.0, 0.3)
+        own, shared = rng.standard_normal((2, 15, 4)), rng.standard_normal((2, at.node.size))
+        given = NetworkReadings(own, shared, reference, load), 2.0, 0.3
         ours, _ = network_step(running.areas, ours, *given)
         theirs, _ = network_step(network_areas(model), theirs, *given)
         for a, b in zip(ours, theirs, strict=True):

@@ -1,0 +1,85 @@
+"""What every detector carries from one reading to the next, and nested named tuples of arrays in general.
+
+The memory of a method is a NamedTuple of arrays with the batch as leading axes. A field may be such a tuple itself (an
+`Exclusion`, a `Window`), or a plain tuple of arrays, one for each of several alike. `leaves` and `rebuilt` are the one place
+where the arrays are taken apart and put together: a batch is extended, a broken run is reset, a state is saved by them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+class State(NamedTuple):
+    """A detector between two readings; take it from `init`, `step` or `load_state`.
+
+    seed: () of the randomness of the method. steps: () readings taken since `init`. t: () time of the last reading, or of
+    `init`, in s. diverged: (*batch) bool, runs in which the estimator has broken down. memory: what the method keeps, a
+    NamedTuple of arrays (*batch, ...) that the detector documents.
+    """
+
+    seed: Array
+    steps: Array
+    t: Array
+    diverged: Array
+    memory: Any
+
+
+def leaves(tree: Any) -> list[Any]:
+    """The arrays of nested tuples, in the order of their fields."""
+    found: list[Any] = []
+    for value in tree:
+        if isinstance(value, tuple):
+            found += leaves(value)
+        else:
+            found.append(value)
+    return found
+
+
+def rebuilt(like: Any, arrays: Iterable[Any]) -> Any:
+    """Tuples nested as `like`, of the arrays in the order of `leaves`."""
+    remaining = iter(arrays)
+    return _rebuilt(like, remaining)
+
+
+def _rebuilt(like: Any, remaining: Iterator[Any]) -> Any:
+    parts = [_rebuilt(value, remaining) if isinstance(value, tuple) else next(remaining) for value in like]
+    return like._make(parts) if hasattr(like, "_make") else tuple(parts)
+
+
+def mapped(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
+    """The tuples with the function of each array, and of those at the same place in `others`, in place of the array.
+
+    ValueError where the others have fewer or more arrays.
+    """
+    if others:
+        return rebuilt(tree, [function(*each) for each in zip(leaves(tree), *map(leaves, others), strict=True)])
+    parts = [mapped(function, value) if isinstance(value, tuple) else function(value) for value in tree]  # twice in each step
+    return tree._make(parts) if hasattr(tree, "_make") else tuple(parts)
+
+
+def names(tree: Any, prefix: str = "") -> list[str]:
+    """The name of each array in the order of `leaves`: its field, behind those of the tuples around it ("exclusion.size")."""
+    found: list[str] = []
+    for name, value in zip(getattr(tree, "_fields", map(str, range(len(tree)))), tree, strict=True):
+        found += names(value, f"{prefix}{name}.") if isinstance(value, tuple) else [prefix + name]
+    return found
+
+
+def chosen_runs(state: State, runs: Array) -> State:
+    """The state of some runs of a batch of one axis, by their indices."""
+    diverged, memory = mapped(lambda a: a[runs], (state.diverged, state.memory))
+    return state._replace(diverged=diverged, memory=memory)
+
+
+def joined_runs(state: State, other: State) -> State:
+    """The runs of two states of one detector at the same time as one batch, along its first axis."""
+    both = (state.diverged, state.memory), (other.diverged, other.memory)
+    diverged, memory = mapped(lambda a, b: np.concatenate([a, b]), *both)
+    return state._replace(diverged=diverged, memory=memory)
