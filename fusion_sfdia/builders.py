@@ -19,7 +19,6 @@ from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
-from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
@@ -52,38 +51,41 @@ def as_printed(plant: Plant) -> Plant:
     return replace(plant, process_cov=np.square(std))
 
 
-def printed_bank(plant: Plant, kind: str) -> FusingBank:
+def printed_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FusingBank:
     """The paper's bank of filters "ekf", "ukf" or "enkf" with the paper's process noise."""
-    return fusing_bank(as_printed(plant), kind)
+    return fusing_bank(as_printed(plant), kind, healthy, false_alarm)
 
 
-def fusing_bank(plant: Plant, kind: str) -> FusingBank:
-    """The paper's bank in the paper's units, its thresholds set on healthy simulated runs at FALSE_ALARM."""
-    scale = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
-    return calibrated(FusingBank(plant, PAPER_FILTERS[kind], residual_scale=scale))
+def fusing_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FusingBank:
+    """The paper's bank in the paper's units, its thresholds fitted to healthy readings.
 
-
-def calibrated(bank: FusingBank) -> FusingBank:
-    """The bank with thresholds from healthy simulated runs of its own plant, more of them for more quantities."""
-    expected = len(bank.plant.quantities) / FALSE_ALARM / len(CALIBRATION_SEEDS)
-    steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * expected)))
-    healthy = simulate(bank.plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=bank.plant.truth.disturbed)
-    return calibrate(bank, healthy.t, healthy.y, healthy.u_of_runs, FALSE_ALARM, WARM_UP)
-
-
-def healthy_data(plant: Plant, checks: int = 2) -> Recording:
-    """Healthy readings y (K, B, N) of the plant's truth, runs enough for the limits of each quantity at FALSE_ALARM.
-
-    Who learns from data records the plant, not its model: so the finer truth where there is one, as for the readings judged,
-    of other seeds. Runs of CALIBRATION_STEPS, more of them rather than longer: so long the operation of the gas pipeline moves.
+    None for simulated runs of the plant as the filters know it, longer for more quantities.
     """
-    expected = 1.5 * 2 * checks * len(plant.quantities) / FALSE_ALARM  # each check of each is set on every other sample
+    scale = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
+    if healthy is None:
+        expected = len(plant.quantities) / false_alarm / len(CALIBRATION_SEEDS)
+        steps = max(CALIBRATION_STEPS, WARM_UP + int(np.ceil(1.5 * expected)))
+        healthy = simulate(plant, steps, CALIBRATION_SEEDS, truth="model", process_noise=plant.truth.disturbed)
+    return FusingBank(plant, PAPER_FILTERS[kind], residual_scale=scale).fit_thresholds(healthy, false_alarm, WARM_UP)
+
+
+def healthy_data(plant: Plant, false_alarm: float = FALSE_ALARM, checks: int = 2) -> Recording:
+    """Healthy readings y (K, B, N) of the plant's truth: runs enough for `checks` limits of each quantity at that rate.
+
+    That is more than the limits take: all sensors of a plant share one order statistic, so that the samples for a limit do not
+    grow with the number of quantities.
+
+    A detector that learns from data records the plant, not its model: so the finer truth where there is one, as for the
+    readings judged, of other seeds. Runs of CALIBRATION_STEPS, more of them rather than longer: for that long the operation of
+    the gas pipeline moves.
+    """
+    expected = 1.5 * 2 * checks * len(plant.quantities) / false_alarm  # every other sample sets limits
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(expected / CALIBRATION_STEPS)))
     seeds = range(CALIBRATION_SEEDS.start, CALIBRATION_SEEDS.start + runs)
     return simulate(plant, CALIBRATION_STEPS, seeds, process_noise=plant.truth.disturbed)
 
 
-def settled_readings(plant: Plant) -> Array:
+def settled_readings(plant: Plant, false_alarm: float) -> Array:
     """Healthy readings (K, B, N) for detectors that learn how readings move together.
 
     Of a disturbed plant without the first WARM_UP samples, in which disturbances build up from none at all
@@ -91,14 +93,13 @@ def settled_readings(plant: Plant) -> Array:
     begins at their operating point, and is learnt from there. Runs as for four checks: these detectors set three limits for all
     sensors, on the better part of half the windows.
     """
-    return healthy_data(plant, checks=4).y[WARM_UP if plant.truth.disturbed else 0 :]
+    return healthy_data(plant, false_alarm, checks=4).y[WARM_UP if plant.truth.disturbed else 0 :]
 
 
-def structural_residuals(plant: Plant) -> StructuralResiduals:
+def structural_residuals(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> StructuralResiduals:
     """NotApplicableError for a plant without scalar equations, MissingPackageError without faultdiagnosistoolbox."""
     modules_of(plant)  # before anything is simulated
-    healthy = healthy_data(plant)
-    return StructuralResiduals.fit(plant, healthy.y, healthy.u_of_runs, FALSE_ALARM)
+    return StructuralResiduals.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
 def bounded(plant: Plant) -> Detector:
@@ -122,24 +123,27 @@ def sequential(plant: Plant, rule: str, *, leave_one_out: bool = False) -> Seque
     return SequentialBank(plant, (Shewhart(), RULES[rule]), leave_one_out, false_alarm=FALSE_ALARM)
 
 
-def fixed_limits(plant: Plant) -> FixedLimits:
-    """Limits of readings and of their changes, from healthy simulated runs."""
-    return FixedLimits.fit(plant, healthy_data(plant).y, FALSE_ALARM)
+def fixed_limits(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FixedLimits:
+    """Limits of readings and of their changes, from healthy readings, None for simulated runs."""
+    return FixedLimits.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
-def ewma_limits(plant: Plant) -> EwmaLimits:
-    """Limits of readings, of their changes and of their moving averages, from healthy simulated runs."""
-    return EwmaLimits.fit(plant, healthy_data(plant, checks=3).y, FALSE_ALARM)
+def ewma_limits(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> EwmaLimits:
+    """Limits of readings, of their changes and of their moving averages, from healthy readings, None for simulated runs."""
+    return EwmaLimits.fit(plant, healthy_data(plant, false_alarm, checks=3) if healthy is None else healthy, false_alarm)
 
 
-def principal_components(plant: Plant, *, lags: int = 0) -> PrincipalComponents:
-    """Principal components of present readings and of `lags` before them, from healthy simulated runs."""
-    return PrincipalComponents.fit(plant, settled_readings(plant), FALSE_ALARM, lags=lags)
+def principal_components(
+    plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM, *, lags: int = 0
+) -> PrincipalComponents:
+    """Principal components of present readings and of `lags` before them, from healthy readings, None for simulated runs."""
+    data = settled_readings(plant, false_alarm) if healthy is None else healthy
+    return PrincipalComponents.fit(plant, data, false_alarm, lags=lags)
 
 
-def one_class(plant: Plant) -> OneClass:
-    """A one-class support vector machine, from healthy simulated runs."""
-    return OneClass.fit(plant, settled_readings(plant), FALSE_ALARM)
+def one_class(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> OneClass:
+    """A one-class support vector machine, from healthy readings, None for simulated runs."""
+    return OneClass.fit(plant, settled_readings(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
 def watching(detector: Detector) -> Detector:

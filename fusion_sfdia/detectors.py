@@ -16,6 +16,7 @@ register_detector(
     "Shaheen 2024, on its pipeline with its process noise; P0 is the plant's, where the paper has the identity",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    learns=True,
     kind="ekf",
 )
 register_detector(
@@ -23,6 +24,7 @@ register_detector(
     "the same of unscented filters as printed, without redrawn sigma points",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    learns=True,
     kind="ukf",
 )
 register_detector(
@@ -30,6 +32,7 @@ register_detector(
     "the same of ensemble filters, 40 members",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    learns=True,
     kind="enkf",
 )
 register_detector(
@@ -59,7 +62,7 @@ register_detector(
 )
 register_detector(
     "kf-chi2",
-    "one extended Kalman filter with a test of each innovation; names the largest, accommodates nothing",
+    "one extended Kalman filter with a test of each innovation; isolates the largest, accommodates nothing",
     "fusion_sfdia.kalman_banks.central_filter:CentralFilter",
     memory=STATE,
     false_alarm=FALSE_ALARM,
@@ -67,7 +70,7 @@ register_detector(
 register_detector(
     "kf-window",
     "one extended Kalman filter; of each sensor the sum of squares of its last 15 normalised innovations, chi-square, and "
-    "a test of the present one; names and leaves out the largest, until it is readmitted",
+    "a test of the present one; isolates and leaves out the largest, until it is readmitted",
     "fusion_sfdia.builders:sequential",
     memory="15 samples",
     rule="window",
@@ -122,7 +125,7 @@ register_detector(
 )
 register_detector(
     "multiple-model",
-    "models of healthy sensors and of each one's noise ten times as large, with a Markov chain between them (GPB1); names "
+    "models of healthy sensors and of each one's noise ten times as large, with a Markov chain between them (GPB1); isolates "
     "the most probable",
     "fusion_sfdia.kalman_banks.multiple_model:MultipleModel",
     memory="probabilities of the models",
@@ -132,12 +135,14 @@ register_detector(
     "fixed limits of each reading and of its change since the last, learnt from healthy data",
     "fusion_sfdia.builders:fixed_limits",
     memory="1 sample",
+    learns=True,
 )
 register_detector(
     "limits-ewma",
     "the same with a limit on the exponentially weighted moving average of each reading, too (Lucas and Saccucci 1990)",
     "fusion_sfdia.builders:ewma_limits",
     memory="EWMA, factor 0.8 a sample",
+    learns=True,
 )
 register_detector(
     "pca",
@@ -145,12 +150,14 @@ register_detector(
     "and reconstruction-based contributions, by which it isolates",
     "fusion_sfdia.builders:principal_components",
     memory=NONE,
+    learns=True,
 )
 register_detector(
     "dynamic-pca",
     "the same of present readings and the two before them (Ku 1995)",
     "fusion_sfdia.builders:principal_components",
     memory="3 samples",
+    learns=True,
     lags=2,
 )
 register_detector(
@@ -159,6 +166,7 @@ register_detector(
     "reconstruction of single readings",
     "fusion_sfdia.builders:one_class",
     memory=NONE,
+    learns=True,
 )
 register_detector(
     "structural-residuals",
@@ -166,6 +174,7 @@ register_detector(
     "from healthy data, minimal diagnoses; on a plant with scalar equations",
     "fusion_sfdia.builders:structural_residuals",
     memory="1 sample and observers",
+    learns=True,
 )
 register_detector(
     "adaptive-threshold",
@@ -200,7 +209,7 @@ register_detector(
 )
 register_detector(
     "chebyshev:corrected",
-    "the same with the paper's filter parameter 0.3 and 2 standard deviations; names no sensor",
+    "the same with the paper's filter parameter 0.3 and 2 standard deviations; isolates no sensor",
     "fusion_sfdia.stochastic_thresholds.chebyshev:Chebyshev",
     memory="residuals, factor 0.3 a sample",
     accommodate=False,

@@ -17,17 +17,17 @@ Wherever a name is expected, a text "module:attribute" or "path/file.py:attribut
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import partial
 from importlib import import_module, resources
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
-from fusion_sfdia.core.references import call, first_line, is_reference, load, name_of, require_call, source_of
+from fusion_sfdia.core.entries import deferred, enter, itself, package_of, take_up
+from fusion_sfdia.core.references import first_line, is_reference, load, name_of, require_call, source_of
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.detector import Detector
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 OURS = "fusion_sfdia"
 GROUPS = ("pipeline", "engine", "network")  # folders of benchmarks/ whose files are scenarios
-NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*(:[a-z0-9]+(-[a-z0-9]+)*)?")  # kf-chi2, chebyshev:paper
-EXAMPLES = {"plant": "two-tanks", "detector": "kf-chi2 or chebyshev:paper"}
 M = TypeVar("M")
 
 
@@ -58,26 +56,28 @@ class NamedPlant(NamedTuple):
     @property
     def package(self) -> str:
         """The package it comes from."""
-        return _package(self.source)
+        return package_of(self.source)
 
 
 class NamedDetector(NamedTuple):
     """A detector by name: what it is, how it is built for a plant, and over what its test statistic accumulates.
 
     build: takes a Plant and returns the Detector. memory: "none" (present readings alone), "state estimate only", or how far
-    back evidence of a fault is gathered; "" where it is not stated. source: "module:name" of what builds it.
+    back evidence of a fault is gathered; "" where it is not stated. source: "module:name" of what builds it. learns: whether
+    build takes `healthy` and `false_alarm`, too: readings, None for simulated ones, and a rate, as of `named.fit`.
     """
 
     name: str
     about: str
-    build: Callable[[Plant], Detector]
+    build: Callable[..., Detector]
     memory: str = ""
     source: str = ""
+    learns: bool = False
 
     @property
     def package(self) -> str:
         """The package it comes from."""
-        return _package(self.source)
+        return package_of(self.source)
 
 
 def _scenarios() -> dict[str, str]:
@@ -110,25 +110,29 @@ def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None
     """
     if make is None:
         return partial(register_plant, name, about, cases=cases)
-    _enter(_PLANTS, NamedPlant(name, about, _deferred(make), cases, source_of(make)))
+    enter(_PLANTS, "plant", NamedPlant(name, about, deferred(make), cases, source_of(make)))
     return make
 
 
 @overload
-def register_detector(name: str, about: str, *, memory: str = "", **settings: Any) -> Callable[[M], M]: ...
+def register_detector(
+    name: str, about: str, *, memory: str = "", learns: bool = False, **settings: Any
+) -> Callable[[M], M]: ...
 @overload
-def register_detector(name: str, about: str, build: M, *, memory: str = "", **settings: Any) -> M: ...
-def register_detector(name: str, about: str, build: Any = None, *, memory: str = "", **settings: Any) -> Any:
+def register_detector(name: str, about: str, build: M, *, memory: str = "", learns: bool = False, **settings: Any) -> M: ...
+def register_detector(
+    name: str, about: str, build: Any = None, *, memory: str = "", learns: bool = False, **settings: Any
+) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
-    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`. ValueError for a name of another form than
-    "kf-chi2" or "chebyshev:paper", and for one that is taken.
+    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`. ValueError for a name of another form
+    than "kf-chi2" or "chebyshev:paper", and for one that is taken.
     """
     if build is None:
-        return partial(register_detector, name, about, memory=memory, **settings)
-    made = _deferred(build)
-    _enter(_DETECTORS, NamedDetector(name, about, partial(made, **settings) if settings else made, memory, source_of(build)))
+        return partial(register_detector, name, about, memory=memory, learns=learns, **settings)
+    made = partial(deferred(build), **settings) if settings else deferred(build)
+    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build), learns))
     return build
 
 
@@ -137,21 +141,14 @@ def plants() -> dict[str, NamedPlant]:
 
     One of another package that fails to load is among them, with the reason; its `make` raises ValueError.
     """
-    known = _own_plants()
-    for point in entry_points(group="fusion_sfdia.plants"):
-        _take_up(point, known, NamedPlant)
-    return dict(sorted(known.items(), key=lambda item: (item[1].package != OURS, item[0])))
+    found: dict[str, NamedPlant] = _with_entry_points("plant", _own_plants(), NamedPlant)
+    return dict(sorted(found.items(), key=lambda item: (item[1].package != OURS, item[0])))
 
 
 def detectors() -> dict[str, NamedDetector]:
-    """All registered detectors by name, our own first.
-
-    One of another package that fails to load is among them, with the reason; its `build` raises ValueError.
-    """
-    known = _own_detectors()
-    for point in entry_points(group="fusion_sfdia.detectors"):
-        _take_up(point, known, NamedDetector)
-    return dict(sorted(known.items(), key=lambda item: item[1].package != OURS))
+    """All registered detectors by name, our own first, as `plants`: their `build` raises."""
+    found: dict[str, NamedDetector] = _with_entry_points("detector", _own_detectors(), NamedDetector)
+    return dict(sorted(found.items(), key=lambda item: item[1].package != OURS))
 
 
 def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPlant:
@@ -165,11 +162,11 @@ def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPla
     found: Any = what
     if isinstance(what, str):
         known = _own_plants()
-        found = known[what] if what in known else _found("plant", what, plants())
+        found = known[what] if what in known else _meant("plant", what, plants())
     if isinstance(found, NamedPlant):
         return found
     if isinstance(found, Plant):
-        return NamedPlant(what if isinstance(what, str) else found.name, "", partial(_itself, found))
+        return NamedPlant(what if isinstance(what, str) else found.name, "", partial(itself, found))
     require_call(f"plant {name_of(what)}", found, "a Plant, or a function without arguments that returns one", 0)
     registered = (entry for entry in _PLANTS.values() if entry.make is found)
     return next(registered, NamedPlant(name_of(what), first_line(found), found, source=source_of(found)))
@@ -184,7 +181,7 @@ def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> Na
     found: Any = what
     if isinstance(what, str):
         known = _own_detectors()
-        found = known[what] if what in known else _found("detector", what, detectors())
+        found = known[what] if what in known else _meant("detector", what, detectors())
     if isinstance(found, NamedDetector):
         return found
     require_call(f"detector {name_of(what)}", found, "a class or function that takes a Plant and returns a Detector", 1)
@@ -258,37 +255,13 @@ def _own_detectors() -> dict[str, NamedDetector]:
     return _DETECTORS
 
 
-def _enter(known: dict[str, Any], entry: Any) -> None:
-    """Register a NamedPlant or NamedDetector; ValueError for a name of another form, or taken by another source."""
-    kind = "plant" if isinstance(entry, NamedPlant) else "detector"
-    if not NAME.fullmatch(entry.name):
-        raise ValueError(f"{kind} {entry.name!r}: expected small letters, digits and hyphens, such as {EXAMPLES[kind]}")
-    taken = known.get(entry.name)
-    if taken is not None and taken.source != entry.source:
-        raise ValueError(
-            f"{kind} {entry.name!r} of {entry.source}: that name is taken by {taken.source}; register it under another"
-        )
-    known[entry.name] = entry
+def _with_entry_points(kind: str, known: dict[str, Any], entry: Callable[..., Any]) -> dict[str, Any]:
+    for point in entry_points(group=f"fusion_sfdia.{kind}s"):
+        take_up(point, known, kind, entry)
+    return known
 
 
-def _take_up(point: EntryPoint, known: dict[str, Any], kind: type[NamedPlant | NamedDetector]) -> None:
-    """Register what an entry point names, unless its package has done so itself: before, or while it was loaded."""
-
-    def registered() -> bool:
-        return point.name in known and known[point.name].package == _package(point.value)
-
-    if registered():
-        return
-    package = point.dist.name if point.dist else _package(point.value)
-    try:
-        about = first_line(load(point.value))
-    except ValueError as error:
-        about = f"cannot be loaded: {error}"
-    if not registered():
-        _enter(known, kind(point.name, about, partial(call, point.value, f"package {package}: "), source=point.value))
-
-
-def _found(kind: str, text: str, known: dict[str, Any]) -> Any:
+def _meant(kind: str, text: str, known: dict[str, Any]) -> Any:
     """The registered entry of that name, or else what the text refers to."""
     if text in known or not is_reference(text):
         return known[require_known(kind, text, known)]
@@ -297,16 +270,3 @@ def _found(kind: str, text: str, known: dict[str, Any]) -> Any:
     except ValueError as error:
         near = get_close_matches(text, known, n=1)
         raise ValueError(f"{error}; or did you mean the {kind} {near[0]!r}?" if near else str(error)) from error
-
-
-def _deferred(thing: Any) -> Any:
-    """What makes a plant or builds a detector, imported when it is called where it is given as a text."""
-    return partial(call, thing, "") if isinstance(thing, str) else thing
-
-
-def _itself(thing: Any) -> Any:
-    return thing
-
-
-def _package(source: str) -> str:
-    return source.partition(":")[0].partition(".")[0]

@@ -1,9 +1,9 @@
-"""engine/minimum-fault: the smallest offset of each sensor that its own module shows (Kougiatsos 2024, (19) and Table V).
+"""engine/minimum-fault: the smallest offset of each sensor that its own module detects (Kougiatsos 2024, (19) and Table V).
 
-Table V does not say how it was found. Two readings of (19), both of an offset of either sign:
+Table V does not state how it was computed. Two readings of (19), both of an offset of either sign:
 
-minimum_detectable_percent: of readings without noise; what every run shows, once the noise has moved the residual either way.
-smallest_detected_percent: of a run with noise, which helps at one sample or another; the longer the run the less is needed.
+minimum_detectable_percent: of readings without noise; detected in every run, whatever the noise.
+smallest_detected_percent: in a run with noise, which can add to the offset at some sample; it decreases with the run's length.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     NAMES,
     Array,
     Results,
+    by_detector,
     engine_detector,
-    gather,
     recording,
     row,
     tasks,
@@ -38,9 +38,9 @@ from fusion_sfdia.report.findings import pick
 from fusion_sfdia.report.plots import Bars, bars, legend_above, panels
 
 NAME = "engine/minimum-fault"
-ONSET = 0.5  # s: the observers have forgotten how they began
+ONSET = 0.5  # s: the initial state of the observers has decayed
 LARGEST = 0.9  # of the nominal value
-HALVINGS = 16  # of the size in doubt: told to 0.0014 % of the nominal value
+HALVINGS = 16  # of the interval of the size: to 0.0014 % of the nominal value
 METRICS = {"minimum_detectable_percent": "without noise", "smallest_detected_percent": "in a run"}
 
 
@@ -95,7 +95,7 @@ def fires(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, sizes: Arra
 
 def minimum_summary(settings: Settings, results: Results) -> Summary:
     """Both sizes of each module beside Table V."""
-    found = gather(results)
+    found = by_detector(results)
     rows: list[Row] = []
     for detector, arrays in found.items():
         for j, name in enumerate(NAMES):
@@ -132,12 +132,12 @@ def minimum_summary(settings: Settings, results: Results) -> Summary:
             + "."
             for m in METRICS
         ),
-        "M(4,2) reads no other sensor, so its threshold is the noise bound: without noise it shows what exceeds "
+        "M(4,2) reads no other sensor, so its threshold is the noise bound: without noise it detects what exceeds "
         f"{at_M42['minimum_detectable_percent']} %, in a run of {settings['duration']:g} s already "
         f"{at_M42['smallest_detected_percent']} %. The printed 0.03 % is of the second kind, those of M(1,1), M(3,1) and "
         "M(4,1), near the noise bound, are of the first: Table V seems to mix the two.",
-        "An observer with a gain of hundreds per second takes an offset over within a sample or two: M(3,1) and M(4,1) see it "
-        "as it begins or hardly at all.",
+        "An observer with a gain of hundreds per second follows an offset within a sample or two: M(3,1) and M(4,1) detect it "
+        "at its onset or hardly at all.",
     ]
     return Summary(rows, [figure], [table], remarks=remarks)
 
@@ -172,7 +172,7 @@ def draw(rows: list[Row], detectors: tuple[str, ...]) -> Drawing:
 
 SCENARIO = Scenario(
     name=NAME,
-    title="The smallest fault that a module of the marine engine shows",
+    title="The smallest fault that a module of the marine engine detects",
     about="The smallest offset of each sensor, of either sign, that makes its own module fire, without noise and in a run, at "
     "full load with 5 % noise (Kougiatsos 2024, (19), Table V). Sizes are found by halving.",
     settings={"noise": 0.05, "duration": 3.0, "detectors": DETECTORS},

@@ -1,4 +1,4 @@
-"""engine/noise: how often and how late two faults are detected as the noise grows (K24, Fig. 5 and Table VI)."""
+"""engine/noise: missed detections and detection delays of two faults by noise level (K24, Fig. 5 and Table VI)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine.support.campaign import VALID, check, engine_detector, fork, noise, response, truth, watch
+from fusion_sfdia.benchmarks.engine.support.campaign import (
+    VALID,
+    check,
+    engine_detector,
+    first_firings,
+    fork,
+    noise,
+    response,
+    truth,
+)
 from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows
 from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     AGENTS,
@@ -18,6 +27,7 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     OTHERS,
     OWN,
     Found,
+    condition,
     delay_figure,
     isolation_figure,
     missed_figure,
@@ -56,9 +66,9 @@ def noise_work(task: Task) -> Arrays:
     onset = int(np.argmax(changed.active.any(axis=(1, 2))))
     draws = noise(detector.plant, t.size, task["seeds"])
     before = (signal[k] + next(draws) for k in range(onset))
-    state, healthy = watch(detector, t[:onset], u[:onset], before)
+    state, healthy = first_firings(detector, t[:onset], u[:onset], before)
     after = (changed.y[k, :, None] + next(draws) for k in range(onset, t.size))
-    _, faulty = watch(detector, t[onset:], u[onset:], after, fork(state, len(faults)))
+    _, faulty = first_firings(detector, t[onset:], u[onset:], after, fork(state, len(faults)))
     return {"first": np.minimum(healthy["first"], faulty["first"])}
 
 
@@ -73,17 +83,17 @@ def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
         early = (first[0] < settings["onset"]).any(axis=-1)
         at = partial(row, "engine/noise", name)
         value = Estimate(float(early.sum()), math.nan, math.nan, early.size)
-        rows.append(at("none", f"all, noise {level:.0%}", "false_alarms", value))
+        rows.append(at("none", "all", "false_alarms", value, condition=condition(level)))
         for i, (sensor, size) in enumerate(FAULTS.items()):
             fault = f"{sensor} +{size:.0%}"
             for group in (OWN, AGENTS, OTHERS):
                 answer = found[sensor, group, level] = response(first[i], settings["onset"], modules_of(sensor, group))
-                quantity = f"{NAMES[modules_of(sensor, OWN)[0]] if group == OWN else group}, noise {level:.0%}"
+                quantity = NAMES[modules_of(sensor, OWN)[0]] if group == OWN else group
                 for metric, estimate in _metrics(answer).items():
                     stated = published(sensor, group, level, metric) if settings["duration"] == 100.0 else None
-                    rows.append(at(fault, quantity, metric, estimate, stated))
+                    rows.append(at(fault, quantity, metric, estimate, stated, condition=condition(level)))
             lines = timeline(first[i], (Offset(sensor, settings["onset"], size),), settings["duration"])
-            rows += isolation_rows("engine/noise", name, fault, lines, f"all, noise {level:.0%}")
+            rows += isolation_rows("engine/noise", name, fault, lines, condition=condition(level))
     figures = [missed_figure(levels, found), delay_figure(levels, found), isolation_figure(levels, rows)]
     return Summary(rows, figures, [_table_vi(levels, found)], [_highlight(levels, found)], _remarks(levels, found, rows))
 
@@ -137,16 +147,16 @@ def _highlight(levels: list[float], found: Found) -> str:
 
 def _remarks(levels: list[float], found: Found, rows: list[Row]) -> list[str]:
     early = pick(rows, metric="false_alarms")
-    late = [r.value for r in pick(rows, metric="detection_delay_longest") if r.quantity.startswith("M")]
-    told = []
+    late = [r.value for r in pick(rows, metric="detection_delay_longest") if r.quantity in NAMES]
+    by_sensor = []
     for sensor in FAULTS:
         both = [tuple(found[sensor, group, level].missed.value for group in (OWN, AGENTS)) for level in levels]
-        told.append(
+        by_sensor.append(
             f"{sensor}: " + "; ".join(f"{v:.0%} noise {a:.2g}, {b:.2g}" for v, (a, b) in zip(levels, both, strict=True))
         )
     return [
         f"Alarms before the onset: {sum(r.value for r in early):.0f} in {sum(r.n for r in early)} runs.",
-        f"Missed by the own module, and by all other agents. {'. '.join(told)}.",
+        f"Missed by the own module, and by all other agents. {'. '.join(by_sensor)}.",
         f"Own modules that detect the fault do so within {span(late)} s.",
         "Means over the levels by fault, P^U "
         f"{listed(pick(rows, metric='isolation_performance_percent'), 'fault')} %; P^E "

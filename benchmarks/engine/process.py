@@ -1,6 +1,6 @@
-"""engine/process: faults of the engine itself and attacks on single measurements, and whether they are taken for sensor faults.
+"""engine/process: process faults and attacks on single measurements: detection, and false isolation of sensors.
 
-Both are future work of K24. The detector knows sensor faults alone: a process fault is right where an alarm accuses no sensor.
+Both are future work of K24. The detector knows sensor faults only: under a process fault an alarm should isolate no sensor.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from fusion_sfdia.benchmarks.engine.support.campaign import (
     VALID,
     check,
     engine_detector,
+    first_firings,
     moving_detector,
     noise,
     response,
@@ -25,7 +26,6 @@ from fusion_sfdia.benchmarks.engine.support.campaign import (
     sizes,
     truth,
     verdict_rows,
-    watch,
 )
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import run_figure
 from fusion_sfdia.benchmarks.engine.support.process_figures import (
@@ -33,9 +33,10 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
     ATTACKS,
     attack_cases,
     attack_figure,
+    noticed,
     process_cases,
     process_figure,
-    told,
+    severity_text,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
 from fusion_sfdia.evaluation.fault_effects import apply_faults
@@ -81,17 +82,17 @@ def process_work(task: Task) -> Arrays:
         runs = [faults for faults in lists for _ in task["seeds"]]
         y = apply_faults(detector.plant, t, everyone, runs).y
     shown = _drawn(task["severities"]) if task["what"] == PROCESS else 0
-    _, found = watch(detector, t, u, y, shown=(shown, 0))
+    _, found = first_firings(detector, t, u, y, shown=(shown, 0))
     return {k: found[k] for k in ("first", "diverged", "trace")}
 
 
 def _drawn(severities: list[float]) -> int:
-    """The process fault of which a single run is drawn: the first kind, as severe as any."""
+    """The process fault of which a single run is drawn: the first kind at the largest severity."""
     return int(np.argmax(severities))
 
 
 def attack(kind: str, sensor: str, size: Array, nominal: Array, task: Task) -> list[Fault]:
-    """The faults that an attack is; size, nominal (N,)."""
+    """The sensor faults that make up an attack; size, nominal (N,)."""
     if sensor == ALL:
         return [Fault(s, "replay", task["onset"], period=task["period"]) for s in SENSORS]
     i = list(SENSORS).index(sensor)
@@ -106,7 +107,7 @@ def attack(kind: str, sensor: str, size: Array, nominal: Array, task: Task) -> l
 
 
 def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Alarms, delays and sensors accused by process fault and by attack."""
+    """Alarms, delays and isolated sensors by process fault and by attack."""
     cells: dict[tuple[str, str], list[Arrays]] = {}
     for task, arrays in results:
         cells.setdefault((task["what"], task["drive"]), []).append(arrays)
@@ -115,11 +116,13 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
     for (what, drive), parts in cells.items():
         first = firsts[what, drive] = np.concatenate([p["first"] for p in parts], axis=1)
         diverged = np.concatenate([p["diverged"] for p in parts], axis=1)
-        cases = process_cases(list(settings["severities"])) if what == PROCESS else attack_cases()
-        for case, times, lost in zip(cases, first, diverged, strict=True):
-            where = (f"{case[0]} {case[1]:.0%}", "all") if what == PROCESS else (case[0], f"{case[1]}, {drive}")
-            at = partial(row, "engine/process", settings["detector"], *where)
-            faulty = list(SENSORS).index(str(case[1])) if case[1] in SENSORS else None
+        if what == PROCESS:
+            cases = [(kind, "all", severity_text(severity)) for kind, severity in process_cases(list(settings["severities"]))]
+        else:
+            cases = [(kind, sensor, drive) for kind, sensor in attack_cases()]
+        for (kind, quantity, condition), times, lost in zip(cases, first, diverged, strict=True):
+            at = partial(row, "engine/process", settings["detector"], kind, quantity, condition=condition)
+            faulty = list(SENSORS).index(quantity) if quantity in SENSORS else None
             answer = response(times, settings["onset"], range(len(NAMES)))
             early = Estimate(float((times < settings["onset"]).any(axis=-1).sum()), math.nan, math.nan, len(times))
             rows += [
@@ -133,8 +136,9 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
     for key in (k for k in firsts if k[0] == PROCESS):
         figures += [process_figure(list(settings["severities"]), firsts[key]), _run_figure(settings, cells[key][0])]
     figures += [attack_figure(drive, first) for (what, drive), first in firsts.items() if what == ATTACK]
-    noticed = [x for (what, _), first in firsts.items() if what == PROCESS for x in told(list(settings["severities"]), first)]
-    return Summary(rows, figures, highlights=_highlights(rows), remarks=[*noticed, *_remarks(settings, rows)])
+    severities = list(settings["severities"])
+    sentences = [x for (what, _), first in firsts.items() if what == PROCESS for x in noticed(severities, first)]
+    return Summary(rows, figures, highlights=_highlights(rows), remarks=[*sentences, *_remarks(settings, rows)])
 
 
 def _run_figure(settings: Settings, arrays: Arrays) -> Figure:
@@ -147,34 +151,34 @@ def _run_figure(settings: Settings, arrays: Arrays) -> Figure:
 
 
 def _highlights(rows: list[Row]) -> list[str]:
-    told = [
-        f"{r.fault}: detected {1 - r.value:.0%}, sensors accused {a.value:.0%}"
+    faults = [
+        f"{r.fault}, {r.condition}: detected {1 - r.value:.0%}, false isolation {a.value:.0%}"
         for r, a in zip(
             pick(rows, quantity="all", metric="missed_detection_rate"),
-            pick(rows, quantity="all", metric="sensor_accused_at_end"),
+            pick(rows, quantity="all", metric="any_sensor_isolated_at_end"),
             strict=True,
         )
     ]
-    return [f"Process faults taken for sensor faults. {'; '.join(told)} of the runs."] if told else []
+    return [f"False isolation of sensors under process faults. {'; '.join(faults)} of the runs."] if faults else []
 
 
 def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
     remarks = []
     for drive in settings["drives"]:
         for kind in ATTACKS:
-            where = [f"{sensor}, {drive}" for sensor in SENSORS]
-            missed = pick(rows, fault=kind, quantity=where, metric="missed_detection_rate")
+            of_kind = [r for r in rows if r.fault == kind and r.quantity in SENSORS and r.condition == drive]
+            missed = pick(of_kind, metric="missed_detection_rate")
             if missed:
-                right = pick(rows, fault=kind, quantity=where, metric="isolated_at_end")
-                alone = pick(rows, fault=kind, quantity=where, metric="exact_isolation_at_end")
-                found = [r.quantity.split(",")[0] for r in missed if r.value < 0.5]
-                named = f" ({', '.join(found)})"
+                right = pick(of_kind, metric="isolated_at_end")
+                exact = pick(of_kind, metric="exact_isolation_at_end")
+                found = [r.quantity for r in missed if r.value < 0.5]
+                which = f" ({', '.join(found)})"
                 remarks.append(
                     f"{kind} ({ATTACKS[kind]}), {DRIVES[drive]}: detected in most runs on {len(found)} of {len(missed)} sensors"
-                    f"{named if 0 < len(found) < len(missed) else ''}; the attacked sensor is accused in "
-                    f"{span(100 * r.value for r in right)} % of the runs, alone in {span(100 * r.value for r in alone)} %."
+                    f"{which if 0 < len(found) < len(missed) else ''}; the attacked sensor is isolated in "
+                    f"{span(100 * r.value for r in right)} % of the runs, exactly in {span(100 * r.value for r in exact)} %."
                 )
-        every = pick(rows, fault="replay", quantity=f"{ALL}, {drive}", metric="missed_detection_rate")
+        every = pick(rows, fault="replay", quantity=ALL, condition=drive, metric="missed_detection_rate")
         remarks += [f"All sensors replayed at once, {DRIVES[drive]}: detected in {1 - r.value:.0%} of the runs." for r in every]
     return remarks
 
@@ -183,7 +187,7 @@ SCENARIO = Scenario(
     name="engine/process",
     title="Process faults and attacks on measurements",
     about="Fouling, a lost injector, a heavy propeller; offset, scaling, changed sign and replay of single measurements, at "
-    "full load and as the load falls: what is detected, and whether it is taken for a fault of which sensors.",
+    "full load and as the load falls: what is detected, and which sensors are isolated.",
     settings={
         "detector": VALID,
         "noise": USUAL_NOISE,

@@ -1,4 +1,4 @@
-"""engine/sensitivity: thresholds and the smallest faults they let through, by noise and observer gains (V22's future work)."""
+"""engine/sensitivity: thresholds and smallest detected faults, by noise and observer gains (future work of V22)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from fusion_sfdia.benchmarks.engine.support.campaign import (
     VALID,
     check,
     engine_detector,
+    first_firings,
     fork,
     noise,
     truth,
-    watch,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
@@ -75,9 +75,9 @@ def sensitivity_work(task: Task) -> Arrays:
         biases[1 + i * SIZES.size : 1 + (i + 1) * SIZES.size, 0, sensor] = SIZES * bound[sensor]
     onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
     draws = noise(detector.plant, t.size, task["seeds"])
-    state, before = watch(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
+    state, before = first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
-    _, found = watch(detector, t[onset:], u[onset:], after, fork(state, len(biases)))
+    _, found = first_firings(detector, t[onset:], u[onset:], after, fork(state, len(biases)))
     fired = np.isfinite(found["first"])
     detected = (fired[1:] & ~fired[0]).reshape(len(own), SIZES.size, -1, bound.size)
     return {
@@ -98,12 +98,11 @@ def sensitivity_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
     for (detector, level, gains), parts in cells.items():
         threshold, beyond = (np.concatenate([p[k] for p in parts]) for k in ("threshold", "beyond"))
         detected = np.concatenate([p["detected"] for p in parts], axis=-1)
-        at = partial(row, "engine/sensitivity", detector)
-        where = f"noise {level:.0%}, gains {gains}"
+        at = partial(row, "engine/sensitivity", detector, condition=condition(level, gains))
         alarms = beyond.sum(axis=-1)
         count = Estimate(float((beyond > 0).any(axis=-1).sum()), math.nan, math.nan, alarms.size)
-        rows.append(at("none", f"all, {where}", "runs_with_false_alarm", count))
-        rows.append(at("none", f"all, {where}", "false_alarms", Estimate(float(alarms.sum()), math.nan, math.nan, alarms.size)))
+        rows.append(at("none", "all", "runs_with_false_alarm", count))
+        rows.append(at("none", "all", "false_alarms", Estimate(float(alarms.sum()), math.nan, math.nan, alarms.size)))
         for i, name in enumerate(OBSERVERS):
             sensor = NAMES.index(name)
             ratio = threshold[:, sensor] / parts[0]["bound"][sensor]
@@ -111,12 +110,17 @@ def sensitivity_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
             stated = minimum_fault(name) if level == USUAL_NOISE and gains == K24 else None
             seen = smallest_detected(SIZES * 100 * level, detected[i])
             rows += [
-                at("none", f"{name}, {where}", "threshold_noise_bounds", mean),
-                at("none", f"{name}, {where}", "minimum_detectable_percent", _scaled(mean, 100 * level), stated),
-                at("bias", f"{name}, {where}", "smallest_detected_percent", seen, stated),
-                at("bias", f"{name}, {where}", "samples", Estimate(float(samples), math.nan, math.nan, alarms.size)),
+                at("none", name, "threshold_noise_bounds", mean),
+                at("none", name, "minimum_detectable_percent", _scaled(mean, 100 * level), stated),
+                at("bias", name, "smallest_detected_percent", seen, stated),
+                at("bias", name, "samples", Estimate(float(samples), math.nan, math.nan, alarms.size)),
             ]  # fmt: skip
-    return Summary(rows[:], [_figure(settings, rows)], remarks=_remarks(settings, rows))
+    return Summary(rows, [_figure(settings, rows)], remarks=_remarks(settings, rows))
+
+
+def condition(level: float, gains: str) -> str:
+    """The condition of a row: the noise level, as a share of the nominal values, and the observer gains."""
+    return f"noise {level:.0%}, gains {gains}"
 
 
 def _scaled(e: Estimate, factor: float) -> Estimate:
@@ -124,7 +128,7 @@ def _scaled(e: Estimate, factor: float) -> Estimate:
 
 
 def _of(rows: list[Row], name: str, level: float, gains: str, metric: str, detector: str = VALID) -> float:
-    found = pick(rows, quantity=f"{name}, noise {level:.0%}, gains {gains}", metric=metric, detector=detector)
+    found = pick(rows, quantity=name, condition=condition(level, gains), metric=metric, detector=detector)
     return found[0].value if found else math.nan
 
 
@@ -171,8 +175,7 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
         + "; ".join(f"{d} {sum(r.value for r in pick(alarms, detector=d)):.0f} of {n}" for d, n in runs.items())
         + ". The published constants belong to the published gains; with others they would have to be derived anew."
     )
-    where = [f"{n}, noise {USUAL_NOISE:.0%}, gains {K24}" for n in OBSERVERS]
-    usual = pick(rows, metric="smallest_detected_percent", quantity=where, detector=VALID)
+    usual = pick(rows, metric="smallest_detected_percent", condition=condition(USUAL_NOISE, K24), detector=VALID)
     if usual:
         remarks.append(f"Smallest fault detected, % of nominal, of a grid in steps of a quarter: {listed(usual, 'quantity')}.")
     return remarks

@@ -89,17 +89,17 @@ def signature_summary(settings: Settings, results: Results) -> Summary:
             place = lines[i], list(FAULTS)[j]
             differing[name, *place] = SYMBOLS[arrays["ours"][i, j]], SYMBOLS[arrays["printed"][i, j]]
         tables.append(_table(name, arrays))
-    told = [f"{t}, {line}, {fault}: {a} for {b}" for (t, line, fault), (a, b) in differing.items()]
+    entries = [f"{t}, {line}, {fault}: {a} for {b}" for (t, line, fault), (a, b) in differing.items()]
     reasons = dict.fromkeys(f"{line}, {fault}: {WHY[line, fault]}" for _, line, fault in differing if (line, fault) in WHY)
     total, equal = (
         sum(r.n for r in rows if r.metric == "entries_equal"),
         sum(r.value for r in rows if r.metric == "entries_equal"),
     )
     remarks = [
-        f"Of {total} entries {equal:.0f} are as printed. Differing (ours for theirs): {'; '.join(told) or 'none'}.",
+        f"Of {total} entries {equal:.0f} are as printed. Differing (ours for theirs): {'; '.join(entries) or 'none'}.",
         *(f"{reason}." for reason in reasons),
         "The printed tables have columns for some sensors; the others count as 0. A 1 says that a fault must show. K24 has it "
-        "where an observer corrects with its own sensor, K22 for all local sensors of an observer; the equations say which "
+        "where an observer corrects with its own sensor, K22 for all local sensors of an observer; the equations define which "
         "sensors are read, not which of the two conventions is meant.",
     ]
     figure = Figure(

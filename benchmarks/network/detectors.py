@@ -1,8 +1,7 @@
-"""network/detectors: how late faults are detected, by the paper's residual and by others, at one rate of false alarms."""
+"""network/detectors: detection delays of the paper's residual and of other tests at the same false-alarm rate."""
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,16 @@ from fusion_sfdia.benchmarks.network.support.detector_figures import (
     LEVEL,
     LEVELS,
     TESTS,
+    Measured,
     curve_figure,
     delay_figure,
     remarks,
     table,
 )
 from fusion_sfdia.benchmarks.network.support.innovations import chi_square, innovations, standardised
-from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, SETTLE, owners, row, streams
-from fusion_sfdia.evaluation.metrics import mean_over_runs, proportion, rate_over_runs
+from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, SETTLE, owners, streams
+from fusion_sfdia.benchmarks.network.support.rows import row
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, rate_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
@@ -35,10 +36,10 @@ Array = NDArray[Any]
 
 NAME = "network/detectors"
 CHUNK = 100  # runs in one task
-APART = 10**6  # what is added to a seed for the healthy runs that set the levels
+APART = 10**6  # added to a seed for the healthy runs that set the levels
 STEPS = 110
-DRIFT, WINDOW = 1.0, 8  # of the cumulative sum, half the shift looked for; of the likelihood ratio, in steps
-# loads of B18's scenario, who is away, faulty area, onset (s)
+DRIFT, WINDOW = 1.0, 8  # of the cumulative sum, half the shift to be detected; of the likelihood ratio, in steps
+# loads of B18's scenario, unplugged areas, faulty area, onset (s)
 SETTINGS: dict[str, tuple[str, tuple[str, ...], str, float]] = {
     "1": ("1", ("15",), "4", 35.0),
     "2": ("2", (), "5", 45.0),
@@ -75,7 +76,7 @@ def detector_work(task: Task) -> Arrays:
         known = values[..., np.isfinite(values).all(axis=(0, 1))]
         return np.asarray(run(test, known).max(axis=-1))
 
-    level = 1.0  # is set afterwards
+    level = 1.0  # the level is set by the summary
     memory, plain = z[CORRECTED.name][..., mine], z[MEMORYLESS.name][..., mine]
     statistics = (
         largest(Consecutive(level, 1), memory),
@@ -90,54 +91,59 @@ def detector_work(task: Task) -> Arrays:
 
 
 def fault_of(name: str, area: str, onset: float, weak: float) -> AreaFault:
-    """The fault of a case: those of B18's scenarios, and a loss of load of our choice."""
+    """The fault of a case: the faults of B18's scenarios, and a loss of load of our choice."""
     kind, value = {"governor": ("governor", 1000.0), "sign-flip": ("input-gain", -1.0), "load-loss": ("load-loss", weak)}[name]
     return AreaFault(kind, area, value, onset)
 
 
 def delays(statistic: Array, level: float, onset: float) -> tuple[Array, Array]:
     """Seconds from the onset to the first alarm after it (B,), or to the end of the run, and whether there was one."""
-    after = statistic[int(onset) - SETTLE + 1 :] > level  # what begins at the onset is read a step later
+    after = statistic[int(onset) - SETTLE + 1 :] > level  # a fault is read a step after its onset
     seen: Array = np.any(after, axis=0)
     return np.where(seen, np.argmax(after, axis=0) + 1.0, after.shape[0]), seen
 
 
 def detector_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Levels from the healthy runs; delays, misses and false alarms of the others."""
+    """Levels from the healthy runs; delays, missed detections and false alarms of the others."""
     cells: dict[tuple[str, str, str | None], list[Arrays]] = {}
     for task, arrays in results:
         cells.setdefault((task["noise"], task["scenario"], task["fault"]), []).append(arrays)
     joined = {key: {t: np.concatenate([p[t] for p in parts], axis=1) for t in TESTS} for key, parts in cells.items()}
-    rows: list[Row] = []
+    measured: dict[Measured, Row] = {}
+
+    def add(key: Measured, area: str, estimate: Estimate) -> None:
+        detector, how = TESTS[key.test]
+        where = f"{how}, false alarms {key.level:g}, {key.noise}"
+        measured[key] = row(NAME, detector, key.fault, f"area {area}", key.metric, estimate, condition=where)
+
     for (noise, scenario, fault), found in joined.items():
         if fault is None or (noise, scenario, None) not in joined:
             continue
-        onset = SETTINGS[scenario][3]
-        for test, (detector, how) in TESTS.items():
-            at = partial(row, NAME, detector, fault)
+        *_, area, onset = SETTINGS[scenario]
+        for test in TESTS:
             scores = joined[noise, scenario, None][test].ravel()
             for p in LEVELS:
                 level = float(conformal_alpha(scores, p))
                 delay, seen = delays(found[test], level, onset)
                 mean = mean_over_runs(delay, np.ones(delay.shape, bool))
-                where = f"{how}, false alarms {p:g}, {noise}"
-                rows.append(at(where, "detection_delay", mean))
-                rows.append(at(where, "missed_detection_rate", proportion(int((~seen).sum()), seen.size)))
+                add(Measured(fault, test, p, noise), area, mean)
+                missed = proportion(int((~seen).sum()), seen.size)
+                add(Measured(fault, test, p, noise, "missed_detection_rate"), area, missed)
                 if p == LEVEL:
                     before = found[test][: int(onset) - SETTLE + 1] > level
                     rate = rate_over_runs(before.sum(axis=0), np.full(before.shape[1], before.shape[0]))
-                    rows.append(at(where, "false_alarm_probability", rate))
-    figures = [delay_figure(rows), curve_figure(rows)]
-    told = remarks(rows)
-    return Summary(rows, figures, [table(rows)], told[:1], told[1:])
+                    add(Measured(fault, test, p, noise, "false_alarm_probability"), area, rate)
+    figures = [delay_figure(measured), curve_figure(measured)]
+    sentences = remarks(measured)
+    return Summary(list(measured.values()), figures, [table(measured)], sentences[:1], sentences[1:])
 
 
 SCENARIO = Scenario(
     name=NAME,
-    title="Detectors at one rate of false alarms",
-    about="Faults of the power network, strong and weak: mean delay of the faulty area's diagnoser by the paper's residual "
-    "with one alarm and with three in a row, cumulative sums and windowed likelihood ratios of residuals, and a Kalman "
-    "filter on the whole network; each with the level at which one healthy step in a thousand alarms.",
+    title="Detectors at the same false-alarm rate",
+    about="Strong and weak faults of the power network: mean delay of the faulty area's diagnoser by the paper's residual "
+    "with one alarm and with three consecutive alarms, by cumulative sums and windowed likelihood ratios of residuals, and by "
+    "a Kalman filter on the whole network; each at the level at which one healthy step in a thousand alarms.",
     settings={"weak": 0.07},
     seeds=100,
     full_seeds=1000,

@@ -1,24 +1,36 @@
-"""network/false-alarms: false alarms as claimed and as counted, alone and in a row (B18, (12) to (15) and sec. VII-A)."""
+"""network/false-alarms: claimed and counted false alarms, single and consecutive (B18, (12) to (15) and sec. VII-A)."""
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, B18_ALPHA, LEVELS, RULES_SHOWN, claim
+from fusion_sfdia.benchmarks.network.support.claims import (
+    AFTER,
+    ALPHAS,
+    B18_ALPHA,
+    CONFIRMED,
+    CONSECUTIVE,
+    LEVELS,
+    ONE_SHOCK,
+    RULES_SHOWN,
+    SINGLE,
+    Counted,
+    claimed_bounds,
+)
 from fusion_sfdia.benchmarks.network.support.false_alarm_figures import (
+    WHO,
     claims_figure,
+    consecutive_figure,
     groups_figure,
     remarks,
-    row_figure,
     tables,
 )
 from fusion_sfdia.benchmarks.network.support.residuals import (
-    B18,
     CORRECTED,
     PAPER,
     SETTLE,
@@ -26,13 +38,13 @@ from fusion_sfdia.benchmarks.network.support.residuals import (
     draw_of,
     groups,
     owners,
-    row,
     streams,
     three_points,
 )
+from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.evaluation.metrics import NOTHING, proportion, rate_over_runs
-from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.evaluation.metrics import Estimate, proportion, rate_over_runs
+from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
 from fusion_sfdia.models.power_network.operation import load_profile
@@ -45,14 +57,14 @@ Array = NDArray[Any]
 
 NAME = "network/false-alarms"
 CHUNK = 50  # runs in one task
-APART = 10**6  # what is added to a seed for the runs on which the rule "conformal" is calibrated
+APART = 10**6  # added to a seed for the runs on which the rule "conformal" is calibrated
 RUN = 100  # s: the length of B18's simulations, in which confirmed false alarms are counted
-IN_A_ROW = (1, 2, 3)
+CONSECUTIVE_ALARMS = (1, 2, 3)
 SHOCKED = 4  # times as many runs with shocks, which are rare
 
 
 def false_alarm_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Healthy runs by noise of the process and law of all noise; one residual of white shocks alone."""
+    """Healthy runs by noise of the process and law of all noise; a residual of white shocks alone."""
     for law in (*settings["laws"], *settings["shocks"]):
         draw_of(law)
     cells = [(noise, law, seeds) for law in settings["laws"] for noise in PROCESS_VARIANCE]
@@ -66,7 +78,7 @@ def false_alarm_tasks(settings: Settings, seeds: int) -> list[Task]:
 
 
 def false_alarm_work(task: Task) -> Arrays:
-    """Counts by run (B, ...), see `counts`; of one white shock at the sizes that break Proposition 5 first, see `one_shock`."""
+    """Counts by run (B, ...), see `counts`; with white shocks alone, see `one_shock`."""
     if task["noise"] == "none":
         return one_shock(task["seeds"], task["steps"])
     model = network_model(noise=task["noise"])
@@ -77,13 +89,13 @@ def false_alarm_work(task: Task) -> Arrays:
         return streams(model, run_network(model, task["steps"], seeds, loads=loads, draw=draw_of(task["law"])), VARIANTS)
 
     z = healthy(0)
-    learnt = healthy(APART) if task["conformal"] else {}
+    calibration = healthy(APART) if task["conformal"] else {}
     kinds = np.stack(list(groups(model).values()))
     found: Arrays = {}
     for name, values in z.items():
         found |= {f"{name} {what}": a for what, a in counts(values, kinds, owners(model)).items()}
         if task["conformal"]:
-            scores = np.abs(learnt[name]).reshape(-1, values.shape[-1])
+            scores = np.abs(calibration[name]).reshape(-1, values.shape[-1])
             limits = np.stack([conformal_alpha(scores, p) for p in LEVELS])
             over = np.abs(values)[..., None, :] > limits
             found[f"{name} {CONFORMAL}"] = over.sum(axis=(0, 3))
@@ -94,19 +106,19 @@ def counts(z: Array, kinds: Array, owner: Array) -> Arrays:
     """Alarms of normalised residuals z (K, B, C) by run.
 
     samples (B,): of all components. beyond (B, G, A): |z| > alpha by group (G, C) and alpha of ALPHAS; rules (B, R, P): by
-    rule and level, of all. row (B, A, Q): samples that are the q-th alarm in a row or a later one; chances (B, Q): samples
-    that could be. confirmed (B, 2): whether within RUN s some component, and some area by whichever component, alarms three
-    times in a row at alpha = 2.
+    rule and level, of all. consecutive (B, A, Q): samples that are at least the q-th consecutive alarm; chances (B, Q):
+    samples that could be. confirmed (B, 2): whether within RUN s some component, and some area by any of its components, has
+    three consecutive alarms at alpha = 2.
     """
     size = np.abs(z)
     over = np.stack([size > a for a in ALPHAS], axis=-1)  # (K, B, C, A)
     beyond = np.einsum("kbca,gc->bga", over.astype(np.float32), kinds.astype(np.float32))
     rules = np.stack([[_beyond(z, rule, p) for p in LEVELS] for rule in RULES_SHOWN if rule != CONFORMAL])
-    in_row, chances = [over.sum(axis=(0, 2))], [np.full(z.shape[1], size.shape[0] * size.shape[2])]
+    consecutive, chances = [over.sum(axis=(0, 2))], [np.full(z.shape[1], size.shape[0] * size.shape[2])]
     run = over
-    for _ in IN_A_ROW[1:]:
+    for _ in CONSECUTIVE_ALARMS[1:]:
         run = run[1:] & over[: len(run) - 1]
-        in_row.append(run.sum(axis=(0, 2)))
+        consecutive.append(run.sum(axis=(0, 2)))
         chances.append(np.full(z.shape[1], run.shape[0] * run.shape[2]))
     alarm = over[:RUN, :, :, ALPHAS.index(B18_ALPHA)]
     area = np.stack([alarm[:, :, owner == i].any(axis=-1) for i in np.unique(owner)], axis=-1)
@@ -115,7 +127,7 @@ def counts(z: Array, kinds: Array, owner: Array) -> Arrays:
         "samples": chances[0],
         "beyond": beyond,
         "rules": np.moveaxis(rules, -1, 0),
-        "row": np.stack(in_row, axis=-1),
+        "consecutive": np.stack(consecutive, axis=-1),
         "chances": np.stack(chances, axis=-1),
         "confirmed": confirmed,
         "members": np.broadcast_to(kinds.sum(axis=1) * size.shape[0], (z.shape[1], len(kinds))).copy(),
@@ -129,24 +141,24 @@ def _beyond(z: Array, rule: str, level: float) -> Array:
 
 
 def one_shock(seeds: list[int], steps: int) -> Arrays:
-    """e+ = lam e + chi with white three-point chi, s = 1 / (1 - lam): samples that end q alarms in a row, (B, A, Q).
+    """e+ = lam e + chi with white three-point chi, s = 1 / (1 - lam): samples that end q consecutive alarms, (B, A, Q).
 
-    chi has the least size of which one shock gives q alarms: alpha s lam^(1 - q). Its probability is the size to the -2, that
-    is (1 - lam)^2 lam^(2 q - 2) / alpha^2, which falls with alpha^2 where Proposition 5 has alpha^(2 q). Of two shocks close
-    to each other with opposite signs the second may give none.
+    chi has the smallest size with which one shock gives q alarms: alpha s lam^(1 - q). Its probability is the size to the -2,
+    that is (1 - lam)^2 lam^(2 q - 2) / alpha^2, which falls with alpha^2 where Proposition 5 has alpha^(2 q).
+    Of two shocks close to each other with opposite signs the second may give none.
     """
     lam = PAPER.lam
-    found = np.zeros((len(seeds), len(ALPHAS), len(IN_A_ROW)), int)
+    found = np.zeros((len(seeds), len(ALPHAS), len(CONSECUTIVE_ALARMS)), int)
     for b, seed in enumerate(seeds):
         for a, alpha in enumerate(ALPHAS):
-            for j, q in enumerate(IN_A_ROW):
+            for j, q in enumerate(CONSECUTIVE_ALARMS):
                 limit = alpha / (1 - lam)
                 chi = three_points(stream(seed, "shock", a, j), (steps,), limit * lam ** (1 - q) * (1 + 1e-9))
                 run = alarm = np.abs(lfilter([1.0], [1.0, -lam], chi)) > limit
                 for _ in range(q - 1):
                     run = run[1:] & alarm[: len(run) - 1]
                 found[b, a, j] = run.sum()
-    return {"row": found, "chances": np.full((len(seeds), len(IN_A_ROW)), steps)}
+    return {"consecutive": found, "chances": np.full((len(seeds), len(CONSECUTIVE_ALARMS)), steps)}
 
 
 def false_alarm_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
@@ -154,69 +166,70 @@ def false_alarm_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
     cells: dict[tuple[str, str], list[Arrays]] = {}
     for task, arrays in results:
         cells.setdefault((task["noise"], task["law"]), []).append(arrays)
-    rows = claims()
-    kinds = list(groups(network_model()))
+    rates: dict[Counted, Row] = {}
     for (noise, law), parts in cells.items():
         found = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
         if noise == "none":
-            rows += _rows_in_a_row(CORRECTED.name, "one white shock", found["row"], found["chances"])
+            _add(rates, _consecutive(CORRECTED.name, "", ONE_SHOCK, found))
             continue
-        where = f"{noise}, {law}"
         for v in VARIANTS:
             of = {k.removeprefix(f"{v.name} "): a for k, a in found.items() if k.startswith(f"{v.name} ")}
-            rows += _rows_in_a_row(v.name, where, of["row"], of["chances"])
-            if law not in settings["laws"]:
-                continue
-            at = partial(row, NAME, v.name, "none")
-            for g, kind in enumerate(kinds):
-                for a, alpha in enumerate(ALPHAS):
-                    rate = rate_over_runs(of["beyond"][:, g, a], of["members"][:, g])
-                    rows.append(at(f"{kind}, alpha {alpha:g}, {where}", "false_alarm_probability", rate))
-            for r, rule in enumerate(RULES_SHOWN):
-                for p, level in enumerate(LEVELS):
-                    hits = of[CONFORMAL][:, p] if rule == CONFORMAL else of["rules"][:, r, p]
-                    rate = rate_over_runs(hits, of["samples"])
-                    rows.append(at(f"all, {rule} {level:g}, {where}", "false_alarm_probability", rate))
-            if settings["steps"] >= RUN + 10:
-                for j, who in enumerate(("one component", "one area")):
+            _add(rates, _consecutive(v.name, noise, law, of))
+            if law in settings["laws"]:
+                _add(rates, _single(v.name, noise, law, of))
+            if law in settings["laws"] and settings["steps"] >= RUN + 10:
+                for j, who in enumerate(WHO):
                     share = proportion(int(of["confirmed"][:, j].sum()), len(of["confirmed"]))
-                    rows.append(at(f"{who}, alpha {B18_ALPHA:g}, {where}", "false_confirmation_share", share))
-    figures = [groups_figure(rows), claims_figure(rows, settings["laws"]), row_figure(rows)]
-    told = remarks(rows, settings["laws"])
-    return Summary(rows, figures, tables(rows, settings["laws"]), told[:1], told[1:])
+                    _add(rates, {Counted(CONFIRMED, v.name, who, noise, law, B18_ALPHA): share})
+    figures = [groups_figure(rates), claims_figure(rates, settings["laws"]), consecutive_figure(rates)]
+    sentences = remarks(rates)
+    return Summary(
+        [*claimed_bounds(NAME, CONSECUTIVE_ALARMS), *rates.values()],
+        figures,
+        tables(rates, settings["laws"]),
+        sentences[:1],
+        sentences[1:],
+    )
 
 
-def claims() -> list[Row]:
-    """What B18 claims to be never exceeded, for each alpha and number of alarms in a row."""
-    rows = []
-    for alpha in ALPHAS:
-        for q in IN_A_ROW:
-            stated = Published(claim(alpha, q), f"{B18}, " + ("(12)" if q == 1 else "Proposition 5"))
-            bound = NOTHING._replace(value=stated.value)
-            rows.append(row(NAME, PAPER.name, "none", f"{q} in a row, alpha {alpha:g}", "false_alarm_bound", bound, stated))
-    return rows
+def _add(rates: dict[Counted, Row], found: Mapping[Counted, Estimate]) -> None:
+    for key, rate in found.items():
+        rates[key] = row(NAME, key.detector, "none", key.quantity, key.metric, rate, condition=key.condition)
 
 
-def _rows_in_a_row(detector: str, where: str, hits: Array, chances: Array) -> list[Row]:
-    """Probabilities of q alarms in a row, and of an alarm after an alarm."""
-    rows = []
-    at = partial(row, NAME, detector, "none")
+def _single(detector: str, noise: str, law: str, of: Arrays) -> dict[Counted, Estimate]:
+    """Probabilities of an alarm by quantity and alpha, and of all components by the rules and their levels."""
+    found = {}
+    for g, kind in enumerate(groups(network_model())):
+        for a, alpha in enumerate(ALPHAS):
+            rate = rate_over_runs(of["beyond"][:, g, a], of["members"][:, g])
+            found[Counted(SINGLE, detector, kind, noise, law, alpha)] = rate
+    for r, rule in enumerate(RULES_SHOWN):
+        for p, level in enumerate(LEVELS):
+            hits = of[CONFORMAL][:, p] if rule == CONFORMAL else of["rules"][:, r, p]
+            found[Counted(SINGLE, detector, "all", noise, law, rule=rule, level=level)] = rate_over_runs(hits, of["samples"])
+    return found
+
+
+def _consecutive(detector: str, noise: str, law: str, of: Arrays) -> dict[Counted, Estimate]:
+    """Probabilities of q consecutive alarms, and of an alarm after an alarm."""
+    hits, chances = of["consecutive"], of["chances"]
+    found = {}
     for a, alpha in enumerate(ALPHAS):
-        for j, q in enumerate(IN_A_ROW):
-            rate = rate_over_runs(hits[:, a, j], chances[:, j])
-            rows.append(at(f"{q} in a row, alpha {alpha:g}, {where}", "consecutive_alarm_probability", rate))
-        if where != "one white shock":
-            again = rate_over_runs(hits[:, a, 1], hits[:, a, 0])
-            rows.append(at(f"alpha {alpha:g}, {where}", "alarm_after_alarm_probability", again))
-    return rows
+        for j, q in enumerate(CONSECUTIVE_ALARMS):
+            key = Counted(CONSECUTIVE, detector, "all", noise, law, alpha, q=q)
+            found[key] = rate_over_runs(hits[:, a, j], chances[:, j])
+        if law != ONE_SHOCK:
+            found[Counted(AFTER, detector, "all", noise, law, alpha)] = rate_over_runs(hits[:, a, 1], hits[:, a, 0])
+    return found
 
 
 SCENARIO = Scenario(
     name=NAME,
     title="Claimed and counted false alarms",
     about="Healthy runs of the power network with each law of noise: how often residuals exceed alpha deviations by (14) and "
-    "(15), as printed and corrected, beside what each rule claims; alarms in a row beside Proposition 5; and how many runs of "
-    "100 s have a false alarm that three steps confirm.",
+    "(15), as printed and corrected, beside the claim of each rule; consecutive alarms beside Proposition 5; and how many runs "
+    "of 100 s have a false alarm that three consecutive steps confirm.",
     settings={
         "laws": ("gaussian", "student-t", "three-point 4"),
         "shocks": ("three-point 90", "three-point 180"),

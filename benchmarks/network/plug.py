@@ -1,10 +1,9 @@
-"""network/plug: an area leaves, another joins: what changes for the others, and whether they alarm (B18, sec. VI, VIII-A)."""
+"""network/plug: an area is unplugged, another plugged in: effects on the other areas, false alarms (B18, sec. VI, VIII-A)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,21 +15,25 @@ from fusion_sfdia.benchmarks.network.support.plug_figures import (
     LEAVES,
     MANNERS,
     PHASES,
+    PLACES,
+    Alarm,
+    Changed,
     alarm_figure,
     locality_figure,
     remarks,
     tables,
 )
-from fusion_sfdia.benchmarks.network.support.residuals import B18, CORRECTED, SETTLE, normalised, owners, row
+from fusion_sfdia.benchmarks.network.support.residuals import B18, CORRECTED, SETTLE, normalised, owners
+from fusion_sfdia.benchmarks.network.support.rows import row, share
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.evaluation.metrics import NOTHING, proportion, rate_over_runs
+from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, rate_over_runs
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, NetworkModel, network_model
 from fusion_sfdia.models.power_network.operation import Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
-from fusion_sfdia.models.power_network.simulation import Moment, run_network
+from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
@@ -44,18 +47,21 @@ ALPHA = 2.0  # B18, sec. VIII
 TIMES = {LEAVES: 43.0, JOINS: 70.0}  # s: B18's scenario 1, where area 4 is unplugged as soon as its fault is detected
 STEPS = 95
 SWITCHES = (Switch(TIMES[LEAVES], unplug=("4",)), Switch(TIMES[JOINS], plug_in=("15",)))
-SAID = {LEAVES: (4.0, "areas 3, 5, 13 beside 4"), JOINS: (2.0, "areas 14 and 15 alone")}
+STATED = {  # areas that change
+    LEAVES: Published(4.0, f"{B18}, sec. VI and VIII-A: areas 3, 5, 13 beside 4"),
+    JOINS: Published(2.0, f"{B18}, sec. VI and VIII-A: areas 14 and 15 alone"),
+}
 
 
 def plug_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """What changes, without noise in it; healthy runs by noise of the process, watched in each manner."""
+    """Comparisons before and after a switch, without noise; healthy runs by noise of the process, diagnosed in each manner."""
     return [{"what": "locality", "noise": noise} for noise in PROCESS_VARIANCE] + [
         {"what": "alarms", "noise": noise, "seeds": block} for noise in PROCESS_VARIANCE for block in seed_blocks(seeds, CHUNK)
     ]
 
 
 def plug_work(task: Task) -> Arrays:
-    """Alarms of the areas (K, B, N) by manner, or what changes of the areas, see `changes`."""
+    """Alarms of the areas (K, B, N) by manner, or which areas change, see `changes`."""
     model = network_model(noise=task["noise"], unplugged=("15",))
     loads = load_profile(model, load_steps("1"))
     if task["what"] == "locality":
@@ -64,12 +70,12 @@ def plug_work(task: Task) -> Arrays:
     whose = owners(model)
     found: Arrays = {}
     for manner in MANNERS:
-        over = np.stack([np.abs(normalised(s)) > ALPHA for s in watch(model, moments, manner)])
+        over = np.stack([np.abs(normalised(s)) > ALPHA for s in replugged(model, moments, manner)])
         found[manner] = np.stack([over[..., whose == i].any(axis=-1) for i in range(len(model.names))], axis=-1)
     return found
 
 
-def watch(model: NetworkModel, moments: Iterable[Moment], manner: str) -> Iterator[Diagnosers]:
+def replugged(model: NetworkModel, moments: Iterable[NetworkSample], manner: str) -> Iterator[Diagnosers]:
     """The diagnosers after each moment, replugged after the step at which the network switches, in a manner of MANNERS."""
     areas, state = network_areas(model, named=False), None
     for now in moments:
@@ -84,9 +90,9 @@ def watch(model: NetworkModel, moments: Iterable[Moment], manner: str) -> Iterat
 
 
 def switched(before: Areas, now: Areas, manner: str) -> Areas:
-    """What the diagnosers take the areas for: as they are, by sec. VI-A as printed, or as they were.
+    """The areas as the diagnosers model them: as they are, by sec. VI-A as printed, or as they were.
 
-    Sec. VI-A has the unplugged area's angle and weights set to 0 (and VI-B set again); sum_j P_ij in A_ii stays in it.
+    Sec. VI-A sets the unplugged area's angle and weights to 0 (and VI-B sets them again); sum_j P_ij in A_ii remains.
     """
     if manner == MANNERS[0]:
         return now
@@ -94,7 +100,7 @@ def switched(before: Areas, now: Areas, manner: str) -> Areas:
 
 
 def changes(model: NetworkModel, event: str) -> Arrays:
-    """Areas (N,) of which a bit changes when an area leaves or joins, and how many numbers were compared.
+    """Areas (N,) of which a bit changes at an event of TIMES, and how many numbers were compared.
 
     model: its row of matrices. weights, thresholds: of its own states. copies: weights or thresholds of its readings of its
     neighbours' angles; of ties that are closed before and after.
@@ -108,10 +114,10 @@ def changes(model: NetworkModel, event: str) -> Arrays:
     loads = load_profile(model, [])
     areas = [network_areas(m, named=False) for m in models]
     n, count = areas[0].size[1], len(model.names)
-    # thresholds are no function of the readings: any healthy run has those of all
+    # thresholds do not depend on the readings: they are the same in all healthy runs
     settled = []
     for m in models:
-        *_, last = watch(m, run_network(m, 6 * SETTLE, [0], loads=loads), MANNERS[0])
+        *_, last = replugged(m, run_network(m, 6 * SETTLE, [0], loads=loads), MANNERS[0])
         settled.append(last)
     closed = models[0].network.closed & models[1].network.closed
     node = model.network.topology.node
@@ -131,6 +137,8 @@ def changes(model: NetworkModel, event: str) -> Arrays:
 def plug_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
     """Which areas change, and alarms by manner, phase and place."""
     names = network_model().names
+    changed: dict[Changed, Row] = {}
+    alarms: dict[Alarm, Row] = {}
     rows: list[Row] = []
     local: dict[str, Arrays] = {}
     curves: dict[tuple[str, str], Array] = {}
@@ -138,56 +146,59 @@ def plug_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
         for task, arrays in results:
             if task["what"] == "locality" and task["noise"] == noise:
                 local[noise] = arrays
-                rows += _locality_rows(noise, arrays, names)
+                changed |= (new := _changed_areas(noise, arrays, names))
+                rows += new.values()
         parts = [arrays for task, arrays in results if task["what"] == "alarms" and task["noise"] == noise]
-        if not parts:
-            continue
-        for manner in MANNERS:
-            alarm = np.concatenate([p[manner] for p in parts], axis=1)
-            curves[noise, manner] = alarm
-            at = partial(row, NAME, CORRECTED.name, "none")
-            for phase, (start, end) in PHASES.items():
-                for place, who in places(names).items():
-                    some = alarm[start:end][..., who]
-                    rate = rate_over_runs(some.sum(axis=(0, 2)), np.full(some.shape[1], some.shape[0] * some.shape[2]))
-                    rows.append(at(f"{place}, {phase}, {manner}, {noise}", "false_alarm_probability", rate))
-                    run = (some[2:] & some[1:-1] & some[:-2]).any(axis=(0, 2))
-                    share = proportion(int(run.sum()), run.size)
-                    rows.append(at(f"{place}, {phase}, {manner}, {noise}", "false_confirmation_share", share))
-    told = remarks(rows)
-    figures = [locality_figure(local, names), alarm_figure(curves, names, told[0])]
-    return Summary(rows, figures, tables(rows), told[:1], told[1:])
+        for manner in MANNERS if parts else ():
+            curves[noise, manner] = alarm = np.concatenate([p[manner] for p in parts], axis=1)
+            for key, estimate in _alarm_estimates(noise, manner, alarm, names).items():
+                condition = f"{key.phase}, {manner}, {noise}"
+                alarms[key] = row(NAME, CORRECTED.name, "none", key.place, key.metric, estimate, condition=condition)
+                rows.append(alarms[key])
+    sentences = remarks(changed, alarms)
+    figures = [locality_figure(local, names), alarm_figure(curves, names, sentences[0])]
+    return Summary(rows, figures, tables(changed, alarms), sentences[:1], sentences[1:])
+
+
+def _alarm_estimates(noise: str, manner: str, alarm: Array, names: tuple[str, ...]) -> dict[Alarm, Estimate]:
+    """Alarms per step, and runs with three consecutive ones, by phase and place; alarm (K, B, N)."""
+    found = {}
+    for phase, (start, end) in PHASES.items():
+        for place, who in places(names).items():
+            some = alarm[start:end][..., who]
+            rate = rate_over_runs(some.sum(axis=(0, 2)), np.full(some.shape[1], some.shape[0] * some.shape[2]))
+            found[Alarm(place, phase, manner, noise)] = rate
+            run = (some[2:] & some[1:-1] & some[:-2]).any(axis=(0, 2))
+            found[Alarm(place, phase, manner, noise, "false_confirmation_share")] = share(np.asarray(run))
+    return found
 
 
 def places(names: tuple[str, ...]) -> dict[str, Array]:
     """Areas by what a switch does to them, (N,) truth values."""
-    near = {"area 4": ("4",), "areas 3, 5, 13": ("3", "5", "13"), "areas 14, 15": ("14", "15")}
-    found = {place: np.isin(names, who) for place, who in near.items()}
+    found = {place: np.isin(names, who) for place, who in PLACES.items()}
     return found | {"other areas": ~np.any(list(found.values()), axis=0)}
 
 
-def _locality_rows(noise: str, arrays: Arrays, names: tuple[str, ...]) -> list[Row]:
-    rows = []
+def _changed_areas(noise: str, arrays: Arrays, names: tuple[str, ...]) -> dict[Changed, Row]:
+    found = {}
     for event in TIMES:
-        value, who = SAID[event]
-        stated = Published(value, f"{B18}, sec. VI and VIII-A: {who}")
-        touched = np.any([arrays[f"{event} {what}"] for what in ("model", "weights", "thresholds")], axis=0)
-        everything = touched | arrays[f"{event} copies"]
         of = {what: arrays[f"{event} {what}"] for what in ("model", "weights", "thresholds", "copies")}
-        for what, changed in (of | {"own numbers": touched, "any number": everything}).items():
-            quantity = f"{event}, {what} of areas {', '.join(n for n, c in zip(names, changed, strict=True) if c)}, {noise}"
+        own = np.any([of[what] for what in ("model", "weights", "thresholds")], axis=0)
+        for what, changed in (of | {"own numbers": own, "any number": own | of["copies"]}).items():
+            key = Changed(event, what, noise, tuple(n for n, c in zip(names, changed, strict=True) if c))
             counted = NOTHING._replace(value=float(changed.sum()), n=len(names))
-            claim = stated if what in ("own numbers", "any number") else None
-            rows.append(row(NAME, CORRECTED.name, "none", quantity, "changed_areas", counted, claim))
-    return rows
+            stated = STATED[event] if what in ("own numbers", "any number") else None
+            quantity, condition = f"{what} of {key.who}", f"{event}, {noise}"
+            found[key] = row(NAME, CORRECTED.name, "none", quantity, "changed_areas", counted, stated, condition=condition)
+    return found
 
 
 SCENARIO = Scenario(
     name=NAME,
-    title="Areas leave and join",
-    about="Healthy runs of the power network: area 4 leaves at 43 s, area 15 joins at 70 s. Which areas' models, weights and "
-    "thresholds change, bit for bit, and how often the areas alarm when the diagnosers are replugged, when they follow sec. "
-    "VI-A of the paper to the letter, and when nobody tells them.",
+    title="Areas are unplugged and plugged in",
+    about="Healthy runs of the power network: area 4 is unplugged at 43 s, area 15 plugged in at 70 s. Which areas' models, "
+    "weights and thresholds change, bit for bit, and how often the areas alarm when the diagnosers are replugged, when they "
+    "follow sec. VI-A of the paper literally, and when they are not updated.",
     settings={},
     seeds=50,
     full_seeds=500,

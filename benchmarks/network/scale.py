@@ -1,6 +1,6 @@
 """network/scale: time and memory of the diagnosed network against its size, of a change of it, and on two processes.
 
-Times are those of one machine in one run, the only numbers here that a second run does not repeat.
+Times depend on the machine and the run: they are the only numbers of these scenarios that a second run does not repeat.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
+from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.evaluation.metrics import NOTHING
+from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.experiments.timing import Timing, best_times
 from fusion_sfdia.models.power_network.diagnosis import network_areas
@@ -32,18 +34,18 @@ from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNe
 
 Array = NDArray[Any]
 
-NAME, PLANT, DETECTOR = "network/scale", "power-network", "chebyshev:corrected"
+NAME, DETECTOR = "network/scale", "chebyshev:corrected"
 PAPER_AREAS = 15
-PUBLISHED, SOURCE = 4.1e-3, "Boem 2018, sec. VIII (one area, worst case, Matlab on an i7 of 2.2 GHz)"
+PUBLISHED = Published(4.1e-3, "Boem 2018, sec. VIII (one area, worst case, Matlab on an i7 of 2.2 GHz)")
 ALPHA, LAM = 2.0, 0.3  # B18, sec. VIII
 AWAY = "8"  # the area that leaves and joins
 PARTS = 2
-CLUSTER = ("distributed", "cryptography")  # the packages of a cluster that no one else can use
-LONG = 10_000  # areas, whose step is too long to be left alone on a busy machine
+CLUSTER = ("distributed", "cryptography")  # the packages of a cluster with certificates of its own
+LONG = 10_000  # areas: a longer step is interrupted on a busy machine, so that its processor time is measured
 
 
 class Constant:
-    """The same readings at every step, drawn where they are read: numbers decide no branch, so any cost the same."""
+    """The same readings at every step, drawn where they are read: no branch depends on them, so that all take the same time."""
 
     def __init__(self, n: int) -> None:
         self.n = n
@@ -79,7 +81,7 @@ def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
 
 
 def scale_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One task for each size, and for each the same on two processes where a cluster of one's own can be had."""
+    """One task for each size, and the same on two processes where the packages of CLUSTER are installed."""
     sizes, seconds = settings["areas"], settings["seconds"]
     parts = [PAPER_AREAS, *settings["parts"]] if settings["parts"] and all(map(find_spec, CLUSTER)) else []
     tasks = [{"kind": "one", "areas": n, "seconds": seconds} for n in sizes]
@@ -111,7 +113,7 @@ def in_one(areas: int, seconds: float) -> Arrays:
 def in_parts(areas: int, seconds: float) -> Arrays:
     """Two processes of one thread against this one, taking turns: seconds on the clock.
 
-    They speak TLS with a certificate made for this cluster alone: whoever can reach a dask scheduler without can run code.
+    They use TLS with a certificate made for this cluster alone: without it, anyone who reaches a dask scheduler can run code.
     """
     from distributed import Client, LocalCluster
 
@@ -141,38 +143,42 @@ def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
     """Rows, the figure, and what the times come to for each area."""
     rows: list[Row] = []
 
-    def add(quantity: str, metric: str, value: float, n: float, published: float | None = None) -> None:
-        source = "" if published is None else SOURCE
-        rows.append(Row(NAME, PLANT, DETECTOR, "none", quantity, metric, value, n=int(n), published=published, source=source))
+    def add(
+        quantity: str, metric: str, value: float, n: float, *, condition: str = "", stated: Published | None = None
+    ) -> None:
+        estimate = NOTHING._replace(value=value, n=int(n))
+        rows.append(row(NAME, DETECTOR, "none", quantity, metric, estimate, stated, condition=condition))
 
     one = {t["areas"]: a for t, a in results if t["kind"] == "one"}
     parts = {t["areas"]: a for t, a in results if t["kind"] == "parts"}
     for areas, found in one.items():
         step, calls = found["step"]
         add(f"{areas} areas", "step_time", step, calls)
-        add(f"one of {areas} areas", "step_time", step / areas, calls, PUBLISHED if areas == PAPER_AREAS else None)
+        add(f"one of {areas} areas", "step_time", step / areas, calls, stated=PUBLISHED if areas == PAPER_AREAS else None)
         add(f"one of {areas} areas", "peak_memory", found["bytes"] / areas, 1)
-        add(f"{areas} areas, in place", "replug_time", *found["in_place"])
-        add(f"{areas} areas, another model", "replug_time", *found["copied"])
+        add(f"{areas} areas", "replug_time", *found["in_place"], condition="in place")
+        add(f"{areas} areas", "replug_time", *found["copied"], condition="another model")
     for areas, found in parts.items():
-        add(f"{areas} areas, {PARTS} processes", "step_time", *found["parts"])
-        add(f"{areas} areas, {PARTS} processes", "speedup", found["step"][0] / found["parts"][0], found["parts"][1])
+        where = f"{PARTS} processes"
+        add(f"{areas} areas", "step_time", *found["parts"], condition=where)
+        add(f"{areas} areas", "speedup", found["step"][0] / found["parts"][0], found["parts"][1], condition=where)
     each = {areas: found["step"][0] / areas for areas, found in one.items()}
     remarks = [
-        f"Least times, for more than {LONG} areas on one core of its processor time; a step is the estimates, "
-        "thresholds, weights, what is kept of the readings, and the alarms of all areas. Memory is that of all arrays that a "
-        "step reads or writes, two states included, without the names of areas, states and sensors.",
+        f"Least times, for more than {LONG} areas on one core its processor time. A step computes the estimates, thresholds, "
+        "weights, stored readings and alarms of all areas. Memory is that of all arrays that a step reads or writes, "
+        "including two states, without the names of areas, states and sensors.",
     ]
     if PAPER_AREAS in parts and each:
         barrier, largest = parts[PAPER_AREAS]["parts"][0], max(each)
-        add("areas in a part, two free cores", "break_even", barrier / each[largest], parts[PAPER_AREAS]["parts"][1])
+        count = parts[PAPER_AREAS]["parts"][1]
+        add("areas in a part", "break_even", barrier / each[largest], count, condition="two free cores")
         remarks.append(
             f"A step of {PARTS} processes takes {1e3 * barrier:.3g} ms however few the areas, so it pays from about "
             f"{barrier / each[largest]:.2g} areas in each part on, if each has a core and a memory of its own."
         )
     elif not parts:
-        remarks.append("On several processes nothing was measured: that needs the packages distributed and cryptography.")
-    told = "; ".join(f"{n} areas {1e6 * found['step'][0]:.3g} us" for n, found in one.items())
+        remarks.append("Several processes were not measured: that needs the packages distributed and cryptography.")
+    times = "; ".join(f"{n} areas {1e6 * found['step'][0]:.3g} us" for n, found in one.items())
     figure = Figure(
         "time",
         "Time of a step and of a change",
@@ -180,7 +186,9 @@ def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
         partial(draw, one),
         "Times of a step and of unplugging an area against the number of areas, both axes logarithmic",
     )
-    return Summary(rows, [figure] if one else [], highlights=[f"A step of all diagnosers on one core: {told}"], remarks=remarks)
+    return Summary(
+        rows, [figure] if one else [], highlights=[f"A step of all diagnosers on one core: {times}"], remarks=remarks
+    )
 
 
 def draw(one: dict[int, Arrays]) -> Drawing:
@@ -201,8 +209,8 @@ def draw(one: dict[int, Arrays]) -> Drawing:
 SCENARIO = Scenario(
     name=NAME,
     title="Speed and scale of the diagnosed power network",
-    about="Time and memory of a step of all diagnosers against the number of areas, of unplugging an area and plugging it in, "
-    "and of a network on two processes. Boem 2018 states 4.1 ms for a step of one area.",
+    about="Time and memory of a step of all diagnosers against the number of areas, of unplugging and plugging in an area, and "
+    "of a network on two processes. Boem 2018 states 4.1 ms for a step of one area.",
     settings={"areas": (15, 1500, 150000), "parts": (150000,), "seconds": 2.0},
     seeds=1,
     full_seeds=1,

@@ -9,16 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    PAPER,
-    Results,
-    bar_series,
-    gather,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, PAPER, Results, tasks, trial
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
@@ -29,6 +21,8 @@ from fusion_sfdia.report.content import Figure, Summary, Table
 from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.plots import bars, legend_above, panels
 
+NAME = "pipeline/accommodation"
+READING = "reading of the faulty sensor"  # the condition of rows that are not of the state estimate
 NAMES = (*PAPER, "loo-glr")
 UNITS = dict(zip(QUANTITIES, ("Pa", "kg/s", "K"), strict=True))
 ERRORS = dict(zip(READINGS, ("rmse", "rmse_unaccommodated", "rmse_healthy"), strict=True))
@@ -55,19 +49,19 @@ def accommodation_summary(settings: Settings, results: Results) -> Summary:
     """RMSE of the estimate of the faulty quantity, and of the faulty sensor's reading, with and without diagnosis."""
     rows: list[Row] = []
     shown: dict[tuple[Any, ...], Estimate] = {}
-    cells = gather(results, "detector", "fault", "quantity", "accommodate")
+    cells = judged_runs(results, "detector", "fault", "quantity", "accommodate")
     for (detector, fault, quantity, accommodate), cell in cells.items():
         name = "rmse_healthy" if fault == "none" else "rmse" if accommodate else "rmse_unaccommodated"
         for of in QUANTITIES if quantity == "all" else (quantity,):
             shown[detector, fault, of, accommodate] = estimate = root_mean_square(
                 cell["square_error"][..., [QUANTITIES.index(of)]]
             )
-            rows.append(row("pipeline/accommodation", detector, fault, of, name, estimate))
+            rows.append(row(NAME, detector, fault, of, name, estimate))
         lost = name.replace("rmse", "diverged")
-        rows.append(row("pipeline/accommodation", detector, fault, quantity, lost, cell.divergence))
+        rows.append(row(NAME, detector, fault, quantity, lost, cell.divergence))
         if name == "rmse":
             rows += [
-                row("pipeline/accommodation", detector, fault, f"{quantity} readings", metric, root_mean_square(square))
+                row(NAME, detector, fault, quantity, metric, root_mean_square(square), condition=READING)
                 for metric, square in zip(ERRORS.values(), np.split(cell["reading_square_error"], 3, axis=-1), strict=True)
             ]
 
@@ -101,7 +95,7 @@ def readings_table(rows: list[Row]) -> Table:
     lines: list[tuple[str | float, ...]] = []
     for quantity, unit in UNITS.items():
         for fault in FAULTS:
-            of = pick(rows, fault=fault, quantity=f"{quantity} readings")
+            of = pick(rows, fault=fault, quantity=quantity, condition=READING)
             value = {(r.detector, r.metric): r.value for r in of}
             if value:
                 any_of = {r.metric: r.value for r in sorted(of, key=lambda r: r.n)}  # of the detector with the most runs left
@@ -116,15 +110,12 @@ def readings_table(rows: list[Row]) -> Table:
 
 
 def _highlights(rows: list[Row]) -> list[str]:
-    """What is left of a fault in the reading that replaces the faulty one."""
-    raw = {
-        (r.detector, r.fault, r.quantity): r.value
-        for r in pick(rows, metric="rmse_unaccommodated")
-        if r.quantity.endswith("readings")
-    }
+    """The remaining error of the reading that replaces the faulty one."""
+    of_reading = pick(rows, condition=READING)
+    raw = {(r.detector, r.fault, r.quantity): r.value for r in pick(of_reading, metric="rmse_unaccommodated")}
     left = [
         replace(r, value=r.value / raw[r.detector, r.fault, r.quantity])
-        for r in pick(rows, metric="rmse")
+        for r in pick(of_reading, metric="rmse")
         if raw.get((r.detector, r.fault, r.quantity))
     ]
     return [f"Error of the faulty sensor's reading after accommodation over that before: {listed(left)}."] if left else []
@@ -132,26 +123,26 @@ def _highlights(rows: list[Row]) -> list[str]:
 
 def _remarks(rows: list[Row]) -> list[str]:
     """Sentences on what this run shows."""
-    value = {(r.detector, r.fault, r.quantity, r.metric): r.value for r in pick(rows, quantity=QUANTITIES)}
+    value = {(r.detector, r.fault, r.quantity, r.metric): r.value for r in pick(rows, quantity=QUANTITIES, condition="")}
     pairs = [(v, value.get((*key[:3], "rmse"))) for key, v in value.items() if key[3] == "rmse_unaccommodated"]
-    both = [(without, told) for without, told in pairs if told is not None]
-    remarks = ["Fig. 7 is published as bars without numbers; it says that diagnosis lowers the error of every bank."]
+    both = [(without, diagnosed) for without, diagnosed in pairs if diagnosed is not None]
+    remarks = ["Fig. 7 is published as bars without numbers; it states that diagnosis lowers the error of every bank."]
     if both:
-        lower = sum(told < without for without, told in both)
+        lower = sum(diagnosed < without for without, diagnosed in both)
         remarks.append(
             f"Here diagnosis lowers the error of the estimate in {lower} of {len(both)} cases (detector, fault, quantity)."
         )
-    worst = pick(rows, quantity="pressure", metric="rmse_unaccommodated", detector=PAPER)
+    worst = pick(rows, quantity="pressure", metric="rmse_unaccommodated", detector=PAPER, condition="")
     if worst:
         most = max(worst, key=lambda r: r.value)
         remarks.append(
             f"Of the paper's banks without diagnosis, which it finds worst with the extended filter, {most.detector} errs most "
             f"on pressure: {span([most.value])} Pa with a {most.fault.replace('-', ' ')}."
         )
-    ours = {r.quantity: r.value for r in pick(rows, metric="rmse_healthy", detector=NAMES[-1])}
+    ours = {r.quantity: r.value for r in pick(rows, metric="rmse_healthy", detector=NAMES[-1], condition="")}
     times = [
         replace(r, value=r.value / ours[r.quantity])
-        for r in pick(rows, metric="rmse_healthy", detector=PAPER, quantity=QUANTITIES)
+        for r in pick(rows, metric="rmse_healthy", detector=PAPER, quantity=QUANTITIES, condition="")
         if ours.get(r.quantity)
     ]
     if times:
@@ -163,7 +154,7 @@ def _remarks(rows: list[Row]) -> list[str]:
 
 
 SCENARIO = Scenario(
-    name="pipeline/accommodation",
+    name=NAME,
     title="Accommodation: estimate and reading while a sensor is faulty",
     about="Root mean square error of the faulty quantity's states over the whole run, with and without fault diagnosis and "
     "isolation, and of the same runs without a fault (Shaheen 2024, Fig. 7); and of the faulty sensor's reading, replaced.",

@@ -1,25 +1,17 @@
-"""pipeline/consistency: are the covariances and the false-alarm budgets true?"""
+"""pipeline/consistency: consistency of the covariances, and an audit of the false-alarm budgets."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia import registry
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    PAPER,
-    SETTLE,
-    SINGLE,
-    Results,
-    bar_series,
-    row,
-    tasks,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, PAPER, SETTLE, SINGLE, Results, common, tasks
 from fusion_sfdia.builders import PAPER_FILTERS, watching
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, rate_over_runs
 from fusion_sfdia.evaluation.results import Row
@@ -32,6 +24,7 @@ from fusion_sfdia.report.content import Figure, Summary, Table
 from fusion_sfdia.report.findings import listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 
+NAME = "pipeline/consistency"
 BUDGETS = (1e-1, 1e-2, 1e-3)
 
 
@@ -44,7 +37,7 @@ def consistency_tasks(settings: Settings, seeds: int) -> list[Task]:
 def consistency_work(task: Task) -> Arrays:
     """NEES and NIS per dimension, and alarms that begin, by run."""
     plant = gas_pipeline(snr=task["snr"], process_noise=task["process_noise"])
-    never = (float("inf"),) * len(plant.sensors)  # the paper's banks are not asked for alarms here
+    never = (float("inf"),) * len(plant.sensors)  # the alarms of the paper's banks are not evaluated here
     detector: Any = (
         replace(registry.detector(task["detector"], plant), false_alarm=task["budget"])  # type: ignore[type-var]
         if task["budget"]
@@ -87,17 +80,15 @@ def consistency_summary(settings: Settings, results: Results) -> Summary:
             if detector != "fusing-enkf":  # 40 members: the covariance of 63 states is singular
                 for k, group in enumerate(("all", *QUANTITIES)):
                     nees = mean_over_runs(joined["nees"][sound, k], ones[sound])
-                    rows.append(row("pipeline/consistency", detector, "none", group, "nees", nees))
+                    rows.append(row(NAME, detector, "none", group, "nees", nees))
                     covariance.append((detector, group, nees.value, nees.low, nees.high, nees.n))
             known = np.isfinite(joined["nis"]) & sound
-            rows.append(
-                row("pipeline/consistency", detector, "none", "all", "nis", mean_over_runs(joined["nis"][known], ones[known]))
-            )
+            rows.append(row(NAME, detector, "none", "all", "nis", mean_over_runs(joined["nis"][known], ones[known])))
         if budget:
             rate = rate_over_runs(joined["begins"], joined["samples"])
-            rows.append(row("pipeline/consistency", detector, "none", f"budget {budget:g}", "false_alarm_probability", rate))
-            sounding = rate_over_runs(joined["alarms"], joined["samples"])
-            rows.append(row("pipeline/consistency", detector, "none", f"budget {budget:g}", "alarm_time_share", sounding))
+            at = partial(row, NAME, detector, "none", "all", condition=f"budget {budget:g}")
+            rows.append(at("false_alarm_probability", rate))
+            rows.append(at("alarm_time_share", rate_over_runs(joined["alarms"], joined["samples"])))
             audit.append(
                 (
                     detector,
@@ -131,8 +122,8 @@ def consistency_summary(settings: Settings, results: Results) -> Summary:
     remarks = [
         "Truth here is disturbed by the process noise that the filters assume, so that their covariances can be right at all.",
         "With a window, an alarm lasts while its samples are in it: the budget is one of alarms that begin.",
-        "In the paper's banks P_m is the N-th part of a covariance already, and beta divides it again. Squared errors over "
-        f"what each covariance says, all states: {listed(pick(rows, metric='nees', quantity='all'))}.",
+        "In the paper's banks P_m is already the N-th part of a covariance, and beta divides it again. Squared errors over "
+        f"each covariance, all states: {listed(pick(rows, metric='nees', quantity='all'))}.",
         f"Claims that are kept: {sum(a[-1] == 'yes' for a in audit)} of {len(audit)}; not kept: "
         f"{sum(a[-1] == 'no' for a in audit)}; the others are undecided by this number of runs.",
     ]
@@ -152,11 +143,11 @@ def draw_audit(audit: list[tuple[Any, ...]]) -> Drawing:
 
 
 SCENARIO = Scenario(
-    name="pipeline/consistency",
+    name=NAME,
     title="Consistency: covariances and false-alarm budgets",
-    about="Is the claimed uncertainty true? Normalised errors on truth with process noise, and the rate of false alarms of "
+    about="Is the claimed uncertainty correct? Normalised errors on truth with process noise, and the rate of false alarms of "
     "each budget, for the consistent banks, a single filter, and the covariances of the published banks.",
-    settings={k: v for k, v in COMMON.items() if k != "truth"},
+    settings=common("truth"),
     seeds=3,
     full_seeds=50,
     tasks=consistency_tasks,

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.readings import OTHER, nearer, readings, readings_table
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    PAPER,
-    Results,
-    bar_series,
-    gather,
-    initial,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.readings import condition, nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, grid, initial, tasks, trial
 from fusion_sfdia.builders import PAPER_FILTERS
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
@@ -35,21 +26,14 @@ from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import left_out, listed, pick
 from fusion_sfdia.report.plots import bars, legend_above, panels
 
-LEVELS = ("high", "moderate", "low")
+NAME, LEVELS = "pipeline/estimation", ("high", "moderate", "low")
 
 
 def estimation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Table IV: banks and basic filters at three levels of noise, with both readings of the paper's process noise."""
-    return tasks(
-        settings,
-        (
-            {"detector": d, "snr": s, "process_noise": p, "fault": "none", "quantity": "all", "accommodate": True}
-            for p in readings(settings)
-            for s in LEVELS
-            for d in (*PAPER, *PAPER_FILTERS)
-        ),
-        seeds,
-    )
+    healthy = {"fault": ("none",), "quantity": ("all",), "accommodate": (True,)}
+    cells = grid(process_noise=readings(settings), snr=LEVELS, detector=(*PAPER, *PAPER_FILTERS), **healthy)
+    return tasks(settings, cells, seeds)
 
 
 @cache
@@ -74,13 +58,13 @@ def estimation_summary(settings: Settings, results: Results) -> Summary:
     found: dict[tuple[str, ...], dict[str, Estimate]] = {}
     stated: dict[tuple[str, ...], Published | None] = {}
     suffix = readings(settings)
-    for (detector, snr, process), cell in gather(results, "detector", "snr", "process_noise").items():
-        level = f"{snr} SNR{suffix[process]}"
-        rows.append(row("pipeline/estimation", detector, "none", level, "diverged", cell.divergence))
+    for (detector, snr, process), cell in judged_runs(results, "detector", "snr", "process_noise").items():
+        at = partial(row, NAME, detector, "none", condition=condition(snr, suffix[process]))
+        rows.append(at("all", "diverged", cell.divergence))
         for i, quantity in enumerate(QUANTITIES):
             estimate = root_mean_square(cell["square_error"][..., [i]])
             theirs = published.rmse(snr, detector, quantity)
-            rows.append(row("pipeline/estimation", detector, "none", f"{quantity}, {level}", "rmse", estimate, theirs))
+            rows.append(at(quantity, "rmse", estimate, theirs))
             found.setdefault((detector, f"{snr} SNR", quantity), {})[process] = estimate
             stated[detector, f"{snr} SNR", quantity] = theirs
             if not suffix[process]:
@@ -120,22 +104,23 @@ def estimation_summary(settings: Settings, results: Results) -> Summary:
 
 
 def _over_basic(rows: list[Row]) -> list[Row]:
-    """The error of each bank over that of its basic filter, by detector and quantity."""
-    value = {(r.detector, r.quantity): r.value for r in pick(rows, metric="rmse")}
+    """The error of each bank over that of its basic filter, by detector, quantity and level of noise."""
+    printed = pick(rows, metric="rmse", condition=[condition(snr) for snr in LEVELS])
+    value = {(r.detector, r.quantity, r.condition): r.value for r in printed}
     return [
         replace(r, value=r.value / basic)
-        for r in pick(rows, metric="rmse", detector=PAPER)
-        if OTHER not in r.quantity and (basic := value.get((r.detector.removeprefix("fusing-"), r.quantity)))
+        for r in pick(printed, detector=PAPER)
+        if (basic := value.get((r.detector.removeprefix("fusing-"), r.quantity, r.condition)))
     ]
 
 
 SCENARIO = Scenario(
-    name="pipeline/estimation",
+    name=NAME,
     title="Estimation without faults (Table IV)",
     about="Root mean square error over nodes and time of the three fusing filters and their basic counterparts at three noise "
     "levels; truth without process noise and with the filter's own model, as in the paper; the filters with process "
     "noise of 0.9 and 0.1 of the sensors' sigma.",
-    settings={k: v for k, v in COMMON.items() if k != "snr"},
+    settings=common("snr"),
     seeds=2,
     full_seeds=10,
     tasks=estimation_tasks,

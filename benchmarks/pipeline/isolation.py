@@ -9,17 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    PAPER,
-    SENSORS,
-    Results,
-    gather,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, Results, grid, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
@@ -51,22 +42,13 @@ def isolation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on the paper's faults of every quantity; Fig. 6 has the weak bias."""
     faults = settings["faults"]
     assert isinstance(faults, tuple)
-    return tasks(
-        settings,
-        (
-            {"detector": d, "fault": f, "quantity": q, "accommodate": True}
-            for f in faults
-            for q in QUANTITIES
-            for d in (*PAPER, *OURS)
-        ),
-        seeds,
-    )
+    return tasks(settings, grid(fault=faults, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(True,)), seeds)
 
 
 def isolation_summary(settings: Settings, results: Results) -> Summary:
     """Recall, precision, exactness, false flags, and the paper's matrices."""
     rows = []
-    for (detector, fault, quantity), cell in gather(results, "detector", "fault", "quantity").items():
+    for (detector, fault, quantity), cell in judged_runs(results, "detector", "fault", "quantity").items():
         at = partial(row, "pipeline/isolation", detector, fault, quantity)
         t = PLANT_DT * np.arange(cell.active.shape[0])
         rows += [
@@ -80,27 +62,27 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
             at("diverged", cell.divergence),
             at("fault_mape_percent", _size_error(cell["size_error"])),
         ]
-    weak = gather([r for r in results if r[0]["fault"] == "weak-bias"], "detector")
+    weak = judged_runs([r for r in results if r[0]["fault"] == "weak-bias"], "detector")
     figure = Figure(
         "isolation-weak-bias",
         "Isolation matrices, weak bias",
         "Each row is a faulty sensor (63, by quantity, inlet to outlet), grey where no run has it faulty, each column what "
-        "was named; yellow on the diagonal is right, yellow in the first column is missed.",
+        "was isolated; yellow on the diagonal is right, yellow in the first column is missed.",
         lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for (d,), c in weak.items()}),
         "Five confusion matrices of 64 by 64, one a detector",
     )
     remarks = [
-        "The paper shows Fig. 6 as images without numbers: the fusing EKF names no pressure sensor, the fusing UKF is weak on "
-        "temperature, the fusing EnKF names all.",
+        "The paper shows Fig. 6 as images without numbers: the fusing EKF isolates no pressure sensor, the fusing UKF is weak "
+        "on temperature, the fusing EnKF isolates all.",
         "P0 is the paper's identity for the fusing EKF and UKF; the fusing EnKF starts from the sensors' noise instead, since "
         "members spread by 1 MPa at every node leave the gas model in their first step.",
     ]
-    named = [r for r in rows if r.metric == "isolation_recall" and r.fault == "weak-bias"]
+    weak_bias = [r for r in rows if r.metric == "isolation_recall" and r.fault == "weak-bias"]
     highlights = [
-        f"{d}: of the samples of a weak bias, the faulty sensor is named in "
-        + ", ".join(f"{r.value:.0%} ({r.quantity})" for r in named if r.detector == d)
+        f"{d}: of the samples of a weak bias, the faulty sensor is isolated in "
+        + ", ".join(f"{r.value:.0%} ({r.quantity})" for r in weak_bias if r.detector == d)
         for d in (*PAPER, *OURS)
-        if any(r.detector == d for r in named)
+        if any(r.detector == d for r in weak_bias)
     ]
     return Summary(rows=rows, figures=[figure], highlights=highlights, remarks=[*remarks, *left_out(rows)])
 

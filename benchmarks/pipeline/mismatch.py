@@ -7,23 +7,12 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    Results,
-    bar_series,
-    gather,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import OURS, Results, common, grid, tasks, trial
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
-from fusion_sfdia.evaluation.isolation_metrics import (
-    false_flag_rate,
-    isolation_recall,
-)
+from fusion_sfdia.evaluation.isolation_metrics import false_flag_rate, isolation_recall
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
@@ -41,11 +30,11 @@ NAMES = ("fusing-enkf", *OURS)
 @cache
 def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
     """The plant that makes the readings: 81 nodes, or parameters off by sizes of ours, such as ageing and weather bring."""
-    believed = pipeline_parameters()
+    nominal = pipeline_parameters()
     single = {
-        "roughness +25 %": {"roughness": 1.25 * believed.roughness},
-        "ambient +1 K": {"ambient": believed.ambient + 1.0},
-        "heat transfer +10 %": {"heat_transfer": 1.1 * believed.heat_transfer},
+        "roughness +25 %": {"roughness": 1.25 * nominal.roughness},
+        "ambient +1 K": {"ambient": nominal.ambient + 1.0},
+        "heat transfer +10 %": {"heat_transfer": 1.1 * nominal.heat_transfer},
     }
     everything = {k: v for change in single.values() for k, v in change.items()}
     changes = everything if name == "all of these" else single.get(name, {})
@@ -57,16 +46,8 @@ def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
 
 def mismatch_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each truth, healthy and with a weak bias on any sensor."""
-    return tasks(
-        settings,
-        (
-            {"truth": t, "detector": d, "fault": f, "quantity": "all", "accommodate": True}
-            for t in TRUTHS
-            for d in NAMES
-            for f in ("none", "weak-bias", "bias-5-sigma")
-        ),
-        seeds,
-    )
+    faults = ("none", "weak-bias", "bias-5-sigma")
+    return tasks(settings, grid(truth=TRUTHS, detector=NAMES, fault=faults, quantity=("all",), accommodate=(True,)), seeds)
 
 
 def mismatch_work(task: Task) -> Arrays:
@@ -78,15 +59,16 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
     """False alarms and recall by truth."""
     rows: list[Row] = []
     shown: dict[tuple[Any, ...], Estimate] = {}
-    for (truth, detector, fault), cell in gather(results, "truth", "detector", "fault").items():
-        at = partial(row, "pipeline/mismatch", detector, fault, truth)
+    for (truth, detector, fault), cell in judged_runs(results, "truth", "detector", "fault").items():
+        of = partial(row, "pipeline/mismatch", detector, fault, condition=truth)
+        at = partial(of, "all")
         rows.append(at("diverged", cell.divergence))
         if fault == "none":
             rate = metrics.false_alarm_probability(cell["alarm"], cell.active)
             rows += [at("false_alarm_probability", rate), at("false_flag_rate", false_flag_rate(cell.isolated, cell.active))]
             shown[detector, truth] = rate
-            errors = {f"{q}, {truth}": root_mean_square(cell["square_error"][..., [i]]) for i, q in enumerate(QUANTITIES)}
-            rows += [row("pipeline/mismatch", detector, fault, of, "rmse", error) for of, error in errors.items()]
+            errors = [root_mean_square(cell["square_error"][..., [i]]) for i in range(len(QUANTITIES))]
+            rows += [of(quantity, "rmse", error) for quantity, error in zip(QUANTITIES, errors, strict=True)]
         else:
             rows.append(at("isolation_recall", isolation_recall(cell.isolated, cell.active)))
 
@@ -105,12 +87,12 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
         "Bars of the false-alarm probability of three detectors for six truths",
     )
     remarks = [
-        "The budget of false alarms is one for a model that is true; a detector that is certain of its model takes its errors "
-        "for faults, and may leave out up to a quarter of the sensors. Samples with a false alarm: "
-        + " ".join(f"{t}: {listed(pick(rows, metric='false_alarm_probability', quantity=t))}." for t in TRUTHS),
-        "Fewer alarms may come of finding less. Faulty samples with the sensor named, over all truths: "
+        "The budget of false alarms holds for a correct model. A detector that is certain of its model takes model errors for "
+        "faults, and may exclude up to a quarter of the sensors. Samples with a false alarm: "
+        + " ".join(f"{t}: {listed(pick(rows, metric='false_alarm_probability', condition=t))}." for t in TRUTHS),
+        "Fewer alarms may be due to fewer detections. Faulty samples with the sensor isolated, over all truths: "
         + " ".join(f"{f}: {listed(pick(rows, metric='isolation_recall', fault=f))}." for f in ("weak-bias", "bias-5-sigma")),
-        "Where the model is uncertain, give the filter the process noise that says so, or estimate the parameter as a state.",
+        "Where the model is uncertain, give the filter a process noise that covers it, or estimate the parameter as a state.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
@@ -118,9 +100,9 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
 SCENARIO = Scenario(
     name="pipeline/mismatch",
     title="When the model is wrong",
-    about="Readings from a finer grid (81 nodes), a rougher pipe, warmer or more conductive ground than the filter believes: "
-    "false alarms without a fault, and sensors named with one.",
-    settings={k: v for k, v in COMMON.items() if k != "truth"},
+    about="Readings from a finer grid (81 nodes), a rougher pipe, warmer or more conductive ground than in the filter's model: "
+    "false alarms without a fault, and isolation with one.",
+    settings=common("truth"),
     seeds=2,
     full_seeds=50,
     tasks=mismatch_tasks,

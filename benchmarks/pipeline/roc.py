@@ -1,4 +1,4 @@
-"""pipeline/roc: how well a fault is told from none, over all thresholds (Shaheen 2024, Fig. 5)."""
+"""pipeline/roc: detection of faults over all thresholds (Shaheen 2024, Fig. 5)."""
 
 from __future__ import annotations
 
@@ -9,18 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    AFTERMATH,
-    COMMON,
-    OURS,
-    PAPER,
-    Cell,
-    Results,
-    detection_rows,
-    gather,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import JudgedRuns, detection_rows, judged_runs
+from fusion_sfdia.benchmarks.pipeline.support.trials import AFTERMATH, COMMON, OURS, PAPER, Results, grid, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
@@ -33,19 +23,10 @@ from fusion_sfdia.report.plots import panels, roc_curves
 
 def roc_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on every fault of every quantity, watching only."""
-    return tasks(
-        settings,
-        (
-            {"detector": d, "fault": f, "quantity": q, "accommodate": False}
-            for f in FAULTS
-            for q in QUANTITIES
-            for d in (*PAPER, *OURS)
-        ),
-        seeds,
-    )
+    return tasks(settings, grid(fault=FAULTS, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(False,)), seeds)
 
 
-def draw_roc(cells: Mapping[tuple[Any, ...], Cell], fault: str) -> Drawing:
+def draw_roc(cells: Mapping[tuple[Any, ...], JudgedRuns], fault: str) -> Drawing:
     """One panel a quantity; the false-alarm axis is logarithmic, or every curve would hide in the corner."""
     figure, axes = panels(QUANTITIES, columns=3, width=10.5, height=3.4)
     for axis, quantity in zip(axes, QUANTITIES, strict=True):
@@ -66,12 +47,12 @@ def draw_roc(cells: Mapping[tuple[Any, ...], Cell], fault: str) -> Drawing:
 
 def roc_summary(settings: Settings, results: Results) -> Summary:
     """Rows, a figure a fault, and what to see in them."""
-    cells = gather(results, "detector", "fault", "quantity")
+    cells = judged_runs(results, "detector", "fault", "quantity")
     rows = detection_rows("pipeline/roc", cells)
     plant = gas_pipeline(snr=str(settings["snr"]))
     sigmas = np.abs(plant.x0) / plant.sensor_sigma  # each state has its sensor
     remarks = [
-        "The paper prints its Fig. 5 as curves without numbers, so there is nothing to set beside the areas. It finds the "
+        "The paper prints its Fig. 5 as curves without numbers, so the areas cannot be compared. It finds the "
         "unscented and ensemble filters better than the extended one, the most on pressure. Here the smallest areas are: "
         f"{_smallest(rows)}.",
         f"The faults, 20 to 90 % of a reading, are {span([0.2 * sigmas.min(), 0.9 * sigmas.max()])} standard deviations of its "
@@ -107,7 +88,7 @@ SCENARIO = Scenario(
     name="pipeline/roc",
     title="Detection: ROC curves of bias and drift faults",
     about="One sensor of a quantity is faulty in each run of an hour, its level 60-90 % (strong) or 20-40 % (weak) of its "
-    "reading, for 10 to 20 samples (Shaheen 2024, sec. V-B, Fig. 5). Three banks as published, two as they should be.",
+    "reading, for 10 to 20 samples (Shaheen 2024, sec. V-B, Fig. 5). Three published banks and two consistent ones.",
     settings=COMMON,
     seeds=3,
     full_seeds=50,

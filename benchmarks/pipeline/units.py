@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
+from textwrap import fill
 from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    Results,
-    bar_series,
-    gather,
-    row,
-    tasks,
-    trial,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, Results, grid, tasks, trial
 from fusion_sfdia.builders import PAPER_UNITS
-from fusion_sfdia.evaluation.isolation_metrics import (
-    isolation_recall,
-)
+from fusion_sfdia.evaluation.isolation_metrics import isolation_recall
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
@@ -28,22 +20,23 @@ from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
 from fusion_sfdia.report.content import Figure, Summary
-from fusion_sfdia.report.findings import left_out, listed, pick
+from fusion_sfdia.report.findings import left_out, span
 from fusion_sfdia.report.plots import bars, legend_above, panels
 
-VARIANTS: dict[str, tuple[Estimator, str]] = {  # filter, and what divides the states in (20)
-    "EKF, paper's units": (Extended(), "paper"),
-    "UKF printed, paper's units": (Unscented(redraw=False), "paper"),
-    "UKF redrawn, paper's units": (Unscented(), "paper"),
-    "EKF, sigma units": (Extended(), "sigma"),
-    "UKF redrawn, sigma units": (Unscented(), "sigma"),
+VARIANTS: dict[str, tuple[str, Estimator, str]] = {  # detector, its filter, and what divides the states in (20)
+    "EKF, paper's units": ("fusing-ekf", Extended(), "paper"),
+    "UKF printed, paper's units": ("fusing-ukf", Unscented(redraw=False), "paper"),
+    "UKF redrawn, paper's units": ("fusing-ukf", Unscented(), "paper"),
+    "EKF, sigma units": ("fusing-ekf", Extended(), "sigma"),
+    "UKF redrawn, sigma units": ("fusing-ukf", Unscented(), "sigma"),
 }
+BESIDE = "loo-chi2"
 
 
 @cache
 def _variant(name: str, snr: str, process_noise: str) -> FusingBank:
     plant = gas_pipeline(snr=snr, process_noise=process_noise, initial="identity")
-    estimator, units = VARIANTS[name]
+    _, estimator, units = VARIANTS[name]
     paper = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
     always = tuple((1e-12 * plant.sensor_sigma).tolist())  # the question is which sensor, not whether
     scale = paper if units == "paper" else tuple(plant.sensor_sigma.tolist())
@@ -52,15 +45,8 @@ def _variant(name: str, snr: str, process_noise: str) -> FusingBank:
 
 def units_tasks(settings: Settings, seeds: int) -> list[Task]:
     """A bias of 30 % through each variant, and through the leave-one-out chi-square."""
-    return tasks(
-        settings,
-        (
-            {"detector": d, "fault": "bias-30-percent", "quantity": q, "accommodate": True}
-            for d in (*VARIANTS, "loo-chi2")
-            for q in QUANTITIES
-        ),
-        seeds,
-    )
+    cells = grid(detector=(*VARIANTS, BESIDE), quantity=QUANTITIES, fault=("bias-30-percent",), accommodate=(True,))
+    return tasks(settings, cells, seeds)
 
 
 def units_work(task: Task) -> Arrays:
@@ -74,17 +60,18 @@ def units_summary(settings: Settings, results: Results) -> Summary:
     """Share of faulty samples at which the largest residual is that of the faulty sensor."""
     rows: list[Row] = []
     shown: dict[tuple[Any, ...], Estimate] = {}
-    for (detector, quantity), cell in gather(results, "detector", "quantity").items():
+    for (name, quantity), cell in judged_runs(results, "detector", "quantity").items():
         estimate = isolation_recall(cell.isolated, cell.active)
-        rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "isolation_recall", estimate))
-        rows.append(row("pipeline/units", detector, "bias-30-percent", quantity, "diverged", cell.divergence))
-        shown[quantity, detector] = estimate
+        detector, condition = (VARIANTS[name][0], name) if name in VARIANTS else (name, "")
+        at = partial(row, "pipeline/units", detector, "bias-30-percent", quantity, condition=condition)
+        rows += [at("isolation_recall", estimate), at("diverged", cell.divergence)]
+        shown[quantity, name] = estimate
 
     def draw() -> Drawing:
         figure, (axis,) = panels(["is the largest residual (20) that of the faulty sensor?"], columns=1, width=13.0, height=3.2)
-        names = [d for d in (*VARIANTS, "loo-chi2") if (QUANTITIES[0], d) in shown]
-        bars(axis, names, bar_series(shown, QUANTITIES, names), ylabel="faulty sensor named")
-        axis.set_xticks(range(len(names)), [n.replace(", ", "\n") for n in names])
+        names = [d for d in (*VARIANTS, BESIDE) if (QUANTITIES[0], d) in shown]
+        bars(axis, names, bar_series(shown, QUANTITIES, names), ylabel="faulty sensor isolated")
+        axis.set_xticks(range(len(names)), [fill(n, 16) for n in names])
         axis.set_ylim(0, 1.05)
         legend_above(figure)
         return figure
@@ -102,21 +89,21 @@ def units_summary(settings: Settings, results: Results) -> Summary:
         "(20) is a length in a space whose axes are MPa, kg/s and K: a pressure error of 2.5 MPa is as long as a flow error "
         "of 2.5 kg/s, which is one standard deviation of the flow's noise at moderate SNR. It is seen where the filter spreads "
         "it to the flow, or, by a filter that trusts its model, where states are divided by their sensors' sigma.",
-        *(f"Faulty samples at which the {q} sensor is named: {_named(rows, q)}." for q in QUANTITIES),
+        *(f"Faulty samples at which the {q} sensor is isolated: {_isolated(shown, q)}." for q in QUANTITIES),
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
 
-def _named(rows: list[Row], quantity: str) -> str:
-    return listed(pick(rows, metric="isolation_recall", quantity=quantity))
+def _isolated(shown: dict[tuple[Any, ...], Estimate], quantity: str) -> str:
+    return "; ".join(f"{name} {span([e.value])}" for (of, name), e in shown.items() if of == quantity)
 
 
 SCENARIO = Scenario(
     name="pipeline/units",
     title="The units of the published residual",
-    about="A bias of 30 % of the reading, detection taken for granted: does the largest residual (20) name the sensor? With "
-    "states in the paper's units, and in units of the sensors' noise, for the extended filter and the unscented one with and "
-    "without redrawn sigma points.",
+    about="A bias of 30 % of the reading, detection taken for granted: is the largest residual (20) that of the faulty sensor? "
+    "With states in the paper's units, and in units of the sensors' noise, for the extended filter and the unscented one "
+    "with and without redrawn sigma points.",
     settings=COMMON,
     seeds=2,
     full_seeds=30,

@@ -6,23 +6,9 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import (
-    COMMON,
-    OURS,
-    PAPER,
-    Results,
-    bar_series,
-    detection_rows,
-    gather,
-    row,
-    tasks,
-    trial,
-)
-from fusion_sfdia.evaluation.isolation_metrics import (
-    exact_isolation,
-    false_flag_rate,
-    isolation_recall,
-)
+from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, detection_rows, judged_runs, row
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, Results, grid, tasks, trial
+from fusion_sfdia.evaluation.isolation_metrics import exact_isolation, false_flag_rate, isolation_recall
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
@@ -35,20 +21,16 @@ WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 
 def weak_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Single faults near the noise, watching; three at once, accommodated."""
-    one = (
-        {"detector": d, "fault": f, "quantity": q, "accommodate": False}
-        for f in WEAK_FAULTS
-        for q in QUANTITIES
-        for d in ("fusing-ekf", *OURS)
-    )
-    three = ({"detector": d, "fault": "three-8-sigma", "quantity": "all", "accommodate": True} for d in (*PAPER[:1], *OURS))
+    names = (PAPER[0], *OURS)
+    one = grid(fault=WEAK_FAULTS, quantity=QUANTITIES, detector=names, accommodate=(False,))
+    three = grid(fault=("three-8-sigma",), quantity=("all",), detector=names, accommodate=(True,))
     return tasks(settings, (*one, *three), seeds)
 
 
 def weak_summary(settings: Settings, results: Results) -> Summary:
-    """Areas near the noise, and sets named exactly when three sensors fail at once."""
-    single = gather([r for r in results if r[0]["fault"] != "three-8-sigma"], "detector", "fault", "quantity")
-    three = gather([r for r in results if r[0]["fault"] == "three-8-sigma"], "detector")
+    """Areas near the noise, and exact isolation when three sensors fail at once."""
+    single = judged_runs([r for r in results if r[0]["fault"] != "three-8-sigma"], "detector", "fault", "quantity")
+    three = judged_runs([r for r in results if r[0]["fault"] == "three-8-sigma"], "detector")
     rows = detection_rows("pipeline/weak", single)
     for (detector,), cell in three.items():
         at = partial(row, "pipeline/weak", detector, "three-8-sigma", "all")
@@ -82,8 +64,8 @@ def weak_summary(settings: Settings, results: Results) -> Summary:
         "A filter that trusts its sensors absorbs a small bias after its first samples, and statistics of one sample then lose "
         "it; a window keeps the evidence, and the fusing bank follows its readings little. "
         + " ".join(f"Areas, {f.replace('-', ' ')}: {listed(pick(rows, metric='auc', fault=f))}." for f in WEAK_FAULTS),
-        "Three sensors that fail at once: the leave-one-out banks eliminate one after the other, the paper's rule names one. "
-        f"Exact set named: {listed(pick(rows, metric='exact_isolation'))} of the faulty samples.",
+        "Three sensors that fail at once: the leave-one-out banks eliminate one after the other, the paper's rule isolates "
+        f"one. Exact isolation: {listed(pick(rows, metric='exact_isolation'))} of the faulty samples.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
 
@@ -92,7 +74,7 @@ SCENARIO = Scenario(
     name="pipeline/weak",
     title="Faults near the noise, slow drifts, three at once",
     about="Biases of 3 and 5 standard deviations of the reading and drifts to 3, for 10 to 20 samples, and three simultaneous "
-    "biases of 8: the faults that the published sizes leave out. Readings come from a grid four times finer than the filter's.",
+    "biases of 8: faults smaller than the published ones. Readings come from a grid four times finer than the filter's.",
     settings={**COMMON, "truth": "finer"},
     seeds=3,
     full_seeds=50,

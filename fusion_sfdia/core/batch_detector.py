@@ -7,18 +7,22 @@ of vectors.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from fusion_sfdia.core.arguments import Array, batch_shape, floats, number, shown, whole
+from fusion_sfdia.core.arguments import Array, batch_shape, floats, number, probability, shown, whole
 from fusion_sfdia.core.border import InputLimits
 from fusion_sfdia.core.detector import Decision, check_reading
 from fusion_sfdia.core.health import keep_broken_out, without_broken
+from fusion_sfdia.core.log import as_log
+from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, leaves, mapped
+
+SILENT = 1e6  # a scale of thresholds that no residual reaches: nothing is isolated
 
 
 class TimeStep(NamedTuple):
@@ -60,6 +64,45 @@ class BatchDetector(ABC):
 
         diverged of the Decision: in this step.
         """
+
+    @classmethod
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
+        """The detector with what it learns from healthy readings, at a rate of false alarms per step over all sensors.
+
+        healthy: a Recording, a Log, a pandas frame or (t, y, u), see `as_log`. settings: of the detector, by name. What is
+        learnt here are the thresholds, see `fit_thresholds`. ValueError where the readings are too few for the rate.
+        """
+        return cls(plant, **settings).fit_thresholds(healthy, false_alarm)
+
+    def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
+        """The detector with the threshold_scale at which healthy readings alarm at a rate per step over all sensors.
+
+        healthy: as in `fit`. The scale is an order statistic of the scores after the first `warm_up` samples of each run,
+        while nothing is isolated; runs in which the estimate diverges are left out. ValueError where they are too few for the
+        rate, less than one sample expected above the thresholds, and where no scale of the thresholds has that rate.
+        """
+        probability("false_alarm", false_alarm)
+        whole("warm_up", warm_up, least=0)
+        t, y, u = as_log(self.plant, healthy)
+        silent = replace(self, threshold_scale=SILENT)
+        state, scores = silent.init(y.shape[1:-1], float(t[0]) - self.plant.dt), []
+        diverged = np.zeros(y.shape[1:-1], bool)
+        for time, reading, applied in zip(t, y, u, strict=True):
+            state, decision = silent.step(state, float(time), reading, applied)
+            scores.append(decision.score * SILENT)
+            diverged = diverged | decision.diverged
+        found = np.stack(scores)[warm_up:, ~diverged].ravel()
+        if found.size * false_alarm < 1:
+            raise ValueError(
+                f"{found.size} healthy samples cannot set thresholds that one in {1 / false_alarm:.0f} exceeds; give at least "
+                f"that many after the first {warm_up} of each run, or ask for a higher rate of false alarms"
+            )
+        if not 0 < (scale := float(order_statistic(found, false_alarm))) < np.inf:
+            raise ValueError(
+                f"one score in {1 / false_alarm:.0f} of the healthy readings exceeds {scale:g}, so that no scale of the "
+                f"thresholds of {type(self).__name__} has that rate of false alarms; use the detector as it is"
+            )
+        return replace(self, threshold_scale=scale)
 
     @property
     def hypotheses(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.border import possible
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State
 
@@ -100,6 +101,11 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
     """
     y, u = floats("y", y), floats("u", u)
     n, m = len(plant.sensors), len(plant.inputs)
+    if y.shape[-1:] == (n,) and y.shape[:-1] != batch:
+        raise ValueError(
+            f"y has shape {y.shape}; expected {(*batch, n)}: the state is of a batch {batch}; start from init({y.shape[:-1]}), "
+            "or pass readings of that batch, of a Recording of one run Log(t, y[:, 0], u)"
+        )
     if y.shape != (*batch, n):
         raise ValueError(
             f"y has shape {y.shape}; expected {(*batch, n)}: plant {plant.name!r} has {n} sensors; pass NaN for a missing one"
@@ -120,19 +126,14 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
     return possible(plant, y), u if u.shape == expected else np.broadcast_to(u, expected)
 
 
-def run(detector: Detector, state: State, t: Array, y: Array, u: Array, *, covariance: bool = False) -> tuple[State, Decision]:
+def run(detector: Detector, state: State, *data: Any, covariance: bool = False) -> tuple[State, Decision]:
     """Step through t (K,), y (K, ..., N), u (K, ..., m); return the last state and the Decisions stacked over time.
 
-    The covariances are left out unless asked for: they are the bulk of the memory. ValueError where t, y and u are not of one
-    length, or there is no reading.
+    data: t, y, u, or a Log, a Recording or a pandas frame, see `as_log`. The first row of a frame with time stamps is at 0 s:
+    start it from init(..., t=-plant.dt). The covariances are left out unless asked for: they are the bulk of the memory.
+    ValueError where the data do not fit the plant, or their batch is not that of the state.
     """
-    t, y, u = floats("t", t), floats("y", y), floats("u", u)
-    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape:
-        raise ValueError(
-            f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, ..., sensors), (K, ..., inputs)"
-        )
-    if not len(t):
-        raise ValueError("there are no readings: t is empty; pass at least one time")
+    t, y, u = as_log(detector.plant, *data)
     decisions = []
     for time, reading, applied in zip(t, y, u, strict=True):
         state, decision = detector.step(state, float(time), reading, applied)

@@ -1,4 +1,4 @@
-"""Principal components of healthy readings in units of their noise: reconstruction of missing and of suspect readings."""
+"""Principal components of healthy readings in units of their noise: reconstruction of missing and suspect readings."""
 
 from __future__ import annotations
 
@@ -81,17 +81,19 @@ class ComponentModel:
                 raise ValueError(f"{what} is {shown(value)}; expected positive numbers, as of ComponentModel.fit")
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, lags: int = 0, components: int | None = None) -> tuple[ComponentModel, Array, Array]:
-        """The model of healthy readings y (K, ..., N), the windows (M, N, L + 1) it is of, and others to set limits with.
+    def fit(
+        cls, plant: Plant, healthy: Any, lags: int = 0, components: int | None = None
+    ) -> tuple[ComponentModel, Array, Array]:
+        """The model of healthy readings (see `healthy_readings`), the windows (M, N, L + 1) it is of, and others for limits.
 
-        Readings are divided by the noise that their sensors state. Windows are of blocks of 5 lags + 1 samples that alternate
+        Readings are divided by the stated noise of their sensors. Windows are of blocks of 5 lags + 1 samples that alternate
         in time, so that no reading is in both; those with a missing reading are left out. components: how many are retained;
-        None for those whose variance exceeds `marchenko_pastur_edge`, which noise alone would not, one less than D at most.
+        None for those whose variance exceeds `marchenko_pastur_edge`, which that of noise does not; D - 1 at most.
         ValueError where there are too few windows; NotApplicableError for a plant of one sensor.
         """
         from sklearn.decomposition import PCA  # slow to import
 
-        y, n = healthy_readings(plant, y), len(plant.sensors)
+        y, n = healthy_readings(plant, healthy), len(plant.sensors)
         if n < 2:
             raise NotApplicableError(f"plant {plant.name!r} has {n} sensor; principal components take at least 2")
         width = n * (whole("lags", lags, least=0) + 1)

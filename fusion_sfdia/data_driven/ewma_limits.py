@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,8 @@ class EwmaLimitsMemory(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class EwmaLimits(BatchDetector):
-    """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, to add up what is
-    small and lasts, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
+    """Three checks of each sensor: its level e = y - centre, its change from one reading to the next, and, for small faults
+    that last, an exponentially weighted moving average of its level (Lucas and Saccucci 1990):
 
         z_n = (1 - weight) z_(n-1) + weight e_n    z_0 = 0    |z_n| <= average sqrt(1 - (1 - weight)^(2n))
 
@@ -62,8 +62,8 @@ class EwmaLimits(BatchDetector):
         object.__setattr__(self, "weight", smoothing(self.weight))
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3, weight: float = 0.2) -> EwmaLimits:
-        """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, *, weight: float = 0.2, **settings: Any) -> Self:
+        """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
 
         Centre, level and change are those of `FixedLimits.fit` at two thirds of the rate. The limit of the average has the last
         third, in the same way: a unit of the sensor, its largest average in every other sample in time, times the order
@@ -71,7 +71,8 @@ class EwmaLimits(BatchDetector):
         """
         probability("false_alarm", false_alarm)
         weight = smoothing(weight)
-        fixed, y = FixedLimits.fit(plant, y, false_alarm * 2 / 3), healthy_readings(plant, y)
+        y = healthy_readings(plant, healthy)
+        fixed = FixedLimits.fit(plant, y, false_alarm * 2 / 3)
         z, n, averages = np.zeros(y.shape[1:]), np.zeros(y.shape[1:]), np.empty_like(y)
         for k, now in enumerate(y):
             z, n = averaged(z, n, np.clip(now - fixed.centre, -fixed.level, fixed.level), weight)
@@ -80,7 +81,8 @@ class EwmaLimits(BatchDetector):
         unit = largest(averages[::2], fixed.level * np.sqrt(weight / (2 - weight)), still)  # of a limit of white noise
         worst = np.max(np.nan_to_num(averages[1::2] / unit, nan=-1.0), axis=-1)
         factor = upper_limit(worst[worst >= 0], false_alarm / 3)
-        return cls(plant, fixed.centre, fixed.level, fixed.change, np.where(still, max(factor, 1.0), factor) * unit, weight)
+        average = np.where(still, max(factor, 1.0), factor) * unit
+        return cls(plant, fixed.centre, fixed.level, fixed.change, average, weight, **settings)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> EwmaLimitsMemory:
         shape = (*batch, len(self.centre))

@@ -5,7 +5,7 @@ model.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,18 +56,17 @@ class FixedLimits(BatchDetector):
             object.__setattr__(self, what, value)
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3) -> FixedLimits:
-        """Limits from healthy readings y (K, ..., N), NaN where missing, at a rate of false alarms per step over all sensors.
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
+        """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
 
         The centre is the mean. A limit is a unit of the sensor and the check times a common factor. Of every other sample in
         time: the largest deviation is the unit; of a sensor that never moved there, that of as many readings with its stated
-        noise
-         (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
+        noise (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
         statistic, at that rate, of the largest deviation of all sensors and both checks in their units. So 2 / false_alarm
         samples set limits for any number of sensors. ValueError where the data are fewer, or a sensor was never read.
         """
         probability("false_alarm", false_alarm)
-        y = healthy_readings(plant, y)
+        y = healthy_readings(plant, healthy)
         centre = np.nanmean(y[::2], axis=(0, 1))
         level, change = np.abs(y - centre), np.abs(np.diff(y, axis=0))
         # a change belongs to the sample at which it ends: even samples train, odd ones judge
@@ -82,7 +81,7 @@ class FixedLimits(BatchDetector):
         )
         factor = upper_limit(worst[worst >= 0], false_alarm)
         factors = np.where(still, max(factor, 1.0), factor)
-        return cls(plant, centre, factors * unit[0], factors * unit[1])
+        return cls(plant, centre, factors * unit[0], factors * unit[1], **settings)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> FixedLimitsMemory:
         shape = (*batch, len(self.centre))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.border import possible
 from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 
@@ -42,19 +43,19 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
     value = floats(what, value)
     if value.shape != plant.sensor_sigma.shape or not np.all(np.isfinite(value)):
         raise ValueError(
-            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of "
-            f"plant {plant.name!r}"
+            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of {plant.name!r}"
         )
     return value
 
 
-def healthy_readings(plant: Plant, y: Array) -> Array:
-    """Return readings as (K, B, N), absurd ones as NaN.
+def healthy_readings(plant: Plant, healthy: Any) -> Array:
+    """Return healthy readings as (K, B, N), absurd ones as NaN.
 
-    ValueError for other shapes, infinities, and sensors not read in every other sample. A sensor that never moves is taken: a
-    quantised reading at rest is healthy, too. See `noise_floor`.
+    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, as an array: these detectors use no more of it.
+    ValueError for other shapes, infinities, and sensors without a reading in every other sample. A sensor that never moves is
+    accepted: a quantised reading at rest is healthy, too. See `noise_floor`.
     """
-    y = floats("y", y)
+    y = floats("y", healthy if isinstance(healthy, np.ndarray) else as_log(plant, healthy).y)
     count = len(plant.sensors)
     if y.ndim < 2 or y.shape[-1] != count or y.shape[0] < 4 or not y.size:
         raise ValueError(f"y has shape {y.shape}; expected healthy readings (K, ..., {count}) of at least 4 times")
@@ -77,7 +78,7 @@ def stuck(y: Array) -> Array:
 def noise_floor(plant: Plant, y: Array, declared: Array) -> Array:
     """The assumed spread (N,) of sensors that never moved in training: as declared, at least their resolution.
 
-    declared: (N,), of the noise that the sensors state. The resolution is the smallest step between readings y (K, B, N).
+    declared: (N,), of the stated noise of the sensors. The resolution is the smallest step between readings y (K, B, N).
     """
     step = np.abs(np.diff(y, axis=0))
     resolution = np.min(np.where(step > 0, step, np.inf), axis=(0, 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,22 +54,22 @@ class OneClass(ReconstructionDetector):
                 raise ValueError(f"{what} is {shown(value)}; expected positive numbers, as of OneClass.fit")
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, false_alarm: float = 1e-3, outliers: float = 0.1, max_faults: int = 3) -> OneClass:
-        """Model, machine and limit from healthy readings y (K, ..., N), at that rate of false alarms per step.
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, *, outliers: float = 0.1, **settings: Any) -> Self:
+        """Model, machine and limit from healthy readings (see `healthy_readings`), at that rate of false alarms per step.
 
         Of the training half, at most TRAINED_ON samples evenly spread train the machine, of which at most the share `outliers`
-        (nu) is left outside, 0.1 of 0.01, 0.1 and 0.5 that were tried on runs of other seeds than are compared; the other half
+        (nu) is left outside: 0.1, chosen among 0.01, 0.1 and 0.5 on runs of other seeds than those compared; the other half
         sets the limit as an order statistic. ValueError where the data are too few for the rate or the sensors,
         NotApplicableError for a plant of one sensor.
         """
         from sklearn.svm import OneClassSVM  # slow to import
 
         probability("false_alarm", false_alarm)
-        model, train, judge = ComponentModel.fit(plant, y)
+        model, train, judge = ComponentModel.fit(plant, healthy)
         train = train[:: -(-len(train) // TRAINED_ON)]
         w = model.reconstruct(train).x @ whitening(model)
         machine = OneClassSVM(gamma=1 / w.shape[1], nu=probability("outliers", outliers), tol=1e-6).fit(w)
-        unlimited = cls(plant, model, w[machine.support_], machine.dual_coef_[0], np.inf, max_faults=max_faults)
+        unlimited = cls(plant, model, w[machine.support_], machine.dual_coef_[0], np.inf, **settings)
         return replace(unlimited, limit=upper_limit(unlimited.statistic(model.reconstruct(judge).x), false_alarm))
 
     @cached_property

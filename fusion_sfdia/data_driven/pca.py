@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,21 +46,22 @@ class PrincipalComponents(ReconstructionDetector):
     def fit(
         cls,
         plant: Plant,
-        y: Array,
+        healthy: Any,
         false_alarm: float = 1e-3,
+        *,
         components: int | None = None,
-        max_faults: int = 3,
         lags: int = 0,
-    ) -> PrincipalComponents:
-        """Model and limits from healthy readings y (K, ..., N), at that rate of false alarms per step.
+        **settings: Any,
+    ) -> Self:
+        """Model and limits from healthy readings (see `healthy_readings`), at that rate of false alarms per step.
 
         The model is that of `ComponentModel.fit`, which trains on half of the data; the rest set the limits as order
         statistics, which share the rate equally; that of T2 is infinite where there is no component. ValueError where the data
         are too few for the rate or the sensors, NotApplicableError for a plant of one sensor.
         """
         probability("false_alarm", false_alarm)
-        model, _, judge = ComponentModel.fit(plant, y, lags, components)
-        unlimited = cls(plant, model, np.inf, np.inf, np.inf, max_faults=max_faults)
+        model, _, judge = ComponentModel.fit(plant, healthy, lags, components)
+        unlimited = cls(plant, model, np.inf, np.inf, np.inf, **settings)
         t2, spe, contribution = unlimited.statistics(model.reconstruct(judge))
         moves = model.variances.size > 0
         share = false_alarm / (3 if moves else 2)

@@ -1,7 +1,7 @@
-"""Whether and when a fault was noticed: sample-wise rates, ROC, events.
+"""Whether and when a fault is detected: sample-wise rates, ROC, events.
 
-alarm (K, B) bool; active (K, B, N) bool, where a fault acts; isolated (K, B, N) bool, the sensors named; t (K,) s. `where`
-(K, B) bool restricts what is counted, to the samples after the start-up, say. Intervals: see metrics.
+alarm (K, B) bool; active (K, B, N) bool, where a fault acts; isolated (K, B, N) bool, the isolated sensors; t (K,) s.
+`where` (K, B) bool restricts what is counted, for example to the samples after the start-up. Intervals: see metrics.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def judged_right(alarm: Array, isolated: Array, active: Array, where: Array | No
     """Whether each run (B,) is judged right as a whole.
 
     A run with a fault is right where an alarm is raised while it is active and, over the samples at which it is, the faulty
-    sensor is named more often than any other; with several, each of them more often than any healthy one. A run without
+    sensor is isolated more often than any other; with several, each of them more often than any healthy one. A run without
     faults is right where no alarm is raised. Shaheen 2024 does not define the accuracy of its Tables V to VII; the entries
     of V and VII (but for one) are multiples of 1/36 or 1/60, which shares of samples would not be.
     """
@@ -72,16 +72,16 @@ def judged_right(alarm: Array, isolated: Array, active: Array, where: Array | No
     counted = np.ones_like(faulty) if where is None else where
     during = faulty & counted
     votes = (isolated & during[..., None]).sum(axis=0)
-    guilty = (active & during[..., None]).any(axis=0)
-    least = np.where(guilty, votes, np.iinfo(votes.dtype).max).min(axis=-1)
-    most = np.where(guilty, 0, votes).max(axis=-1)  # 0 where all are faulty: each has to be named then
+    faulty_sensor = (active & during[..., None]).any(axis=0)
+    least = np.where(faulty_sensor, votes, np.iinfo(votes.dtype).max).min(axis=-1)
+    most = np.where(faulty_sensor, 0, votes).max(axis=-1)  # 0 where all are faulty: each has to be isolated then
     hit = (alarm & during).any(axis=0) & (least > most)
     quiet = ~(alarm & counted).any(axis=0)
     return np.asarray(np.where(during.any(axis=0), hit, quiet))
 
 
 def roc(scores: Array, active: Array, where: Array | None = None) -> Roc:
-    """Receiver operating characteristic by samples; scores (K, B), or (K, B, N) to judge each sensor for itself.
+    """Receiver operating characteristic by samples; scores (K, B), or (K, B, N) to judge each sensor separately.
 
     It is that of the method only where nothing was accommodated during the run: a threshold changes what follows. Empty
     where there are no faulty or no healthy samples.
@@ -143,14 +143,14 @@ def missed_detection_rate(alarm: Array, active: Array) -> Estimate:
 def detection_delay(t: Array, alarm: Array, active: Array) -> Estimate:
     """Mean seconds from a fault's first sample to the first alarm during it, over the faults that are detected.
 
-    An alarm that was already there counts as one at the first sample. Read it beside missed_detection_rate.
+    An alarm raised before the fault counts as one at its first sample. Read it beside missed_detection_rate.
     """
     _faulty(alarm, active)
     return _delay(t, np.broadcast_to(alarm[..., None], active.shape), active)
 
 
 def isolation_delay(t: Array, isolated: Array, active: Array) -> Estimate:
-    """Mean seconds from a fault's first sample to the first on which its sensor is named, over the faults that are."""
+    """Mean seconds from a fault's first sample to the first at which its sensor is isolated, over the isolated faults."""
     require_shapes(isolated=(isolated, active.shape))
     return _delay(t, isolated, active)
 
@@ -197,7 +197,7 @@ def _labelled(scores: Array, active: Array, where: Array | None) -> tuple[Array,
 
 
 def _wins(faulty: Array, run: Array, healthy: Array, runs: int) -> Array:
-    """Pairs (runs,) in which the faulty score, of the run named, is above a healthy one; ties half."""
+    """Pairs (runs,) in which the faulty score of that run is above a healthy one; ties count half."""
     healthy = np.sort(healthy)
     below, upto = np.searchsorted(healthy, faulty, "left"), np.searchsorted(healthy, faulty, "right")
     return np.bincount(run, weights=(below + upto) / 2, minlength=runs)

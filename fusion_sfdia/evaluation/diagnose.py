@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
@@ -20,9 +20,9 @@ MOST_BRIDGES = 10_000  # steps in gaps, besides ten for each reading: a day's ou
 
 @dataclass(frozen=True)
 class Event:
-    """A hypothesis (mostly a sensor) held true from start to end (s); size in the sensor's unit, its median over the event.
+    """A hypothesis (usually a sensor) that is isolated from start to end (s).
 
-    open: whether it was still held true at the end of the data.
+    size: the median over the event, in the sensor's unit. open: whether it is still isolated at the end of the data.
     """
 
     hypothesis: str
@@ -43,23 +43,20 @@ class Diagnosis:
 
 
 class DiagnosisWarning(UserWarning):
-    """A diagnosis that says less than its table of events seems to."""
+    """A limit of a diagnosis that its table of events does not show."""
 
 
-def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) -> Diagnosis:
-    """Run a detector over t (K,), y (K, N), u (K, m), NaN where missing, and gather what it isolated into events.
+def diagnose_run(detector: Detector, log: Log, *, gap: int = 3) -> Diagnosis:
+    """Run a detector over a Log of one run, NaN where a reading is missing, and collect what it isolates into events.
 
     Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
-    of the plant, the detector steps by dt through the gap without readings, under inputs on the line between those before
-    and after. ValueError where shapes or times do not fit. DiagnosisWarning where the estimate diverged or was moved back
-    into the limits of the model, where a sensor was never read, where readings or inputs are absurd, where more sensors
-    would have been isolated than the detector allows, and where it has no thresholds and cannot raise an alarm.
+    of the plant, the detector steps by dt through the gap without readings, under inputs interpolated between those before
+    and after. ValueError where shapes or times do not fit, or there are several runs. DiagnosisWarning where the estimate
+    diverged or was moved back into the limits of the model, where a sensor was never read, where readings or inputs are
+    absurd, where more sensors would be isolated than the detector allows, and where it has no thresholds and cannot raise an
+    alarm.
     """
-    t, y, u = floats("t", t), floats("y", y), floats("u", u)
-    if t.ndim != 1 or y.shape[:1] != t.shape or u.shape[:1] != t.shape or y.ndim != 2 or u.ndim != 2:
-        raise ValueError(f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, sensors), (K, inputs)")
-    if not t.size:
-        raise ValueError("there are no readings: t is empty; pass at least one time")
+    t, y, u = one_run(log)
     first = float(t[0]) - (
         detector.plant.dt if len(t) < 2 or detector.plant.numerics.fixed_dt else min(detector.plant.dt, float(t[1] - t[0]))
     )
@@ -77,7 +74,10 @@ def diagnose(detector: Detector, t: Array, y: Array, u: Array, *, gap: int = 3) 
 
 
 def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[Array, Array, Array, Array]:
-    """Where the given samples stand among t, y, u with steps of dt without readings in gaps longer than the plant can step."""
+    """The positions of the samples among times, readings and inputs in which steps of dt without readings fill long gaps.
+
+    A gap is long where the plant cannot step over it at once.
+    """
     gaps = np.diff(t, prepend=first)
     with np.errstate(invalid="ignore"):
         long = (gaps > (plant.dt if plant.numerics.fixed_dt else plant.numerics.max_dt) * (1 + 1e-9)) & np.isfinite(gaps)
@@ -101,7 +101,7 @@ def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[
 
 
 def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision) -> None:
-    """Say what the events do not."""
+    """Warn of what the events do not show."""
     remarks = []
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
     if silent:
@@ -111,8 +111,8 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
     thresholds = decisions.threshold[np.isfinite(decisions.residual)]
     if thresholds.size and np.all(np.isinf(thresholds)):
         remarks.append(
-            f"{type(detector).__name__} cannot raise an alarm: its thresholds are infinite; set them with calibrate() on "
-            "healthy readings"
+            f"{type(detector).__name__} cannot raise an alarm: its thresholds are infinite; set them with "
+            "fit_thresholds(healthy)"
         )
     for values, absurd, signals, fate in (
         (y, decisions.absurd, detector.plant.sensors, "taken as missing"),
@@ -127,8 +127,8 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
     if np.any(decisions.capped):
         most = getattr(detector, "most_faults", "too many")
         remarks.append(
-            f"more sensors would have been isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
-            f"{t[np.argmax(decisions.capped)]:g} s, but {most} were out already, all that redundancy or max_faults allows: "
+            f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
+            f"{t[np.argmax(decisions.capped)]:g} s, but {most} are excluded already, all that redundancy or max_faults allows: "
             "check the model, or pass max_faults"
         )
     for flags, what, cure in (
@@ -139,11 +139,11 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
             first = f"{np.sum(flags)} of {t.size} samples, first at {t[np.argmax(flags)]:g} s"
             remarks.append(f"the estimate {what} in {first}; {cure}")
     for remark in remarks:
-        warnings.warn(remark, DiagnosisWarning, stacklevel=3)
+        warnings.warn(remark, DiagnosisWarning, stacklevel=4)  # the caller of diagnose
 
 
 def spans(held: Array, gap: int = 1) -> list[tuple[int, int]]:
-    """Return first and last index of each run of True in held (K,); runs fewer than `gap` samples apart are joined."""
+    """Return first and last index of each run of True in held (K,); runs less than `gap` samples apart are joined."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
     joined: list[tuple[int, int]] = []
     for a, b in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):

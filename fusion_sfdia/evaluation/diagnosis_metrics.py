@@ -18,7 +18,7 @@ Array = NDArray[Any]
 
 
 class Response(NamedTuple):
-    """How a group of modules answered a fault: share of runs that missed it; delay (s) of those that did not; its range."""
+    """How a group of modules responds to a fault: share of runs that miss it; delay (s) in the others; its range."""
 
     missed: Estimate
     delay: Estimate
@@ -27,10 +27,10 @@ class Response(NamedTuple):
 
 
 def smallest_detectable(residual: Array, lower: Array, upper: Array, gain: Array | float = 1.0) -> Array:
-    """Return the smallest |fault| that takes a noise-free residual (K, ...) out of [lower, upper] at some time: (19) as slack.
+    """Return the smallest |fault| that takes a noise-free residual (K, ...) out of [lower, upper] at some time, by (19).
 
-    gain (K, ...) is d residual / d fault, 1 for a sensor's own residual where the prediction does not read it; inf where
-    it is 0. Noise can make a smaller fault show. Raises ValueError where the healthy residual is outside already.
+    gain (K, ...) is d residual / d fault, 1 for a sensor's own residual where the prediction does not use it; the result is inf
+    where it is 0. With noise a smaller fault can be detected. Raises ValueError where the healthy residual is outside already.
     """
     if np.any((residual < lower) | (residual > upper)):
         raise ValueError(
@@ -42,9 +42,9 @@ def smallest_detectable(residual: Array, lower: Array, upper: Array, gain: Array
 
 
 def smallest_detected(sizes: Array, detected: Array) -> Estimate:
-    """Return the mean over runs of the smallest of sizes (S,) that was detected in the run, detected (S, B): (19) as seen.
+    """Return the mean over runs of the smallest of sizes (S,) that is detected in the run, detected (S, B): (19) as observed.
 
-    Runs that detected none are left out: compare n with the number of runs. A size is told to the grid's next one above.
+    Runs that detect none are left out: compare n with the number of runs. A size is rounded up to the next of the grid.
     """
     require_shapes(detected=(detected, (len(sizes), *np.shape(detected)[1:2])))
     magnitude = np.where(detected, np.abs(np.asarray(sizes, dtype=float))[:, None], np.inf).min(axis=0, initial=np.inf)
@@ -56,7 +56,7 @@ def response(t: Array, decisions: Array, active: Array, modules: Sequence[int]) 
     """Return missed-detection rate and delay of a fault, active (K, B), by the first of the modules to fire while it acts.
 
     With the fault's own module it is (20) and (22), with the modules of the other agents (21): that the fault is missed
-    as a propagated one. A decision latched before the onset counts as detection without delay.
+    as a propagated fault. A decision latched before the onset counts as detection without delay.
     """
     require_shapes(active=(active, decisions.shape[:2]), t=(t, decisions.shape[:1]))
     seen = decisions[..., list(modules)].any(axis=-1) & active
@@ -73,20 +73,20 @@ def response(t: Array, decisions: Array, active: Array, modules: Sequence[int]) 
 def isolation_performance(t: Array, isolated: Array, active: Array, alarm: Array) -> Estimate:
     """Return P^U, (23) and (25), as a fraction: the time mean from the first alarm (K, B) on of |S^F and S_0| / |S^F|.
 
-    1 - U/|S^F| = |S_0|/|S^F| as printed takes the faulty S_0 to be named; what is not named counts for nothing here. Where
-    no sensor is named the term, 0/0 as printed, is 0 while a fault is active and 1 while none is. Runs without an alarm
-    before the last sample are left out. A sample holds until the next.
+    1 - U/|S^F| = |S_0|/|S^F| as printed assumes that the faulty S_0 are isolated; one that is not isolated does not count here.
+    Where no sensor is isolated the term, 0/0 as printed, is 0 while a fault is active and 1 while none is. Runs without an
+    alarm before the last sample are left out. A sample holds until the next.
     """
     require_shapes(isolated=(isolated, active.shape))
-    named, right = isolated.sum(axis=-1), (isolated & active).sum(axis=-1)
-    share = np.where(named > 0, right / np.maximum(named, 1), ~active.any(axis=-1))
+    count, right = isolated.sum(axis=-1), (isolated & active).sum(axis=-1)
+    share = np.where(count > 0, right / np.maximum(count, 1), ~active.any(axis=-1))
     return _from_first_alarm(t, share, alarm)
 
 
 def exoneration_performance(t: Array, isolated: Array, alarm: Array) -> Estimate:
-    """Return P^E, (24) and (26), as a fraction: the time mean from the first alarm on of the share of sensors not named.
+    """Return P^E, (24) and (26), as a fraction: the time mean from the first alarm on of the share of sensors not isolated.
 
-    It does not see whether a faulty sensor is among them: read it beside isolation_metrics.isolation_recall.
+    It does not show whether a faulty sensor is among them: read it beside isolation_metrics.isolation_recall.
     """
     return _from_first_alarm(t, 1 - isolated.mean(axis=-1), alarm)
 

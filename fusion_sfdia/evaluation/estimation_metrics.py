@@ -62,13 +62,13 @@ def nees(estimate: Array, truth: Array, covariance: Array) -> Estimate:
     e, P = error[counted], covariance[counted]
     variance = np.diagonal(P, axis1=-2, axis2=-1)
     if np.any(variance <= 0):
-        raise ValueError("a covariance has a variance that is not positive; NEES wants positive definite ones")
+        raise ValueError("a covariance has a variance that is not positive; NEES expects positive definite ones")
     scale = np.sqrt(variance)
     e, P = e / scale, P / (scale[:, :, None] * scale[:, None, :])
     try:
         squares = (e * np.linalg.solve(P, e[..., None])[..., 0]).sum(axis=-1) / n
     except np.linalg.LinAlgError as error_found:
-        raise ValueError("a covariance is singular; NEES wants positive definite ones") from error_found
+        raise ValueError("a covariance is singular; NEES expects positive definite ones") from error_found
     values = np.zeros(counted.shape)
     values[counted] = squares
     return mean_over_runs(values.sum(axis=0), counted.sum(axis=0))
@@ -81,7 +81,7 @@ def nis(values: Array) -> Estimate:
 
 
 def consistency_limits(dimension: int, runs: int) -> tuple[float, float]:
-    """Limits between which the mean NEES (or NIS) per dimension of a consistent filter lies with 95 %, at one time.
+    """Limits between which the mean NEES (or NIS) per dimension of a consistent filter is with probability 0.95, at one time.
 
     runs x dimension x mean is chi-square with runs x dimension degrees of freedom (Bar-Shalom, Li and Kirubarajan 2001,
     sec. 5.4). Over time NEES is correlated, and the limits hold for one time only.
@@ -94,10 +94,10 @@ def consistency_limits(dimension: int, runs: int) -> tuple[float, float]:
 
 
 def fault_mape_percent(fault_size: Array, size: Array, isolated: Array, active: Array) -> Estimate:
-    """Mean of 100 |size_hat / size - 1| over the faulty sensor-samples that are named, with an interval over runs.
+    """Mean of 100 |size_hat / size - 1| over the faulty sensor-samples that are isolated, with an interval over runs.
 
     All (K, B, N). Where a size is NaN (dropout, no estimate) or the true size is 0, the sample is left out: a fault that
-    is not named has no size, so read it beside isolation_recall.
+    is not isolated has no size, so read it beside isolation_recall.
     """
     require_shapes(fault_size=(fault_size, size.shape), isolated=(isolated, size.shape), active=(active, size.shape))
     counted = isolated & active & np.isfinite(fault_size) & np.isfinite(size) & (size != 0)

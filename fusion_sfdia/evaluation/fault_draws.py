@@ -1,4 +1,4 @@
-"""Random sensor faults from ranges, and the named ranges of Shaheen 2024."""
+"""Random sensor faults from ranges, and the ranges of Shaheen 2024 by name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.faults import FAULT_KINDS, WITHOUT_MAGNITUDE, Fault
 
-SETTLE = 30  # samples before the first fault of `draw_apart`: a filter has forgotten how it began
+SETTLE = 30  # samples before the first fault of `draw_apart`: a filter no longer depends on its start
 LONGEST = 40  # samples of the longest fault of PRESETS
 UNITS = ("absolute", "relative", "sigmas")
 
@@ -59,7 +59,7 @@ def _published(strength: str, kind: str, low: float, high: float) -> FaultRange:
 
 # Shaheen 2024, sec. V-B: b uniform in 60-90 % (strong) or 20-40 % (weak) "of the data amplitude", random sign, M and K
 # uniform in 10-20 samples. Amplitude is read as the value of the signal: with the swing, temperature faults would be of the
-# order of the noise. M and K are drawn independently as that section says; sec. IV-B's M > K contradicts it.
+# order of the noise. M and K are drawn independently as that section states; sec. IV-B's M > K contradicts it.
 PRESETS = {
     f"{strength}-{kind}": _published(strength, kind, low, high)
     for strength, low, high in (("strong", 0.6, 0.9), ("weak", 0.2, 0.4))

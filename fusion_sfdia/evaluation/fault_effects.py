@@ -68,7 +68,7 @@ def apply_faults(
                 column[rows] = _BEHAVIOUR[fault.kind](fault, fault.magnitude * value, column, rows, t, plant.dt, generator)
             if np.any(np.isinf(column[rows])):
                 raise ValueError(
-                    f"{fault.kind} of sensor {fault.sensor!r} by {fault.magnitude:g} is no finite reading; lessen it"
+                    f"{fault.kind} of sensor {fault.sensor!r} by {fault.magnitude:g} is no finite reading; reduce it"
                 )
             active[rows, b, i] = True
     return FaultedReadings(faulty.reshape(y.shape), active.reshape(y.shape), (faulty - healthy).reshape(y.shape))

@@ -79,7 +79,7 @@ class Fault:
         if self.kind in WITHOUT_MAGNITUDE and (self.magnitude != 0 or self.relative):
             raise ValueError(f"{who}: a {self.kind} has no magnitude; leave magnitude and relative out")
         if self.kind not in WITHOUT_MAGNITUDE and self.magnitude == 0 and self.kind != "scale":
-            raise ValueError(f"{who}: magnitude is 0, which is no fault; give one that is not 0")
+            raise ValueError(f"{who}: magnitude is 0, which is no fault; give another one")
         if self.kind == "scale" and self.relative:
             raise ValueError(f"{who}: a scale is a factor already; leave relative out")
         if self.kind in ("noise", "spikes") and self.magnitude < 0:

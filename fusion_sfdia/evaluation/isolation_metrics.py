@@ -1,4 +1,4 @@
-"""Whether the right sensors were named, by samples: isolated (K, B, N) bool against active (K, B, N) bool.
+"""Whether the right sensors are isolated, by samples: isolated (K, B, N) bool against active (K, B, N) bool.
 
 `where` (K, B) bool restricts what is counted. Intervals: see metrics.rate_over_runs.
 """
@@ -17,43 +17,43 @@ Array = NDArray[Any]
 
 
 def isolation_recall(isolated: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Share of the faulty sensor-samples that are named."""
+    """Share of the faulty sensor-samples that are isolated."""
     return _rate(isolated, active, _counted(isolated, active, where))
 
 
 def isolation_precision(isolated: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Share of the named sensor-samples that are faulty."""
+    """Share of the isolated sensor-samples that are faulty."""
     return _rate(active, isolated, _counted(isolated, active, where))
 
 
 def false_flag_rate(isolated: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Share of the healthy sensor-samples that are named."""
+    """Share of the healthy sensor-samples that are isolated (false isolation)."""
     return _rate(isolated, ~active, _counted(isolated, active, where))
 
 
 def exact_isolation(isolated: Array, active: Array, where: Array | None = None) -> Estimate:
-    """Share of the faulty samples (some sensor is faulty) at which exactly the faulty sensors are named."""
+    """Share of the faulty samples (some sensor is faulty) at which exactly the faulty sensors are isolated."""
     counted = _counted(isolated, active, where) & active.any(axis=-1)
     exact = (isolated == active).all(axis=-1)
     return rate_over_runs((exact & counted).sum(axis=0), counted.sum(axis=0))
 
 
 def isolation_confusion(isolated: Array, active: Array, where: Array | None = None) -> Array:
-    """Confusion matrix (N + 1, N + 1), rows the truth, columns what was named, index 0 none (Shaheen 2024, Fig. 6).
+    """Confusion matrix (N + 1, N + 1), rows the truth, columns what is isolated, index 0 none (Shaheen 2024, Fig. 6).
 
     Each sample is one entry in the row of every faulty sensor, or in row 0 where none is. It falls in its own column
-    where the sensor is named; else evenly in the columns of the healthy sensors that are named, or in column 0 where
-    none is. A row adds up to its number of samples; a healthy sensor named beside the right one is seen by
-    isolation_precision only.
+    where the sensor is isolated; else evenly in the columns of the healthy sensors that are isolated, or in column 0
+    where none is. A row adds up to its number of samples; only isolation_precision shows a healthy sensor that is isolated
+    beside the right one.
     """
     counted = _counted(isolated, active, where)
-    named, faulty = isolated[counted], active[counted]
-    n = named.shape[-1]
-    wrong = named & ~faulty
+    found, faulty = isolated[counted], active[counted]
+    n = found.shape[-1]
+    wrong = found & ~faulty
     healthy = ~faulty.any(axis=-1)
     truth, guess, weight = [], [], []
     for row, samples, right in [(0, healthy, np.zeros_like(healthy))] + [
-        (i + 1, faulty[:, i], named[:, i]) for i in range(n) if faulty[:, i].any()
+        (i + 1, faulty[:, i], found[:, i]) for i in range(n) if faulty[:, i].any()
     ]:
         missed = samples & ~right
         blank = missed & ~wrong.any(axis=-1)

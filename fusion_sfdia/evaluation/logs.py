@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import csv
-import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats, require_unique, shown
+from fusion_sfdia.core.arguments import floats, shown
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.core.log import TIME, Log, find_columns, usual_inputs
 from fusion_sfdia.core.numerals import decimal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 
 Array = NDArray[Any]
-
-TIME = Signal("time", "s")
-
-
-class Log(NamedTuple):
-    """Times t (K,) in s, readings y (K, N) with NaN where missing, inputs u (K, m) that acted until t."""
-
-    t: Array
-    y: Array
-    u: Array
 
 
 def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None) -> None:
@@ -72,7 +61,7 @@ def read_log(
             raise ValueError(f"{path} is not a CSV text file ({error}); expected UTF-8 text as `simulate` writes it") from error
     if not rows:
         raise ValueError(f"{path} is empty; expected a header: time and the sensors of plant {plant.name!r}")
-    columns = _columns(path, rows[0][1], plant, absent_sensors, other_columns, nominal_inputs)
+    columns = find_columns(str(path), rows[0][1], plant, absent_sensors, other_columns, nominal_inputs)
     if len(rows) == 1:
         raise ValueError(f"{path} has a header and no rows; expected at least one reading")
     width = len(rows[0][1])
@@ -94,13 +83,7 @@ def read_log(
     for i, sensor in enumerate(plant.sensors):
         if sensor.name in columns:
             y[:, i] = _values(path, numbers, cells, columns, sensor, required=False)
-    before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
-    u = np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
-    if assumed := [s.name for s in plant.inputs if s.name not in columns]:
-        source = "the nominal values" if plant.truth.operation is None else "the usual operation"
-        warnings.warn(
-            f"{path}: no column for the inputs {_some(assumed)}; {source} of plant {plant.name!r} stand for them", stacklevel=2
-        )
+    u = usual_inputs(str(path), plant, t, columns, stacklevel=3)
     for i, signal in enumerate(plant.inputs):
         if signal.name in columns:
             u[:, i] = _values(path, numbers, cells, columns, signal, required=True)
@@ -110,63 +93,6 @@ def read_log(
                     f"from {signal.low:g} to {signal.high:g} {signal.unit}; correct the input or convert its unit"
                 )
     return Log(t, y, u)
-
-
-def _columns(path: str | Path, header: list[str], plant: Plant, absent: bool, other: bool, nominal: bool) -> dict[str, int]:
-    """Return where the column of each name stands."""
-    named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *plant.inputs)
-    require_unique(f"columns of a log of plant {plant.name!r}", [c.name for c in named])
-    units = {c.name: c.unit for c in named}
-    found: dict[str, int] = {}
-    unknown = []
-    for i, title in enumerate(header):
-        name, unit = _title(title)
-        if name not in units:
-            unknown.append(name)
-            continue
-        if name in found:
-            raise ValueError(f"{path}: the column {name!r} stands twice; leave one")
-        if unit is not None and unit != units[name]:
-            raise ValueError(
-                f"{path}: column {name!r} is in {shown(unit)}, plant {plant.name!r} has it in {units[name]!r}; convert "
-                "the column, or read with the plant in that unit (Plant.in_units)"
-            )
-        found[name] = i
-    lacking = [n for n in (TIME.name, *plant.sensor_names) if n not in found]
-    if TIME.name in lacking and len(header) == 1 and (mark := re.search("[;\t|]", header[0])):
-        raise ValueError(f"{path}: cells are separated by {mark[0]!r}; expected commas, and points in decimal numbers")
-    if TIME.name in lacking:
-        raise ValueError(f"{path}: no column 'time' among {_some(header)}; name the column of the times (s) so")
-    if lacking and not absent:
-        raise ValueError(
-            f"{path}: no column for the sensors {_some(lacking)} of plant {plant.name!r}; add them (empty where not read), "
-            "or take them as missing with --absent-sensors (absent_sensors=True)"
-        )
-    if len(lacking) == len(plant.sensors):
-        raise ValueError(f"{path}: no column of any sensor of plant {plant.name!r}; sensors: {_some(plant.sensor_names)}")
-    if (unset := [s.name for s in plant.inputs if s.name not in found]) and not nominal:
-        raise ValueError(
-            f"{path}: no column for the inputs {_some(unset)} of plant {plant.name!r}; add them, or assume the plant's usual "
-            "inputs with --nominal-inputs (nominal_inputs=True)"
-        )
-    if unknown and not other:
-        raise ValueError(
-            f"{path}: the columns {_some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, "
-            "or ignore them with --other-columns (other_columns=True)"
-        )
-    return found
-
-
-def _some(names: Sequence[str]) -> str:
-    """The first names, each cut to a length that a line can hold."""
-    shown = ", ".join(repr(n if len(n) <= 20 else f"{n[:20]}...") for n in names[:8])
-    return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown
-
-
-def _title(title: str) -> tuple[str, str | None]:
-    match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\])?\s*", title, flags=re.DOTALL)
-    name, unit = match.groups() if match else (title, None)
-    return name, None if unit is None else unit.strip()
 
 
 def _values(

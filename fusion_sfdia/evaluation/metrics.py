@@ -41,7 +41,7 @@ NOTHING = Estimate(float("nan"), float("nan"), float("nan"), 0)
 def without_diverged(diverged: Array, *arrays: Array) -> tuple[int, tuple[Array, ...]]:
     """Return how many runs diverged, and the arrays (K, B, ...) of the others; diverged is (B,) or (K, B).
 
-    What a metric says of a method holds for the runs that are left: report both.
+    A metric of the other runs holds for these alone: report both.
     """
     lost = diverged.any(axis=0) if diverged.ndim == 2 else diverged
     return int(lost.sum()), tuple(a[:, ~lost] for a in arrays)
@@ -105,8 +105,8 @@ def mean_over_runs(totals: Array, counts: Array) -> Estimate:
 def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estimate:
     """Return the statistic of all runs with the BCa interval (Efron 1987) over resampled runs; NaN limits for fewer than two.
 
-    statistic maps indices of runs (..., R) to values (...). Where BCa does not exist (all runs but one agree, say), the
-    percentile interval stands in.
+    statistic maps indices of runs (..., R) to values (...). Where BCa does not exist (for example where all runs but one
+    agree), the percentile interval is used.
     """
     if runs == 0:
         return NOTHING

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.core.files import atomic_write
+from fusion_sfdia.evaluation.metrics import Estimate
 
 COLUMNS = (
     "scenario", "plant", "detector", "fault", "quantity", "condition", "metric",
@@ -80,6 +81,24 @@ class Row:
         if self.published is None or not (math.isfinite(self.low) and math.isfinite(self.high)):
             return None
         return self.low <= self.published <= self.high
+
+
+def row_of(
+    plant: str,
+    scenario: str,
+    detector: str,
+    fault: str,
+    quantity: str,
+    metric: str,
+    estimate: Estimate,
+    published: Published | None = None,
+    *,
+    condition: str = "",
+) -> Row:
+    """Return the row of an estimate beside what is published of the same thing, if anything is."""
+    value, source = (None, "") if published is None else (published.value, published.source)
+    names = (scenario, plant, detector, fault, quantity, metric)
+    return Row(*names, *estimate, published=value, source=source, condition=condition)
 
 
 def _number(value: float) -> float | None:

@@ -1,6 +1,6 @@
-"""Simulated recordings: a truth, its noise, and the readings that a detector is given.
+"""Simulated recordings: a truth model, its noise, and the readings that a detector receives.
 
-On one machine the recording of a seed is the same bits whatever other seeds are simulated with it: each draws its own
+On one machine the recording of a seed is the same bits whatever other seeds are simulated with it: each draws from its own
 streams, and the plant steps a batch of shape (seeds, 1), so that a matrix product, too, is that of one seed.
 """
 

@@ -1,4 +1,4 @@
-"""Trials: simulated recordings with drawn faults, run through a detector, kept as the arrays that the metrics need."""
+"""Trials: simulated recordings with drawn faults, diagnosed by a detector, kept as the arrays that the metrics need."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fusion_sfdia.evaluation.simulate import Recording, simulate
 Array = NDArray[Any]
 Arrays = dict[str, Array]
 
-# of a faulty sensor: what the detector makes of it, what it reads, and what it would read without the fault
+# of a faulty sensor: its reconstruction by the detector, its reading, and its reading without the fault
 READINGS = ("accommodated", "faulty", "healthy")
 
 
@@ -76,7 +76,7 @@ def decide(detector: Detector, data: Faulted, *, covariance: bool = False, seed:
 
 
 def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
-    """Arrays of a trial: what was true and what the detector said, small enough to keep.
+    """Arrays of a trial: the truth and the decisions of the detector, small enough to keep.
 
     residual, score (K, B, Q): the largest |residual| and |residual| / threshold in each quantity. alarm (K, B).
     isolated, active (K, B, N) packed into bits. square_error (K, B, Q): mean over the states read by the quantity's
@@ -93,9 +93,9 @@ def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
         read = measured_states(plant)
         for q, quantity in enumerate(plant.quantities):
             error[..., q] = square[..., read[quantity]].mean(axis=-1)
-    named = data.active & decision.isolated[..., : len(plant.sensors)] & np.isfinite(data.size) & (data.size != 0)
-    off = np.where(named, np.abs(decision.fault_size / np.where(named, data.size, 1.0) - 1), 0.0)
-    count = named.sum(axis=-1)
+    found = data.active & decision.isolated[..., : len(plant.sensors)] & np.isfinite(data.size) & (data.size != 0)
+    off = np.where(found, np.abs(decision.fault_size / np.where(found, data.size, 1.0) - 1), 0.0)
+    count = found.sum(axis=-1)
     return {
         "residual": np.stack([residual[..., members].max(axis=-1) for members in groups], axis=-1),
         "score": np.stack([scores[..., members].max(axis=-1) for members in groups], axis=-1),

@@ -3,8 +3,8 @@
 The cluster's own scheduler shares the pieces out and gives those of a worker that is lost to the others. Every piece runs with
 one thread for linear algebra, so that its bits are those of a run on one machine of the same kind with the same libraries.
 
-A dask scheduler asks nobody who they are unless its address is tls://, and tasks and answers are pickles, which run code where
-they are read: whoever reaches a tcp:// scheduler can run code on its workers, and on this machine through their answers.
+A dask scheduler authenticates its clients only if its address is tls://, and tasks and answers are pickles, which run code
+where they are read: whoever reaches a tcp:// scheduler can run code on its workers, and on this machine through their answers.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The folder of a run: who may write into it, and the manifest that says what it holds."""
+"""The folder of a run: which process may write into it, and the manifest of its contents."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Command:
 def locked(out: Path) -> Iterator[None]:
     """Make the folder and hold it for this process; ValueError where another process does.
 
-    The system lets go of the lock of a process that ends, however it ends: what is left of its file blocks nobody. Where
-    the disk or the system knows no such locks (some network disks, Windows) nothing is held.
+    The system releases the lock of a process that ends, however it ends: a file that is left behind blocks no other process.
+    Where the disk or the system has no such locks (some network disks, Windows) nothing is held.
     """
     require_free(out, force=True)
     with made_folder(out):

@@ -31,16 +31,17 @@ def versions() -> dict[str, str]:
 
 @cache
 def sources_digest() -> str:
-    """A digest of the package's sources and data: parts of an older code are not taken up."""
-    digest = hashlib.sha256()
+    """A digest of the package's sources and data, the same however it is installed: parts of an older code are not taken up."""
+    found = {}
     for package in (fusion_sfdia, models, benchmarks):
-        for at, below, files in os.walk(package.__path__[0]):
-            folder = Path(at)
-            below[:] = sorted(name for name in below if not (folder / name).is_symlink())  # the links to the other two
-            for path in sorted(folder / name for name in files):
-                if path.suffix in (".py", ".json", ".toml"):
-                    digest.update(f"{package.__name__}/{path.relative_to(package.__path__[0])}\0".encode())
-                    digest.update(path.read_bytes() + b"\0")
+        folder = Path(package.__path__[0])
+        for at, _, files in os.walk(folder):
+            for path in (Path(at) / name for name in files):
+                if path.suffix in (".py", ".pyi", ".json", ".toml"):
+                    found[f"{package.__name__.replace('.', '/')}/{path.relative_to(folder).as_posix()}"] = path.read_bytes()
+    digest = hashlib.sha256()
+    for name, content in sorted(found.items()):
+        digest.update(name.encode() + b"\0" + content + b"\0")
     return digest.hexdigest()
 
 

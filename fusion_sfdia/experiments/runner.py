@@ -84,7 +84,7 @@ def run_scenarios(
     seeds: runs of each scenario (None: its default, or with full the paper's size). changes: settings as text, each known
     to at least one of the scenarios. workers: processes, None for one a core. scheduler: address of a dask
     cluster that does the work instead, whose errors are those of `connected`. force: see open_output. Raises ValueError for
-    arguments that do not fit; a piece of work that fails is told in the outcome and does not stop the others.
+    arguments that do not fit; a piece of work that fails is reported in the outcome and does not stop the others.
     """
     if workers is not None and workers < 1:
         raise ValueError(f"{workers} workers; expected at least 1")

@@ -19,7 +19,7 @@ Setting = bool | int | float | str | tuple[Any, ...]
 Settings = Mapping[str, Any]  # of Setting
 Task = Mapping[str, Any]
 
-USUAL = (1e-6, 1e6)  # from where to where numbers of settings go, unless a scenario says otherwise
+USUAL = (1e-6, 1e6)  # from where to where numbers of settings go, unless a scenario has bounds of its own
 LONGEST = 1000  # characters of a setting that is a text, such as a path
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
@@ -33,7 +33,7 @@ class Scenario:
     bounds: the least and the most that a number of a setting may be, where that is not USUAL, or 1 for a whole number.
     optional: the settings that may be an empty tuple.
     full: what else `--full` sets, beside the size: settings of the whole paper, unless `--set` names them.
-    tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values that says all that decides its bits.
+    tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values that decides all its bits.
     work(task): one piece, in a process of its own: arrays only, and on one machine the same bits for the same task. Scenarios
     with the same work share the pieces whose tasks are equal.
     summarise(settings, results): from the (task, arrays) that succeeded, in the order of tasks.

@@ -41,7 +41,7 @@ class Done(NamedTuple):
 
 
 def work_off(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
-    """Do the pieces in at most `workers` processes and tell of each when it is done, in any order.
+    """Do the pieces in at most `workers` processes and yield each when it is done, in any order.
 
     Raises RuntimeError where a process is killed.
     """
@@ -58,7 +58,7 @@ def work_off(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
 
 
 def _do(piece: Piece, parent: int) -> Done:
-    """One piece, where it is run; its arrays go to disk and an error is told, not raised."""
+    """One piece, where it is run; its arrays go to disk and an error is reported, not raised."""
     if os.getpid() != parent:
         _follow(parent)
     arrays, seconds, error = timed(piece.work, piece.task)
@@ -85,7 +85,7 @@ def timed(work: Callable[[Task], Arrays], task: Task) -> tuple[Arrays, float, st
 
 @cache
 def _follow(parent: int) -> None:
-    """In a worker, once: leave Ctrl-C to the parent, and end when the parent is gone, which may not be able to say so."""
+    """In a worker, once: leave Ctrl-C to the parent, and end when the parent has ended, even if it could not send a signal."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:

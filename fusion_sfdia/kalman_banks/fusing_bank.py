@@ -8,16 +8,18 @@ specify, gives each local ensemble the mixture's mean and covariance.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats
+from fusion_sfdia.core.arguments import floats, probability, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
-from fusion_sfdia.core.detector import Decision, NotApplicableError
+from fusion_sfdia.core.detector import Decision, NotApplicableError, run
 from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.log import as_log
+from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.filters.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
 from fusion_sfdia.filters.gaussian import Joint
@@ -51,7 +53,7 @@ class FusingBank(BatchDetector):
     to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
     gives the same numbers at the cost of one (equal beta only: unequal beta always runs literally).
     thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units: the paper gives none, so set them
-    with `calibration.calibrate`. Without them no alarm is ever raised, and `init` warns; (inf,) * N states that this is
+    with `fit` or `fit_thresholds`. Without them no alarm is ever raised, and `init` warns; (inf,) * N states that this is
     intended. residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds different units; None
     for the plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
     """
@@ -88,11 +90,37 @@ class FusingBank(BatchDetector):
         """As of every detector; a UserWarning where there are no thresholds."""
         if self.thresholds is None:
             warnings.warn(
-                "FusingBank has no thresholds and will never raise an alarm; set them with calibrate() on healthy readings, "
+                "FusingBank has no thresholds and will never raise an alarm; set them with fit_thresholds(healthy), "
                 "or thresholds=(inf,) * N where no alarm is expected",
                 stacklevel=2,
             )
         return super().init(batch, t, seed)
+
+    def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
+        """The bank with one threshold for each quantity, at a rate of false alarms per step over all sensors.
+
+        healthy: as in `fit`. The threshold of a quantity is an order statistic of its largest residual after the first
+        `warm_up` samples, in which the filter settles; the quantities share the rate equally. Runs in which the bank diverges
+        are left out. ValueError where the data are too few for the rate: less than one sample expected above a threshold.
+        """
+        probability("false_alarm", false_alarm)
+        whole("warm_up", warm_up, least=0)
+        t, y, u = as_log(self.plant, healthy)
+        groups = self.plant.quantities
+        silent = replace(self, thresholds=(np.inf,) * len(self.plant.sensors))
+        _, decisions = run(silent, silent.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
+        residual = np.abs(decisions.residual[warm_up:, ~np.any(decisions.diverged, axis=0)]).reshape(-1, y.shape[-1])
+        share = false_alarm / len(groups)
+        if share * residual.shape[0] < 1:
+            raise ValueError(
+                f"{residual.shape[0]} healthy samples cannot set a false-alarm rate of {false_alarm:g} over {len(groups)} "
+                f"quantities; give at least {int(np.ceil(len(groups) / false_alarm))} or ask for a higher rate"
+            )
+        thresholds = np.empty(y.shape[-1])
+        for members in groups.values():
+            largest = np.nanmax(np.where(np.isfinite(residual[:, members]), residual[:, members], -np.inf), axis=1)
+            thresholds[members] = order_statistic(largest, share)
+        return replace(self, thresholds=tuple(thresholds.tolist()), threshold_scale=1.0)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> Core:
         """The core of the filter, with an axis N after the batch when literal."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.diagnose import Diagnosis, Event, diagnose
+from fusion_sfdia.evaluation.diagnose import Diagnosis, Event, diagnose_run
 from fusion_sfdia.evaluation.logs import read_log, write_log
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
@@ -33,13 +33,13 @@ def diagnose_log(
     """Diagnose a log with a detector and write FILES into the folder `out`.
 
     Raises ValueError naming the file where the log does not fit (see read_log), and where the folder is not free; warns as
-    `diagnose` does.
+    `diagnose_run` does.
     """
     require_free(out, force=force)
     plant = detector.plant
     log = read_log(data, plant, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs)
     try:
-        found = diagnose(detector, *log)
+        found = diagnose_run(detector, log)
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
     with all_or_none(out) as new:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from fusion_sfdia.core.arguments import floats, number, probability, shown, whol
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, readmit
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
@@ -78,7 +79,7 @@ class Chebyshev(BatchDetector):
     alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability of
     a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with the rule
     "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole plant). The
-    rule "conformal" needs alpha, from `calibrated`.
+    rule "conformal" needs alpha, from `fit_thresholds`.
     moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
     cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
     confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
@@ -115,9 +116,26 @@ class Chebyshev(BatchDetector):
                 f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each follows from the other: give one"
             )
         if self.alpha is None and self.rule == CONFORMAL:
-            raise ValueError("the rule 'conformal' needs alpha from healthy data; use calibrated(detector, ...)")
+            raise ValueError(
+                "the rule 'conformal' needs alpha from healthy data; leave it out and call fit_thresholds(healthy)"
+            )
         self.diagnoser  # noqa: B018 - refuses a plant whose areas do not fit
         self.alphas  # noqa: B018 - refuses an alpha by which nothing is claimed
+
+    def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
+        """The detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
+
+        healthy: as in `fit`. Each sensor has its share of the rate of false alarms per step of its diagnoser; the first
+        `warm_up` samples are left out. ValueError where there are too few of them.
+        """
+        whole("warm_up", warm_up, least=0)
+        probability("false_alarm", false_alarm)
+        t, y, u = as_log(self.plant, healthy)
+        plain = replace(self, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
+        _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
+        scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
+        alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(self.components)]
+        return replace(self, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None, threshold_scale=1.0)
 
     @cached_property
     def diagnoser(self) -> Diagnoser:
@@ -228,21 +246,3 @@ class Chebyshev(BatchDetector):
             absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
             doubt[few] = np.where(late, found.high - found.low, 0.0)
         return named, absorbed, doubt
-
-
-def calibrated(detector: Chebyshev, t: Array, y: Array, u: Array, false_alarm: float = 1e-3, warm_up: int = 20) -> Chebyshev:
-    """Return the detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
-
-    t (K,), y (K, ..., N), u (K, ..., m). Each sensor has its share of the false-alarm probability of its diagnoser in a step;
-    the first `warm_up` samples are left out. ValueError where there are too few of them.
-    """
-    plain = replace(detector, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
-    whole("warm_up", warm_up, least=0)
-    probability("false_alarm", false_alarm)
-    t, y = floats("t", t), floats("y", y)
-    if t.ndim != 1 or not t.size or y.ndim < 2:
-        raise ValueError(f"t {t.shape}, y {y.shape} do not fit; expected at least one time (K,) and readings (K, ..., sensors)")
-    _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - detector.plant.dt), t, y, u)
-    scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])
-    alpha = [conformal_alpha(scores[:, i], false_alarm / c) for i, c in enumerate(detector.components)]
-    return replace(detector, rule=CONFORMAL, alpha=tuple(float(a) for a in alpha), false_alarm=None)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, probability, shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, NotApplicableError, check_reading
+from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import mapped
@@ -75,9 +76,9 @@ class StructuralResiduals(BatchDetector):
         whole("max_faults", self.max_faults, least=1)
 
     @classmethod
-    def fit(cls, plant: Plant, y: Array, u: Array, false_alarm: float = 1e-3, max_faults: int = 3) -> StructuralResiduals:
-        """The selected residuals with limits from healthy readings y (K, ..., N), plant.dt apart, under inputs u (K, ..., m),
-        at a rate of false alarms per step over all residuals.
+    def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
+        """The selected residuals with limits from healthy readings, plant.dt apart, in any form that `as_log` takes, at a rate
+        of false alarms per step over all residuals.
 
         A limit is the residual's unit times a common factor. Of every other sample in time: the unit is the order statistic
         that the residual exceeds with its share of the rate. Of the rest: the factor is the order statistic of the largest
@@ -88,7 +89,12 @@ class StructuralResiduals(BatchDetector):
         probability("false_alarm", false_alarm)
         if not (residuals := selected(plant)):
             raise NotApplicableError(f"plant {plant.name!r} has no residual that its own equations can compute; add sensors")
-        watcher = cls(plant, residuals, np.ones(len(residuals)), max_faults)
+        t, y, u = as_log(plant, healthy)
+        if not np.allclose(np.diff(t), plant.dt, rtol=1e-6, atol=8 * np.spacing(np.max(np.abs(t)))):
+            raise ValueError(
+                f"the healthy readings are not {plant.dt:g} s apart, the step of plant {plant.name!r}; resample them"
+            )
+        watcher = cls(plant, residuals, np.ones(len(residuals)), **settings)
         size = np.abs(watcher.trace(y, u)).reshape(len(y), -1, len(residuals))
         units, rest = (part[np.all(np.isfinite(part), axis=-1)] for part in (size[::2], size[1::2]))
         if len(rest) * false_alarm < 1 or not len(units):

@@ -22,7 +22,7 @@ Array = NDArray[Any]
 Draw = Callable[[np.random.Generator, tuple[int, ...]], Array]
 
 
-class Moment(NamedTuple):
+class NetworkSample(NamedTuple):
     """The network at a time: B seeds, N areas, 2E sides of ties.
 
     t (s). x (B, N, 4) true states. own (B, N, 4) the areas' readings of their states, shared (B, 2E) their readings of their
@@ -60,7 +60,7 @@ def run_network(
     switches: Sequence[Switch] = (),
     process_noise: bool = True,
     draw: Draw = np.random.Generator.standard_normal,
-) -> Iterator[Moment]:
+) -> Iterator[NetworkSample]:
     """Yield the moments 0, dt .. steps dt of runs from equilibrium at t = 0, where the first readings are taken.
 
     model: of the truth, at t = 0. loads: (N,) as a function of the time (s) from which they act. draw: all noise, from a
@@ -80,7 +80,7 @@ def run_network(
         now = at(t)
         own = x + sigma * np.stack([draw(g, (n, 4)) for g in read])
         theirs = x[..., model.network.topology.neighbour, 0] + shared_sigma * np.stack([draw(g, (sides,)) for g in read])
-        yield Moment(t, x, own, np.where(now.known.network.closed, theirs, np.nan), reference, load, now)
+        yield NetworkSample(t, x, own, np.where(now.known.network.closed, theirs, np.nan), reference, load, now)
         load = loads(t)
         reference = control(now.known, own, load)
         x = now.step(x, reference, load)

@@ -163,7 +163,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """The strong and the weak fault of Shaheen 2024 are hundreds of sigma: the bank names their sensors and nothing else."""
+    """The strong and the weak fault of Shaheen 2024 are hundreds of sigma: the bank isolates their sensors and no other."""
     faults = ("--fault", "strong-bias:mass flow", "--fault", "weak-bias:pressure")
     code, out, err = call(capsys, "simulate", "--steps", "120", "--seed", "3", *faults, "--out", "log.csv", "--json")
     drawn = json.loads(out)
@@ -210,7 +210,7 @@ INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
 
 
 @pytest.mark.parametrize(
-    ("change", "exits", "told"),
+    ("change", "exits", "reported"),
     [
         (filled(1, "", len(PLANT.sensors)), 0, "warning: no reading at all of p_0, p_1, .* and 55 more: the diagnosis is the"),
         (filled(1, ""), 0, "warning: no reading at all of p_0; fill"),
@@ -226,14 +226,14 @@ INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
     ],
     ids=["silent", "sensor", "gap", "guarded", "inlet", "order", "years"],
 )
-def test_what_a_diagnosis_cannot_say_is_told(
-    capsys: pytest.CaptureFixture[str], change: Callable[[list[list[str]]], object], exits: int, told: str
+def test_what_a_diagnosis_cannot_judge_is_reported(
+    capsys: pytest.CaptureFixture[str], change: Callable[[list[list[str]]], object], exits: int, reported: str
 ) -> None:
     altered(change)
     capsys.readouterr()
     code, out, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert code == exits
-    assert re.match(f"fusion-sfdia: {told}", err, flags=re.DOTALL) if told else err == ""
+    assert re.match(f"fusion-sfdia: {reported}", err, flags=re.DOTALL) if reported else err == ""
     assert all(line.startswith("fusion-sfdia: ") for line in err.splitlines())
     assert ("by loo-chi2" in out) == (exits != 2) == Path("diagnosis/other/events.csv").exists()
 

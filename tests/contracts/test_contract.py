@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pickle
 import re
-from collections.abc import Iterator
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,16 +18,19 @@ from toy_plants import Array, chain
 
 from fusion_sfdia import registry
 from fusion_sfdia.builders import CALIBRATION_SEEDS, CALIBRATION_STEPS, WARM_UP
-from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.checks.detectors import DETECTOR_CHECKS
+from fusion_sfdia.checks.plants import PLANT_CHECKS
+from fusion_sfdia.checks.readings import Healthy, healthy_readings
+from fusion_sfdia.checks.require import require_same_state
+from fusion_sfdia.core.detector import Detector, run
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.state import State, leaves, mapped, names
+from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import load_state, save_state
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.detectors import FALSE_ALARM
-from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 
@@ -73,7 +76,6 @@ MISSED = {
 }
 FITTED = (FusingBank, FixedLimits, EwmaLimits, PrincipalComponents, OneClass, StructuralResiduals)  # limits from healthy data
 NAMELESS = {"chebyshev:corrected", "chebyshev:paper"}  # as published it tells that there is a fault, not of which sensor
-FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input"}
 SETTLED = 20  # samples in which the filters forget their initial covariance
 LATER = {("power-network", "dynamic-pca"): 40}  # more of them: it learns from a network whose disturbances have built up
 
@@ -111,92 +113,24 @@ every_pair = pytest.mark.parametrize("pair", list(pairs()))
 
 
 @cache
+def readings_of(plant: str) -> Healthy:
+    return healthy_readings(plant_of(plant))
+
+
 def healthy(plant: str, steps: int, runs: int) -> tuple[Array, Array, Array]:
-    """Times (K,), healthy readings (K, B, N), inputs (K, B, m); not to be written to."""
-    recording = simulate(plant_of(plant), steps, range(50, 50 + runs))
-    recording.y.flags.writeable = False
-    return recording.t, recording.y, recording.u_of_runs
+    return readings_of(plant)(steps, runs)
 
 
-def assert_same_bits(a: Decision, b: Decision) -> None:
-    for f in fields(Decision):
-        np.testing.assert_array_equal(getattr(a, f.name), getattr(b, f.name), err_msg=f.name)
-
-
-def assert_same_state(a: State, b: State) -> None:
-    assert names(a) == names(b)
-    for one, other in zip(leaves(a), leaves(b), strict=True):
-        np.testing.assert_array_equal(one, other)
-        assert np.asarray(one).dtype == np.asarray(other).dtype
+@pytest.mark.parametrize("check", PLANT_CHECKS, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("name", plants())
+def test_a_plant_keeps_the_contract(name: str, check: Callable[[Plant], None]) -> None:
+    check(plant_of(name))
 
 
 @every_pair
-@pytest.mark.parametrize("batch", [(), (2,)], ids=["single", "batch"])
-def test_shapes_and_types(pair: tuple[str, str], batch: tuple[int, ...]) -> None:
-    detector, plant = detector_of(*pair), plant_of(pair[0])
-    n, count, names = len(plant.states), len(plant.sensors), detector.hypotheses
-    assert isinstance(detector, Detector) and names[:count] == plant.sensor_names and len(set(names)) == len(names)
-    t, y, u = healthy(pair[0], 3, 2)
-    state = detector.init(batch)
-    assert isinstance(state, State) and all(isinstance(a, np.ndarray) and a.dtype != object for a in leaves(state))
-    for k in range(3):
-        state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
-    expected = {
-        "estimate": (n,), "reconstruction": (count,), "residual": (count,), "threshold": (count,), "isolated": (len(names),),
-        "fault_size": (len(names),), "diverged": (), "guarded": (), "nis": (), "capped": (), "absurd": (count,),
-        "absurd_input": (len(plant.inputs),),
-    }  # fmt: skip
-    for name, shape in expected.items():
-        value = np.asarray(getattr(d, name))
-        assert value.shape == (*batch, *shape), name
-        assert value.dtype == (bool if name in FLAGS else float), name
-    assert d.covariance is None or d.covariance.shape == (*batch, n, n)
-    assert d.scores.shape == (*batch, count) and d.score.shape == d.alarm.shape == batch and d.alarm.dtype == bool
-    assert np.all(d.threshold > 0) and np.all(np.isfinite(d.estimate))
-    np.testing.assert_array_equal(np.isnan(d.fault_size), ~d.isolated)
-
-
-@every_pair
-def test_the_same_seed_gives_the_same_bits_and_a_state_is_left_as_it_was(pair: tuple[str, str]) -> None:
-    detector = detector_of(*pair)
-    t, y, u = healthy(pair[0], 8, 2)
-    first = detector.init((2,), seed=11)
-    before = mapped(np.array, first)
-    end, decisions = run(detector, first, t, y, u)
-    assert_same_state(first, before)
-    again, repeated = run(detector, detector.init((2,), seed=11), t, y, u)
-    assert_same_bits(decisions, repeated)
-    assert_same_state(end, again)
-
-
-@every_pair
-def test_step_by_step_a_run_and_a_batch_of_one_are_the_same_bits(pair: tuple[str, str]) -> None:
-    detector = detector_of(*pair)
-    t, y, u = healthy(pair[0], 10, 1)
-    y = y.copy()
-    y[6:, 0, 0] += 30 * plant_of(pair[0]).sensor_sigma[0]
-    y[8, 0, 1] = np.nan
-    batch, batch_of_one = run(detector, detector.init((1,)), t, y, u, covariance=True)
-    _, whole = run(detector, detector.init(), t, y[:, 0], u[:, 0], covariance=True)
-    state = detector.init()
-    for k in range(10):
-        state, d = detector.step(state, float(t[k]), y[k, 0], u[k, 0])
-        for f in fields(Decision):
-            value = getattr(d, f.name)
-            if value is not None:
-                np.testing.assert_array_equal(getattr(whole, f.name)[k], value, err_msg=f.name)
-                np.testing.assert_array_equal(getattr(batch_of_one, f.name)[k, 0], value, err_msg=f.name)
-    for alone, one in zip(leaves(state), leaves(batch), strict=True):
-        np.testing.assert_array_equal(np.ravel(alone), np.ravel(one))
-
-
-@every_pair
-def test_an_input_may_be_shared_by_the_batch(pair: tuple[str, str]) -> None:
-    detector = detector_of(*pair)
-    t, y, u = healthy(pair[0], 5, 3)
-    _, shared = run(detector, detector.init((3,)), t, y, u[:, 0])
-    _, each = run(detector, detector.init((3,)), t, y, np.repeat(u[:, :1], 3, axis=1))
-    assert_same_bits(shared, each)
+@pytest.mark.parametrize("check", DETECTOR_CHECKS, ids=lambda check: check.__name__)
+def test_a_detector_keeps_the_contract(pair: tuple[str, str], check: Callable[[Detector, Healthy], None]) -> None:
+    check(detector_of(*pair), readings_of(pair[0]))
 
 
 @every_pair
@@ -239,50 +173,15 @@ def test_a_state_has_named_and_documented_fields_and_the_time_of_the_last_readin
         assert not any(re.fullmatch(r"_\d+", field) for field in nested._fields)
     save_state(tmp_path / "state.npz", detector, state)
     loaded = load_state(tmp_path / "state.npz", detector)
-    assert_same_state(loaded, state)
+    require_same_state(loaded, state, "a loaded state")
     assert [type(a) for a in tuples(loaded)] == [type(a) for a in tuples(state)]
-    assert_same_state(pickle.loads(pickle.dumps(state)), state)
+    require_same_state(pickle.loads(pickle.dumps(state)), state, "a pickled state")
 
 
 def tuples(state: Any) -> list[Any]:
     """The named tuples in a state, itself first."""
     own = [state] if hasattr(state, "_fields") else []
     return own + [found for value in state if isinstance(value, tuple) for found in tuples(value)]
-
-
-@every_pair
-def test_thresholds_scale(pair: tuple[str, str]) -> None:
-    detector = detector_of(*pair)
-    t, y, u = healthy(pair[0], 5, 2)
-    twice = replace(detector, threshold_scale=2.0)
-    _, a = run(detector, detector.init((2,)), t, y, u)
-    _, b = run(twice, twice.init((2,)), t, y, u)
-    quiet = ~np.any(a.alarm, axis=0)  # what is left out after an alarm changes the numbers that follow
-    # a few roundings; where a detector shows the worse of two residuals it may show the other at a tie
-    np.testing.assert_allclose(b.threshold[:, quiet], 2 * a.threshold[:, quiet], rtol=1e-12)
-    with pytest.raises(ValueError, match="threshold_scale is 0"):
-        replace(detector, threshold_scale=0)
-
-
-@every_pair
-def test_a_state_knows_no_threshold_until_the_first_alarm(pair: tuple[str, str]) -> None:
-    """So that a run may be watched without thresholds and go on with them."""
-    detector = detector_of(*pair)
-    runs = 6
-    t, y, u = healthy(pair[0], 30, runs)
-
-    def end(scale: float) -> tuple[list[Array], Array]:
-        scaled = replace(detector, threshold_scale=scale * detector.threshold_scale)
-        state, decisions = run(scaled, scaled.init((runs,)), t, y, u)
-        return leaves((state.diverged, state.memory)), decisions.alarm.any(axis=0)
-
-    beyond_reach, alarmed = end(1e6)
-    assert not alarmed.any()
-    for scale in (1e7, 1.0):
-        state, alarmed = end(scale)
-        assert scale == 1.0 or not alarmed.any()
-        for one, other in zip(state, beyond_reach, strict=True):
-            np.testing.assert_array_equal(one[~alarmed], other[~alarmed])
 
 
 @every_pair
@@ -293,7 +192,7 @@ def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[st
     factor = np.ones(len(plant.sensors))
     factor[chosen] = 1e-5  # Pa as bar
     units = {plant.sensors[i].name: ("other", 1e-5) for i in chosen}
-    if isinstance(detector, FusingBank):  # that its calibration follows the unit is held in test_calibration
+    if isinstance(detector, FusingBank):  # test_fusing_bank_thresholds holds that its thresholds follow the unit
         other: Detector = replace(
             detector, plant=detector.plant.in_units(units), thresholds=tuple(np.array(detector.thresholds) * factor)
         )
@@ -339,93 +238,6 @@ def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, st
         # reading less what the others say: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
         assert size == pytest.approx(30.0, abs=4 * np.sqrt(2))
     assert missed == (set(chosen) if pair[1] in NAMELESS else MISSED.get(pair, set()))
-
-
-@every_pair
-def test_missing_readings_neither_raise_nor_alarm_nor_poison(pair: tuple[str, str]) -> None:
-    detector, plant = detector_of(*pair), plant_of(pair[0])
-    t, y, u = healthy(pair[0], 40, 2)
-    gone = np.random.default_rng(1).random(y.shape) < 0.3
-    gone[0] = True  # before anything was read
-    gone[20:24] = True
-    gone[30:34, 0, 1:] = True  # one sensor left
-    gone[30:34, 1, next(iter(plant.quantities.values()))] = True  # a whole quantity
-    y = np.where(gone, np.nan, y)
-    _, d = run(detector, detector.init((2,)), t, y, u)
-    assert not d.diverged.any() and np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.reconstruction))
-    assert not d.isolated[..., : gone.shape[-1]][gone].any()
-    assert np.all(np.isnan(d.residual[gone])) and np.all(d.scores[gone] == 0)
-    assert not d.alarm[np.all(gone, axis=-1)].any()
-    np.testing.assert_array_equal(
-        d.reconstruction[~gone & ~d.isolated[..., : gone.shape[-1]]], y[~gone & ~d.isolated[..., : gone.shape[-1]]]
-    )
-
-
-@every_pair
-def test_absurd_readings_are_missing_ones_and_absurd_inputs_the_usual_ones(pair: tuple[str, str]) -> None:
-    detector, plant = detector_of(*pair), plant_of(pair[0])
-    values = 1e303, -1e303, 1e308, -1e308, 1e160, -1e160, 1e30, -1e30
-    t, y, u = healthy(pair[0], SETTLED + 6, len(values))
-    bad_y, gone = y.copy(), y.copy()
-    bad_u, usual = u.copy(), u.copy()
-    for b, value in enumerate(values):  # one run for each
-        i = b * len(plant.sensors) // len(values)
-        bad_y[SETTLED, b, i], gone[SETTLED, b, i] = value, np.nan
-        if plant.inputs:  # of all inputs in turn, two steps later
-            j = b * len(plant.inputs) // len(values)
-            bad_u[SETTLED + 2, b, j], usual[SETTLED + 2, b, j] = value, plant.input_at(float(t[SETTLED + 1]))[j]
-    _, d = run(detector, detector.init((len(values),)), t, bad_y, bad_u)
-    _, expected = run(detector, detector.init((len(values),)), t, gone, usual)
-    assert not d.diverged.any() and np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.reconstruction))
-    np.testing.assert_array_equal(d.absurd, np.isnan(gone))
-    np.testing.assert_array_equal(d.absurd_input, bad_u != u)
-    assert not expected.absurd.any() and not expected.absurd_input.any()
-    assert_same_bits(replace(d, absurd=expected.absurd, absurd_input=expected.absurd_input), expected)
-
-
-@every_pair
-def test_a_sensor_that_was_silent_comes_back_trusted(pair: tuple[str, str]) -> None:
-    detector, plant = detector_of(*pair), plant_of(pair[0])
-    t, y, u = healthy(pair[0], 50, 2)
-    y = y.copy()
-    i = len(plant.sensors) // 2
-    y[SETTLED:40, :, i] = np.nan
-    _, d = run(detector, detector.init((2,)), t, y, u)
-    assert np.all(np.isfinite(d.estimate)) and not d.isolated[SETTLED:, :, i].any()
-    assert np.all(np.isfinite(d.residual[40:, :, i]))
-    np.testing.assert_array_equal(d.reconstruction[40:, :, i], y[40:, :, i])
-
-
-@every_pair
-@pytest.mark.parametrize("batch", [(), (2,)], ids=["single", "batch"])
-def test_a_saved_state_goes_on_with_the_same_bits(pair: tuple[str, str], batch: tuple[int, ...], tmp_path: Path) -> None:
-    detector, plant = detector_of(*pair), plant_of(pair[0])
-    t, y, u = healthy(pair[0], 14, 2)
-    y = y.copy()
-    y[6:, 0, 1] += 30 * plant.sensor_sigma[1]  # saved with a sensor left out
-    y[7, :, 0] = np.nan
-    y, u = (y, u) if batch else (y[:, 0], u[:, 0])
-    middle, _ = run(detector, detector.init(batch, seed=5), t[:8], y[:8], u[:8])
-    save_state(tmp_path / "state.npz", detector, middle)
-    loaded = load_state(tmp_path / "state.npz", detector)
-    assert_same_state(loaded, middle)
-    end, went_on = run(detector, middle, t[8:], y[8:], u[8:], covariance=True)
-    resumed_end, resumed = run(detector, loaded, t[8:], y[8:], u[8:], covariance=True)
-    assert_same_bits(went_on, resumed)
-    assert_same_state(end, resumed_end)
-
-
-@every_pair
-def test_a_pickled_detector_goes_on_with_the_same_bits(pair: tuple[str, str]) -> None:
-    """So that pools of processes can take it, also after it was used: what it keeps of its own has to go with it."""
-    detector = detector_of(*pair)
-    t, y, u = healthy(pair[0], 8, 2)
-    middle, _ = run(detector, detector.init((2,), seed=5), t[:4], y[:4], u[:4])
-    copy, state = pickle.loads(pickle.dumps((detector, middle)))
-    end, went_on = run(detector, middle, t[4:], y[4:], u[4:])
-    copied_end, copied = run(copy, state, t[4:], y[4:], u[4:])
-    assert_same_bits(went_on, copied)
-    assert_same_state(end, copied_end)
 
 
 @every_pair

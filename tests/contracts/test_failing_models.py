@@ -15,7 +15,6 @@ from fusion_sfdia.evaluation.trials import faulted, outcome
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented, guarded_points
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -151,10 +150,10 @@ def test_a_campaign_and_a_calibration_go_on() -> None:
     t, _, healthy, u = readings(PLANT, 60, 5, seed=5)
     bank = FusingBank(PLANT, Extended())
     u = u.copy()
-    thresholds = calibrate(bank, t, healthy[:, :4], u[:, :4], false_alarm=0.1).thresholds
+    thresholds = bank.fit_thresholds((t, healthy[:, :4], u[:, :4]), false_alarm=0.1).thresholds
     u[30, 4] = FAILS
     lossy = failing(bank, "step", np.nan)
-    assert isinstance(lossy, FusingBank) and calibrate(lossy, t, healthy, u, false_alarm=0.1).thresholds == thresholds
+    assert isinstance(lossy, FusingBank) and lossy.fit_thresholds((t, healthy, u), false_alarm=0.1).thresholds == thresholds
 
 
 def test_the_gas_pipeline_is_a_plant_too() -> None:

@@ -17,7 +17,6 @@ from fusion_sfdia.core.detector import Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.state import leaves
-from fusion_sfdia.evaluation.diagnose import diagnose
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.logs import write_log
@@ -25,11 +24,11 @@ from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
+from fusion_sfdia.named import diagnose
 
 PLANT = tanks()
 DETECTORS: list[Detector] = [
@@ -243,8 +242,8 @@ def test_runs_and_calibrations_take_lists_and_name_what_does_not_fit() -> None:
         run(detector, detector.init(), *lists)[1].estimate, run(detector, detector.init(), t, y, u)[1].estimate
     )
     bank = FusingBank(PLANT, Extended())
-    assert calibrate(bank, *lists, false_alarm=0.2).thresholds == calibrate(bank, t, y, u, false_alarm=0.2).thresholds
-    for read in (lambda *a: run(detector, detector.init(), *a), lambda *a: calibrate(bank, *a, false_alarm=0.2)):
+    assert bank.fit_thresholds(lists, 0.2).thresholds == bank.fit_thresholds((t, y, u), 0.2).thresholds
+    for read in (lambda *a: run(detector, detector.init(), *a), lambda *a: bank.fit_thresholds(a, 0.2)):
         for arguments in ((t, y[:-1], u), (t[:-1], y, u), (t, y, u[:-1]), (t[0], y, u)):
             with pytest.raises(ValueError, match="do not fit; expected") as error:
                 read(*arguments)
@@ -252,7 +251,7 @@ def test_runs_and_calibrations_take_lists_and_name_what_does_not_fit() -> None:
         with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers"):
             read("noon", y, u)
     with pytest.raises(ValueError, match="warm_up is -1; expected a whole number of at least 0"):
-        calibrate(bank, t, y, u, false_alarm=0.2, warm_up=-1)
+        bank.fit_thresholds((t, y, u), 0.2, warm_up=-1)
 
 
 def test_an_array_of_readings_is_not_written_to() -> None:
@@ -287,7 +286,7 @@ def test_dates_are_not_read_as_seconds(dates: Any, tmp_path: Path) -> None:
         lambda: apply_faults(PLANT, dates, y, [Fault("l1", "bias", onset=10.0, magnitude=1.0)]),
         lambda: simulate(PLANT, dates, [0]),
         lambda: write_log(tmp_path / "log.csv", PLANT, dates, y, u),
-        lambda: calibrate(bank, dates, y, u),
+        lambda: bank.fit_thresholds((dates, y, u)),
     ):
         with pytest.raises(
             ValueError, match=r"expected an array of numbers: of dates the seconds since the first, .*timedelta64"

@@ -103,15 +103,15 @@ def test_missing_readings_in_the_healthy_data_are_left_out() -> None:
 
 def test_what_is_refused() -> None:
     y = np.random.default_rng(4).standard_normal((100, 2, 4))
-    for arguments, message in (
-        ((y[..., :3], 0.1), r"y has shape \(100, 2, 3\)"),
-        ((y, 1e-3), "100 healthy samples cannot set a limit that one in 1500 exceeds"),
-        ((y, 0), "false_alarm is 0; a probability"),
-        ((y, 0.1, 1.0), "weight is 1.0; expected the share of the present reading, above 0 and below 1"),
-        ((y, 0.1, "0.2"), "weight is '0.2'; expected a number"),
+    for arguments, settings, message in (
+        ((y[..., :3], 0.1), {}, r"y has shape \(100, 2, 3\)"),
+        ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 1500 exceeds"),
+        ((y, 0), {}, "false_alarm is 0; a probability"),
+        ((y, 0.1), {"weight": 1.0}, "weight is 1.0; expected the share of the present reading, above 0 and below 1"),
+        ((y, 0.1), {"weight": "0.2"}, "weight is '0.2'; expected a number"),
     ):
         with pytest.raises(ValueError, match=message):
-            EwmaLimits.fit(PLANT, *arguments)  # type: ignore[arg-type]
+            EwmaLimits.fit(PLANT, *arguments, **settings)  # type: ignore[arg-type]
     for change, message in (
         ({"centre": np.ones(3)}, r"centre has shape \(3,\)"),
         ({"average": np.zeros(4)}, "average has limits of 0 and more; expected positive ones, as of EwmaLimits.fit"),

@@ -164,7 +164,7 @@ def test_what_is_refused() -> None:
         (y[:3], "of at least 4 times"),
         (silent, "healthy readings of q12 are missing; leave"),
         (infinite, "infinite readings"),
-        ("healthy", "y is 'healthy'; expected an array of numbers"),
+        ("healthy", "the readings are 'healthy'; expected t, y and u, a Log, a Recording"),
     ):
         with pytest.raises(ValueError, match=message):
             FixedLimits.fit(PLANT, bad, 0.1)
@@ -173,7 +173,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="false_alarm is 0; a probability"):
         FixedLimits.fit(PLANT, y, 0)
     for change, message in (
-        ({"centre": np.ones(3)}, r"centre has shape \(3,\); expected 4 finite numbers, one a sensor of 'two-tanks'"),
+        ({"centre": np.ones(3)}, r"centre has shape \(3,\); expected 4 finite numbers, one a sensor of plant 'two-tanks'"),
         ({"level": np.full(4, np.nan)}, "expected 4 finite numbers"),
         ({"change": np.array([1.0, 0.0, 1.0, 1.0])}, "change has limits of 0 and more; expected positive ones"),
     ):

@@ -88,13 +88,13 @@ def test_more_samples_than_a_machine_is_trained_on_are_thinned(monkeypatch: pyte
 
 def test_what_is_refused() -> None:
     y = data(100, 2)
-    for arguments, message in (
-        ((y, 1e-3), "100 healthy samples cannot set a limit that one in 1000 exceeds"),
-        ((y, 0.0), "false_alarm is 0.0; a probability"),
-        ((y, 0.1, 1.0), "outliers is 1.0; a probability strictly between 0 and 1"),
+    for arguments, settings, message in (
+        ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 1000 exceeds"),
+        ((y, 0.0), {}, "false_alarm is 0.0; a probability"),
+        ((y, 0.1), {"outliers": 1.0}, "outliers is 1.0; a probability strictly between 0 and 1"),
     ):
         with pytest.raises(ValueError, match=message):
-            OneClass.fit(PLANT, *arguments)
+            OneClass.fit(PLANT, *arguments, **settings)
     for change, message in (
         ({"support": np.ones((3, 5))}, r"support has shape \(3, 5\) for .* weights; expected \(S, 6\) and \(S,\)"),
         ({"weights": -DETECTOR.weights}, "weights is .*; expected positive numbers, as of OneClass.fit"),

@@ -287,30 +287,30 @@ def test_a_small_fault_is_found_however_far_the_operation_moves() -> None:
 
 def test_as_many_components_as_are_asked_for() -> None:
     for k in (0, 1, 4, 5):
-        assert len(PrincipalComponents.fit(PLANT, data(500, 2), 0.02, k).model.variances) == k
+        assert len(PrincipalComponents.fit(PLANT, data(500, 2), 0.02, components=k).model.variances) == k
 
 
 @pytest.mark.parametrize("components", [None, 0])
 def test_readings_without_any_noise_are_refused_with_the_cure(components: int | None) -> None:
     with pytest.raises(ValueError, match=r"beside 0 components the healthy readings .* do not move.*use limits"):
-        PrincipalComponents.fit(PLANT, np.full((500, 2, 6), 3.0), 0.02, components)
+        PrincipalComponents.fit(PLANT, np.full((500, 2, 6), 3.0), 0.02, components=components)
 
 
 def test_what_is_refused() -> None:
     y = data(100, 2)
-    for arguments, message in (
-        ((y, 1e-3), "100 healthy samples cannot set a limit that one in 3000 exceeds"),
-        ((y, 1.5), "false_alarm is 1.5; a probability"),
-        ((y, 0.1, 6), "components is 6; expected fewer than the 6 readings of a window"),
-        ((y, 0.1, -1), "components is -1; expected a whole number of at least 0"),
-        ((y, 0.1, None, 0), "max_faults is 0; expected a whole number"),
-        ((y, 0.1, None, 3, -1), "lags is -1; expected a whole number"),
-        ((y[:6, 0], 0.5), "3 complete samples of 6 readings to train on"),
-        ((y[:40, 0], 0.5, None, 3, 2), "complete samples of 18 readings to train on"),
-        ((y[..., :5], 0.1), "expected healthy readings"),
+    for arguments, settings, message in (
+        ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 3000 exceeds"),
+        ((y, 1.5), {}, "false_alarm is 1.5; a probability"),
+        ((y, 0.1), {"components": 6}, "components is 6; expected fewer than the 6 readings of a window"),
+        ((y, 0.1), {"components": -1}, "components is -1; expected a whole number of at least 0"),
+        ((y, 0.1), {"max_faults": 0}, "max_faults is 0; expected a whole number"),
+        ((y, 0.1), {"lags": -1}, "lags is -1; expected a whole number"),
+        ((y[:6, 0], 0.5), {}, "3 complete samples of 6 readings to train on"),
+        ((y[:40, 0], 0.5), {"lags": 2}, "complete samples of 18 readings to train on"),
+        ((y[..., :5], 0.1), {}, "expected healthy readings"),
     ):
         with pytest.raises(ValueError, match=message):
-            PrincipalComponents.fit(PLANT, *arguments)  # type: ignore[arg-type]
+            PrincipalComponents.fit(PLANT, *arguments, **settings)  # type: ignore[arg-type]
     with pytest.raises(NotApplicableError, match="has 1 sensor; principal components take at least 2"):
         PrincipalComponents.fit(chain(1), y[..., :1], 0.1)
     for change, message in (

@@ -7,7 +7,7 @@ import pytest
 from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose, spans
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, spans
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.simulate import simulate
@@ -16,6 +16,7 @@ from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+from fusion_sfdia.named import diagnose
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 
 
@@ -102,12 +103,13 @@ def test_shapes_and_times_that_do_not_fit_are_named() -> None:
         (t, y[:5], u),
         (t, y, u[:5]),
         (t[:, None], y, u),
-        (t, batch, u),
         (t, y[:, 0], u),
         (t, y, u[:, 0]),
     ):
-        with pytest.raises(ValueError, match=r"do not fit; expected \(K,\), \(K, sensors\), \(K, inputs\)"):
+        with pytest.raises(ValueError, match=r"do not fit; expected \(K,\), \(K, ..., sensors\), \(K, ..., inputs\)"):
             diagnose(detector, *args)
+    with pytest.raises(ValueError, match=r"2 runs side by side, where one is expected; pass one of them, Log\(t, y\[:, i\]"):
+        diagnose(detector, t, batch, u)
     with pytest.raises(ValueError, match="t is empty"):
         diagnose(detector, t[:0], y[:0], u[:0])
     with pytest.raises(ValueError, match="4 sensors; pass NaN"):
@@ -160,7 +162,7 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 30, 1, seed=0)
     y, u = y[:, 0], u[:, 0]
-    with pytest.warns(DiagnosisWarning, match="FusingBank cannot raise an alarm: .* set them with calibrate"):
+    with pytest.warns(DiagnosisWarning, match="FusingBank cannot raise an alarm: .* set them with fit_thresholds"):
         diagnose(FusingBank(plant, Extended(), thresholds=(np.inf,) * 4), t, y, u)
     detector, silent, nothing = CentralFilter(plant), y.copy(), np.full_like(y, np.nan)
     silent[:, 1] = np.nan
@@ -194,7 +196,7 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
     biased = y + np.array([20.0, -20.0, 20.0, 0.0]) * plant.sensor_sigma * (t > 50)[:, None]
     with pytest.warns(
         DiagnosisWarning,
-        match=r"more sensors would have been isolated in 20 of 30 samples, first at 55 s, but 2 were out already",
+        match=r"more sensors would be isolated in 20 of 30 samples, first at 55 s, but 2 are excluded already",
     ):
         found = diagnose(LeaveOneOutBank(plant, window=1), t, biased, u)
     assert found.decisions.isolated[10:].sum(axis=-1).max() == 2

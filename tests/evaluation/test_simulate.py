@@ -133,7 +133,7 @@ def test_feedback_by_a_matrix_has_the_same_bits_alone_and_in_any_batch():
 @pytest.mark.parametrize("bad", [lambda t, y, u: u[0], lambda t, y, u: u * np.nan], ids=["shape", "nan"])
 def test_feedback_that_does_not_fit_is_refused(bad):
     plant = walk(step=lambda t, x, u, dt: x + u, inputs=(Signal("rate"),), feedback=bad)
-    with pytest.raises(ValueError, match=r"feedback of plant 'walk' gives shape .* at 1 s; expected inputs \(..., 1\)"):
+    with pytest.raises(ValueError, match=r"feedback of plant 'walk' gives shape .* at 1 s; expected finite inputs \(..., 1\)"):
         simulate(plant, 4, [0, 1])
 
 

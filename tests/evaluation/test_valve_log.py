@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.named import diagnose
 
 Array = NDArray[Any]
 

@@ -66,7 +66,7 @@ def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path, cluster: Any) -> 
     assert len(parts_of(tmp_path / "here")) == 6 and parts_of(tmp_path / "here") == parts_of(tmp_path / "there")
 
 
-def test_work_that_fails_on_a_worker_is_told(tmp_path: Path, cluster: Any) -> None:
+def test_work_that_fails_on_a_worker_is_reported(tmp_path: Path, cluster: Any) -> None:
     (tmp_path / "trap").write_text("fail")
     changes = {"figure": "no", "trap": str(tmp_path / "trap")}
     outcome = run_scenarios([TOY], tmp_path / "out", changes=changes, scheduler=cluster.scheduler_address)
@@ -104,11 +104,11 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_machine(
     assert not to_kill and "failed" not in capsys.readouterr().err
     assert (tmp_path / "here" / "metrics.csv").read_bytes() == (tmp_path / "there" / "metrics.csv").read_bytes()
     assert len(parts_of(tmp_path / "here")) == 4 and parts_of(tmp_path / "here").keys() == parts_of(tmp_path / "there").keys()
-    told = json.loads((tmp_path / "there" / "manifest.json").read_text(encoding="utf-8"))
-    assert told["workers"] == cluster.scheduler_address
+    found = json.loads((tmp_path / "there" / "manifest.json").read_text(encoding="utf-8"))
+    assert found["workers"] == cluster.scheduler_address
 
 
-def test_a_scheduler_that_goes_away_is_told_once_and_the_run_goes_on_elsewhere(
+def test_a_scheduler_that_goes_away_is_reported_once_and_the_run_goes_on_elsewhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     changes = {"figure": "no"}
@@ -173,6 +173,6 @@ def test_what_is_no_cluster_is_said(tmp_path: Path, capfd: pytest.CaptureFixture
             ),
         ):
             assert main(["run", "pipeline/units", "--out", str(tmp_path / "o"), "--scheduler", address]) == 2
-            told = capfd.readouterr().err
-            assert message in told and len(told.splitlines()) == 1
+            reported = capfd.readouterr().err
+            assert message in reported and len(reported.splitlines()) == 1
             assert not (tmp_path / "o").exists()

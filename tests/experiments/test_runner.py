@@ -47,8 +47,8 @@ def test_same_bytes_for_any_number_of_workers(tmp_path: Path) -> None:
         "figures/toy-mean-again.svg",
         "figures/toy-mean-again.png",
     } <= one.keys()
-    told = {"manifest.json", "report.html"}  # these say how long it took
-    assert {k: v for k, v in one.items() if k not in told} == {k: v for k, v in two.items() if k not in told}
+    timed = {"manifest.json", "report.html"}  # these contain the time it took
+    assert {k: v for k, v in one.items() if k not in timed} == {k: v for k, v in two.items() if k not in timed}
 
 
 @pytest.mark.parametrize(("trap", "workers", "error"), [("interrupt", 1, KeyboardInterrupt), ("die", 2, RuntimeError)])
@@ -74,7 +74,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path, trap: str, workers: i
     assert repr(again.rows) == repr(whole.rows)
 
 
-def test_a_failed_task_is_told_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_failed_task_is_reported_and_the_others_go_on(tmp_path: Path) -> None:
     flag = tmp_path / "trap"
     flag.write_text("fail")
     changes = {"trap": str(flag)}
@@ -146,12 +146,13 @@ def flipped(content: bytes, bit: int) -> bytes:
     return content[: bit // 8] + bytes([content[bit // 8] ^ 1 << bit % 8]) + content[bit // 8 + 1 :]
 
 
-def test_every_flipped_bit_and_every_cut_of_a_part_is_noticed(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_any_byte_and_every_cut_of_a_part_are_noticed(tmp_path: Path) -> None:
+    """One bit of each byte, each of the eight in turn: a checksum of 32 bits covers all of them alike."""
     path = tmp_path / "x.npz"
     write_part(path, {"a": np.arange(3.0), "name": np.array("π")})
     content = path.read_bytes()
     damaged = [content[:length] for length in range(len(content))]
-    damaged += [flipped(content, bit) for bit in range(8 * len(content))]
+    damaged += [flipped(content, 8 * k + k % 8) for k in range(len(content))]
     for found in damaged:
         path.write_bytes(found)
         assert read_part(path) is None
@@ -183,7 +184,7 @@ def test_a_folder_is_of_one_run_at_a_time(tmp_path: Path) -> None:
     assert not (out / ".lock").exists()
 
 
-def test_the_lock_of_a_killed_process_blocks_nobody(tmp_path: Path, root: Path) -> None:
+def test_the_lock_of_a_killed_process_blocks_no_other(tmp_path: Path, root: Path) -> None:
     code = "import os, pathlib\nfrom fusion_sfdia.experiments.output import locked\n"
     code += f"with locked(pathlib.Path({str(tmp_path)!r})):\n    os._exit(9)"
     environment = {**os.environ, "PYTHONPATH": str(root)}
@@ -384,7 +385,7 @@ def test_scenarios_with_the_same_work_share_equal_pieces(tmp_path: Path) -> None
     trap = tmp_path / "trap"
     trap.write_text("raise")
     outcome = run_scenarios(both, tmp_path / "failed", seeds=2, workers=1, changes={**PLAIN, "trap": str(trap)})
-    assert [line.split(",")[0] for line in outcome.failures] == ["toy/mean", "toy/again"]  # both are told
+    assert [line.split(",")[0] for line in outcome.failures] == ["toy/mean", "toy/again"]  # both are reported
 
 
 def test_full_takes_the_settings_of_the_whole_paper(tmp_path: Path) -> None:

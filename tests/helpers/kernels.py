@@ -1,8 +1,8 @@
 """Run the numerical tests with the kernels of other processors: `python tests/helpers/kernels.py [arguments of pytest]`.
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
-gives a run of the quick tests, all files but those of `NOT_NUMERICAL`: a new file takes part unless it is named there. What
-this machine cannot run is left out and reported.
+gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL`: a new file takes part unless it is named
+there. What this machine cannot run is left out and reported.
 """
 
 from __future__ import annotations
@@ -22,14 +22,12 @@ from threadpoolctl import threadpool_info
 # kernel of OpenBLAS: NumPy's names, old and new, of what it needs of the processor
 KERNELS = {"Prescott": ("SSE3", "X86_V2"), "Haswell": ("AVX2", "X86_V3"), "SkylakeX": ("AVX512_SKX", "X86_V4")}
 
-# the command line, reports, scenario runs, files and processes: little arithmetic of their own, or the whole of it for minutes
+# folders and files with little arithmetic of their own: the command line, reports, scenario runs, files and processes
 NOT_NUMERICAL = (
-    "test_architecture.py", "test_bench.py", "test_cli.py", "test_cli_signals.py", "test_cluster.py", "test_compare.py",
-    "test_comparison.py", "test_comparison_ranking.py", "test_diagnose.py", "test_engine_campaigns.py",
-    "test_engine_scenarios.py", "test_engine_virtual_sensors.py", "test_files.py", "test_logs.py", "test_network_scale.py",
-    "test_network_scenarios_a.py", "test_network_scenarios_b.py", "test_notebooks.py", "test_package.py",
-    "test_pipeline_scenarios.py", "test_readme.py", "test_report.py", "test_report_browser.py", "test_runner.py",
-    "test_sources.py", "test_storage.py", "test_valve_log.py",
+    "benchmarks", "cli", "comparison", "experiments", "report",
+    "test_architecture.py", "test_diagnose.py", "test_engine_virtual_sensors.py", "test_entry_points.py", "test_files.py",
+    "test_logs.py", "test_nomenclature.py", "test_notebooks.py", "test_package.py", "test_readme.py", "test_references.py",
+    "test_registry.py", "test_results_pages.py", "test_scenarios.py", "test_storage.py", "test_valve_log.py",
 )  # fmt: skip
 
 
@@ -56,7 +54,7 @@ def settings() -> dict[str, dict[str, str]]:
 def main(arguments: Sequence[str]) -> int:
     """Run pytest once for each setting; 1 if one of them failed."""
     folder = Path(__file__).resolve().parent.parent
-    files = sorted(p for p in folder.rglob("test_*.py") if p.name not in NOT_NUMERICAL)
+    files = sorted(p for p in folder.rglob("test_*.py") if not {*p.relative_to(folder).parts} & {*NOT_NUMERICAL})
     failed = []
     for name, variables in settings().items():
         print(f"\n-- {name}: {' '.join(f'{k}={v!r}' for k, v in variables.items())}", flush=True)

@@ -8,13 +8,13 @@ from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.operation import load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.plant import network_physics
-from fusion_sfdia.models.power_network.simulation import Moment, run_network
+from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
 
 MODEL = network_model()
 LOADS = load_profile(MODEL, load_steps("1"))
 
 
-def closed_loop(control: object, steps: int = 90, model: NetworkModel = MODEL, **settings: object) -> list[Moment]:
+def closed_loop(control: object, steps: int = 90, model: NetworkModel = MODEL, **settings: object) -> list[NetworkSample]:
     settings = {"loads": LOADS, "seeds": [0], "process_noise": False} | settings
     return list(run_network(model, steps, control=control, **settings))  # type: ignore[arg-type]
 

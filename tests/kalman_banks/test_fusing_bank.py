@@ -12,7 +12,6 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
 from fusion_sfdia.filters.ukf import SigmaPoints
-from fusion_sfdia.kalman_banks.calibration import calibrate
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 
 KINDS = [
@@ -93,7 +92,7 @@ def test_unequal_beta_runs_literally_and_equal_beta_given_in_full_does_not() -> 
 def test_a_large_bias_is_found_named_and_accommodated() -> None:
     plant = chain(8)
     t, x, y, u = readings(plant, 220, 10, seed=3)
-    bank = calibrate(FusingBank(plant, Extended()), t, y, u, false_alarm=1e-2)
+    bank = FusingBank.fit(plant, (t, y, u), estimator=Extended(), false_alarm=1e-2)
     faulty = y.copy()
     faulty[100:140, :, 5] += 15.0
     _, with_fdi = run(bank, bank.init((10,)), t, faulty, u)
@@ -110,14 +109,14 @@ def test_a_large_bias_is_found_named_and_accommodated() -> None:
 def test_calibration_keeps_the_stated_rate_on_fresh_data() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 400, 25, seed=4)
-    bank = calibrate(FusingBank(plant, Extended()), t, y, u, false_alarm=0.02)
+    bank = FusingBank.fit(plant, (t, y, u), estimator=Extended(), false_alarm=0.02)
     t, _, y, u = readings(plant, 400, 25, seed=5)
     _, decisions = run(bank, bank.init((25,)), t, y, u)
     rate = decisions.alarm.mean()
     # binomial error of calibration and of test add up; samples of a run correlate mildly: a factor of two
     assert rate < 0.02 + 3 * 2 * np.sqrt(2 * 0.02 * 0.98 / 10000)
     with pytest.raises(ValueError, match="give at least"):
-        calibrate(bank, t[:10], y[:10], u[:10], false_alarm=1e-4)
+        bank.fit_thresholds((t[:10], y[:10], u[:10]), false_alarm=1e-4)
 
 
 def test_isolation_depends_on_the_units_of_the_states_as_printed_and_not_in_units_of_their_scale() -> None:
@@ -151,7 +150,9 @@ def test_isolation_depends_on_the_units_of_the_states_as_printed_and_not_in_unit
 def test_a_bank_without_thresholds_warns_that_it_never_alarms_unless_set_so() -> None:
     plant = chain(3)
     bank = FusingBank(plant, Extended())
-    with pytest.warns(UserWarning, match=r"no thresholds and will never raise an alarm; set them with calibrate\(\)"):
+    with pytest.warns(
+        UserWarning, match=r"no thresholds and will never raise an alarm; set them with fit_thresholds\(healthy\)"
+    ):
         state = bank.init()
     _, d = bank.step(state, 1.0, np.full(3, 1e6), np.zeros(0))  # a step does not repeat it
     assert np.isinf(d.threshold).all() and not d.alarm

@@ -14,7 +14,7 @@ from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended, Unscented
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
-from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev, calibrated
+from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.stochastic_thresholds.monte_carlo import MonteCarlo
 from fusion_sfdia.stochastic_thresholds.threshold_rules import false_alarm_of
 
@@ -80,17 +80,17 @@ def test_as_printed_shared_states_alarm_too_often() -> None:
 
 def test_conformal_thresholds_from_healthy_readings() -> None:
     t, y, u = healthy("tanks")
-    detector = calibrated(Chebyshev(tanks(), **WATCHING), t, y[:, :200], u[:, :200], false_alarm=0.04, warm_up=5)
+    detector = Chebyshev(tanks(), **WATCHING).fit_thresholds((t, y[:, :200], u[:, :200]), false_alarm=0.04, warm_up=5)
     assert detector.rule == "conformal"
     rate = np.mean(decisions(detector, (t, y[:, 200:], u[:, 200:])).scores[5:] > 1, axis=(0, 1))
     assert np.all(rate <= 0.01 + 5 * np.sqrt(0.01 / 100)) and np.mean(rate) > 0.005
     with pytest.raises(ValueError, match="give at least"):
-        calibrated(detector, t, y[:, :1], u[:, :1], false_alarm=1e-3)
-    with pytest.raises(ValueError, match="do not fit"):
-        calibrated(detector, t[:0], y[:0], u[:0])
+        detector.fit_thresholds((t, y[:, :1], u[:, :1]), false_alarm=1e-3)
+    with pytest.raises(ValueError, match="t is empty"):
+        detector.fit_thresholds((t[:0], y[:0], u[:0]))
     # of one run, with or without an axis of runs; products of a batch may round differently
     alone, of_one = (
-        calibrated(detector, t, a, b, false_alarm=0.9, warm_up=5) for a, b in ((y[:, 0], u[:, 0]), (y[:, :1], u[:, :1]))
+        detector.fit_thresholds((t, a, b), false_alarm=0.9, warm_up=5) for a, b in ((y[:, 0], u[:, 0]), (y[:, :1], u[:, :1]))
     )
     np.testing.assert_allclose(alone.alphas, of_one.alphas, rtol=1e-9)
 

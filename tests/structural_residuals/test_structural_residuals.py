@@ -224,7 +224,9 @@ def test_bad_settings_and_data_are_named() -> None:
         (y, u, 1e-3, "15 complete healthy samples"), (np.full_like(y, np.nan), u, 0.5, "0 complete"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=message):
-            StructuralResiduals.fit(plant, bad_y, bad_u, rate)
+            StructuralResiduals.fit(plant, (5.0 * np.arange(1, 11), bad_y, bad_u), rate)
+    with pytest.raises(ValueError, match="the healthy readings are not 5 s apart"):
+        StructuralResiduals.fit(plant, (6.0 * np.arange(1, 11), y, u), 0.1)
     two = replace(plant, sensors=(plant.sensors[0], replace(plant.sensors[1], measures="level_1"), *plant.sensors[2:]))
     with pytest.raises(ValueError, match="several sensors read level_1"):
         selected(two)

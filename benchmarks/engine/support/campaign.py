@@ -1,7 +1,7 @@
-"""What the engine's campaigns share: truths simulated once, noise drawn in step, and the first firing of each module.
+"""What the engine's campaigns share: truths simulated once, noise drawn step by step, and the first firing of each module.
 
-Decisions are latched, so what the detector says at any time follows from when each module fired first; nothing else of a run
-is kept. The modules M(I,q) and the sensors S(I){j} have the same order: each module tests the equation of one sensor.
+Decisions are latched, so that the decisions at any time follow from the first firing of each module; nothing else of a run is
+kept. The modules M(I,q) and the sensors S(I){j} have the same order: each module tests the equation of one sensor.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ DRIVES = {
 }
 FINER = 4  # substeps of the truth in one of the detector's
 DRAWN = 500  # samples of noise drawn at once
-ROOM = 1.2  # by which a drift is taken larger than it was in the transients
+ROOM = 1.2  # margin of the drifts over those in the transients
 
 
 class Truth(NamedTuple):
@@ -86,7 +86,7 @@ def noise(plant: Plant, steps: int, seeds: Sequence[int]) -> Iterator[Array]:
 
 
 def default_envelope(level: float) -> float:
-    """Half-width of the envelope that serves this noise and, with one proof, all up to the usual: twice the noise and 5 %."""
+    """Half-width of the envelope for this noise, with one proof for all noise up to the usual: twice the noise and 5 %."""
     return 2 * max(level, USUAL_NOISE) + ENVELOPE
 
 
@@ -103,7 +103,7 @@ def engine_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", 
 
 @cache
 def moving_detector(name: str, level: float, duration: float, at: float) -> AdaptiveThreshold:
-    """The same for a load that moves: its envelope and drifts hold what DRIVES read and do, with room for noise."""
+    """The same for a load that changes: its envelope and drifts cover the runs of DRIVES, with a margin for noise."""
     plant = engine(level, "K24")
     runs = [truth(duration, drive, at).signal for drive in DRIVES]
     low, high = np.min([r.min(axis=0) for r in runs], axis=0), np.max([r.max(axis=0) for r in runs], axis=0)
@@ -117,7 +117,7 @@ def moving_detector(name: str, level: float, duration: float, at: float) -> Adap
     return replace(adaptive_threshold(plant, name.partition(":")[2]), envelope=envelope, drift=drift)
 
 
-def watch(
+def first_firings(
     detector: AdaptiveThreshold,
     t: Array,
     u: Array,
@@ -125,10 +125,10 @@ def watch(
     state: State | None = None,
     shown: tuple[int, ...] | None = None,
 ) -> tuple[State, Arrays]:
-    """Run the detector through readings (..., N) at each of t (K,) under u (K, m); return its state and what modules did.
+    """Run the detector through readings (..., N) at each of t (K,) under u (K, m); return its state and the modules' firings.
 
     first (..., N): time of the first residual beyond its threshold, s, inf for none. beyond (..., N): how many samples were.
-    threshold (..., N): its mean, sensor units. diverged (...) bool. trace: as engine_trials.extremes, of the run `shown`.
+    threshold (..., N): its mean, sensor units. diverged (...) bool. trace: as `trials.extremes`, of the run `shown`.
     """
     first = beyond = total = np.empty(0)
     trace: list[tuple[Array, Array]] = []
@@ -147,7 +147,7 @@ def watch(
         if shown is not None:
             trace.append((decision.residual[shown], decision.threshold[shown]))
     if state is None:
-        raise ValueError("there are no readings to watch; pass at least one")
+        raise ValueError("there are no readings; pass at least one")
     found = {"first": first, "beyond": beyond, "threshold": total / len(t), "diverged": state.diverged}
     if trace:
         found["trace"] = extremes(t, *np.moveaxis(np.array(trace), 1, 0))
@@ -163,7 +163,7 @@ def fork(state: State, ways: int) -> State:
 def sizes(detector: AdaptiveThreshold, size: float) -> Array:
     """Biases (N,) of `size` thresholds of each sensor's own module, at full load without noise; sensor units."""
     run = truth(1.0)
-    state, _ = watch(detector, run.t, run.u, run.signal)
+    state, _ = first_firings(detector, run.t, run.u, run.signal)
     return size * np.asarray(detector.step(state, float(run.t[-1]) + detector.plant.dt, run.signal[-1], run.u[-1])[1].threshold)
 
 
@@ -187,18 +187,18 @@ def logic() -> DiagnosisLogic:
 
 
 def verdict_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int | None = None) -> list[Row]:
-    """What the diagnosis sets say at the end of runs of first firings (B, N): rows of `at(metric, estimate)`.
+    """The diagnosis sets at the end of runs of first firings (B, N): rows of `at(metric, estimate)`.
 
-    faulty: the sensor that is, None for none. accused: how many sensors are in S^F; unexplained: runs whose pattern no set of
-    sensor faults is consistent with.
+    faulty: the faulty sensor, None for none. isolated_sensors: how many sensors are in S^F; unexplained: runs whose pattern is
+    consistent with no set of sensor faults.
     """
     fired: Array = np.isfinite(first)
     isolated, unexplained = logic().isolated(fired), np.logical_not(logic().explained(fired))
     count = isolated.sum(axis=-1)
     rows = [
         at("alarm_at_end", share(np.asarray(fired.any(axis=-1)))),
-        at("sensor_accused_at_end", share(count > 0)),
-        at("accused_sensors_at_end", mean_over_runs(count, np.ones(count.size))),
+        at("any_sensor_isolated_at_end", share(count > 0)),
+        at("isolated_sensors_at_end", mean_over_runs(count, np.ones(count.size))),
         at("unexplained_at_end", share(unexplained)),
     ]
     if faulty is not None:

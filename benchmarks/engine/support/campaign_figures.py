@@ -41,8 +41,10 @@ def share_matrix(axes: Axes, values: Array, rows: Sequence[str], columns: Sequen
 def run_figure(
     name: str, title: str, trace: Array, first: Array, settings: Settings, onsets: Sequence[tuple[str, float]], mark: str
 ) -> Figure:
-    """One run: its trace (3, K, M) and first firings (M,); onsets: what begins, s, of which `mark` tells in the legend."""
-    told = Experiment(tuple(Offset(what, at, 0.0) for what, at in onsets), settings["duration"], settings["noise"], {}, "")
+    """One run: its trace (3, K, M) and first firings (M,); onsets: what begins, s, described by `mark` in the legend."""
+    experiment = Experiment(
+        tuple(Offset(what, at, 0.0) for what, at in onsets), settings["duration"], settings["noise"], {}, ""
+    )
     begun = "; ".join(f"{what} from {at:g} s on" for what, at in onsets)
     return Figure(
         name,
@@ -50,7 +52,7 @@ def run_figure(
         f"One run, a row an agent, a panel a module, as in K24's Fig. 4 ({begun}): residual in the sensor's unit, its two "
         "thresholds and the latched decision. Of each 0.1 s the samples nearest to either threshold are drawn. Right of a "
         "title: first alarm.",
-        partial(draw_modules, trace, first, told, mark),
+        partial(draw_modules, trace, first, experiment, mark),
         "Ten panels, one a monitoring module, with its residual, adaptive thresholds and decision over time",
     )
 

@@ -1,4 +1,4 @@
-"""Rows and figures of an engine run with faults in several sensors: which modules fire and when, and whom that accuses."""
+"""Rows, figures and sentences of engine runs with several faulty sensors: modules that fire, and isolated sensors."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 UNITS = {s.name: s.unit for s in engine(0.05, "K24").sensors}
 
 
-def module_rows(scenario: str, detector: str, fault: str, arrays: Arrays, told: Experiment) -> list[Row]:
+def module_rows(scenario: str, detector: str, fault: str, arrays: Arrays, experiment: Experiment) -> list[Row]:
     """Of each module: share of runs in which it fires, mean time of its first alarm, and false alarms before any fault."""
     rows = []
-    onset = min(f.onset for f in told.faults)
+    onset = min(f.onset for f in experiment.faults)
     for j, name in enumerate(NAMES):
         first = arrays["first"][:, j]
         fired = np.isfinite(first)
@@ -34,7 +34,7 @@ def module_rows(scenario: str, detector: str, fault: str, arrays: Arrays, told: 
         early = int((arrays["healthy"][:, j] > 1).sum())
         rows += [
             at("fired_share", proportion(int(fired.sum()), fired.size)),
-            at("first_alarm_time", mean_over_runs(np.where(fired, first, 0.0), fired), told.first_alarm(name)),
+            at("first_alarm_time", mean_over_runs(np.where(fired, first, 0.0), fired), experiment.first_alarm(name)),
             at("false_alarm_share", proportion(early, fired.size)),
             at("largest_healthy_score", _largest(arrays["healthy"][:, j])),
         ]
@@ -51,14 +51,15 @@ def isolation_rows(
     detector: str,
     fault: str,
     lines: Timeline,
-    quantity: str = "all",
+    *,
     published: tuple[Published | None, Published | None] = (None, None),
+    condition: str = "",
 ) -> list[Row]:
-    """P^U and P^E, (25) and (26), and at the end of a run: S^F holds every faulty sensor, and its size; decisions explained."""
+    """P^U and P^E, (25) and (26); at the end of a run: whether S^F contains all faulty sensors, its size, explained."""
     alarm = np.asarray(lines.decisions.any(axis=-1))
     logic = AdaptiveThreshold(engine(0.05, "K24")).logic
-    named, faulty, runs = lines.isolated[-1], lines.active[-1], lines.isolated.shape[1]
-    at = partial(row, scenario, detector, fault, quantity)
+    isolated, faulty, runs = lines.isolated[-1], lines.active[-1], lines.isolated.shape[1]
+    at = partial(row, scenario, detector, fault, "all", condition=condition)
     return [
         at(
             "isolation_performance_percent",
@@ -66,8 +67,8 @@ def isolation_rows(
             published[0],
         ),
         at("exoneration_performance_percent", _percent(exoneration_performance(lines.t, lines.isolated, alarm)), published[1]),
-        at("faults_named_share", proportion(int((named | ~faulty).all(axis=-1).sum()), runs)),
-        at("sensors_named", mean_over_runs(named.sum(axis=-1), np.ones(runs))),
+        at("faults_isolated_share", proportion(int((isolated | ~faulty).all(axis=-1).sum()), runs)),
+        at("isolated_sensors", mean_over_runs(isolated.sum(axis=-1), np.ones(runs))),
         at("explained_share", proportion(int(logic.explained(lines.decisions[-1]).sum()), runs)),
     ]
 
@@ -76,20 +77,20 @@ def _percent(e: Estimate) -> Estimate:
     return Estimate(100 * e.value, 100 * e.low, 100 * e.high, e.n)
 
 
-def pattern_share(first: Array, told: Experiment, without: tuple[str, ...] = ()) -> Estimate:
-    """Share of runs in which those modules fire that fire in the paper's, but for some that are not looked at."""
-    judged = [j for j, name in enumerate(NAMES) if name not in without]
-    expected = np.array([name in told.fired for name in NAMES])
-    same = (np.isfinite(first) == expected)[:, judged].all(axis=-1)
+def pattern_share(first: Array, experiment: Experiment, without: tuple[str, ...] = ()) -> Estimate:
+    """Share of runs in which the modules fire that fire in the paper, and no others, except some modules that are left out."""
+    compared = [j for j, name in enumerate(NAMES) if name not in without]
+    expected = np.array([name in experiment.fired for name in NAMES])
+    same = (np.isfinite(first) == expected)[:, compared].all(axis=-1)
     return proportion(int(same.sum()), same.size)
 
 
 def draw_modules(
-    trace: Array, first: Array, told: Experiment, mark: str = "a fault begins (thick: in this module's sensor)"
+    trace: Array, first: Array, experiment: Experiment, mark: str = "a fault begins (thick: in this module's sensor)"
 ) -> Drawing:
     """The papers' figure: one row an agent, one panel a module, with residual, thresholds and decision of one run.
 
-    trace (3, K, M) as in engine_trials.watch; first (M,) s; mark: what the vertical lines at the onsets of `told` are.
+    trace (3, K, M) as in `trials.module_scores`; first (M,) s; mark: what the vertical lines at the onsets of `experiment` are.
     """
     agents = [[name for name in NAMES if name[2] == agent] for agent in "1234"]
     figure, axes = panels([""] * 12, columns=3, width=11.0, height=2.1)
@@ -106,24 +107,24 @@ def draw_modules(
             axis.plot(t, residual, color=COLOURS[0], linewidth=0.5)
             for sign, colour in ((1, COLOURS[2]), (-1, COLOURS[3])):
                 axis.plot(t, sign * threshold, color=colour, linewidth=1)
-            settled = threshold[(t > 0.05 * told.duration) & np.isfinite(threshold)]
+            settled = threshold[(t > 0.05 * experiment.duration) & np.isfinite(threshold)]
             reach = 1.25 * max(float(settled.max(initial=0.0)), float(np.abs(residual).max()))
             axis.set_ylim(-reach, reach)
             axis.set_ylabel(sensor.unit, fontsize=8)
             axis.ticklabel_format(axis="y", style="sci", scilimits=(-2, 4))
-            for fault in told.faults:
+            for fault in experiment.faults:
                 own = fault.sensor == sensor.name
                 axis.axvline(fault.onset, color="black", linestyle=":", linewidth=1.6 if own else 0.5)
             decision = axis.twinx()
-            decision.plot(*_decision(float(first[j]), told.duration), color=COLOURS[1], linestyle="-.", linewidth=1.4)
+            decision.plot(*_decision(float(first[j]), experiment.duration), color=COLOURS[1], linestyle="-.", linewidth=1.4)
             decision.set(ylim=(-1.25, 1.25), yticks=[0, 1])
             decision.grid(visible=False)
             decision.spines["right"].set_visible(True)
             text = "silent" if np.isinf(first[j]) else f"{first[j]:.2f} s"
-            if told.fired:
-                text += f" ({told.fired[members[c]]:g} s)" if members[c] in told.fired else " (silent)"
+            if experiment.fired:
+                text += f" ({experiment.fired[members[c]]:g} s)" if members[c] in experiment.fired else " (silent)"
             axis.set_title(text, fontsize=8, loc="right")
-            axis.set_xlim(0, told.duration)
+            axis.set_xlim(0, experiment.duration)
             if r == len(agents) - 1:
                 axis.set_xlabel("time (s)")
     entries = {
@@ -143,10 +144,10 @@ def _decision(first: float, duration: float) -> tuple[list[float], list[float]]:
     return [0.0, first, first, duration], [0.0, 0.0, 1.0, 1.0]
 
 
-def draw_shares(firsts: dict[str, Array], told: Experiment) -> Drawing:
+def draw_shares(firsts: dict[str, Array], experiment: Experiment) -> Drawing:
     """Share of runs in which each module fires, a bar for each detector; diamonds: in the paper's one run."""
     figure, (axis,) = panels(["share of runs in which the module fires"], columns=1, width=12.0, height=3.0)
-    theirs = [float(name in told.fired) for name in NAMES]
+    theirs = [float(name in experiment.fired) for name in NAMES]
     series = []
     for i, (detector, first) in enumerate(firsts.items()):
         found = [proportion(int(np.isfinite(first[:, j]).sum()), len(first)) for j in range(len(NAMES))]
@@ -158,14 +159,14 @@ def draw_shares(firsts: dict[str, Array], told: Experiment) -> Drawing:
     return figure
 
 
-def figures(found: Mapping[str, Arrays], told: Experiment, what: str) -> list[Figure]:
+def figures(found: Mapping[str, Arrays], experiment: Experiment, what: str) -> list[Figure]:
     """The shares of all detectors, and the papers' figure of the first run of each."""
     shares = Figure(
         "modules",
         f"Which modules fire, {what}",
         "Share of runs in which each module fires at some time, with its 95 % interval; diamonds: 1 where the module fires in "
         "the one run that the paper shows, 0 where it is silent.",
-        partial(draw_shares, {d: a["first"] for d, a in found.items()}, told),
+        partial(draw_shares, {d: a["first"] for d, a in found.items()}, experiment),
         "Bars of the share of runs in which each of ten modules fires, one colour a detector",
     )
     runs = [
@@ -175,7 +176,7 @@ def figures(found: Mapping[str, Arrays], told: Experiment, what: str) -> list[Fi
             "One run, laid out as in the paper: a row an agent, a panel a module; residual in the sensor's unit, its two "
             "thresholds and the latched decision. Of each 0.1 s the samples nearest to either threshold are drawn. Right of a "
             "title: first alarm here (in the paper).",
-            partial(draw_modules, arrays["trace"], arrays["first"][0], told),
+            partial(draw_modules, arrays["trace"], arrays["first"][0], experiment),
             "Ten panels, one a monitoring module, with its residual, adaptive thresholds and decision over time",
         )
         for detector, arrays in found.items()
@@ -193,19 +194,19 @@ def shares(rows: list[Row], **expected: str) -> str:
     return "; ".join(f"{r.detector} {r.value:.0%}" for r in pick(rows, **expected)) or "unknown"
 
 
-def departures(rows: list[Row], detector: str, told: Experiment, figure: str) -> str:
-    """Which modules fire in most runs where the paper's figure shows silence, and the other way round, in a sentence."""
+def differences(rows: list[Row], detector: str, experiment: Experiment, figure: str) -> str:
+    """A sentence: which modules fire in most runs where the paper's figure shows silence, and the other way round."""
     share = {r.quantity: r.value for r in pick(rows, metric="fired_share", detector=detector)}
     when = {r.quantity: r.value for r in pick(rows, metric="first_alarm_time", detector=detector)}
-    loud = ", ".join(f"{m} ({when[m]:.1f} s)" for m in NAMES if m not in told.fired and share.get(m, 0) > 0.5)
-    quiet = ", ".join(f"{m} ({share[m]:.0%})" for m in told.fired if share.get(m, 1) <= 0.5)
+    loud = ", ".join(f"{m} ({when[m]:.1f} s)" for m in NAMES if m not in experiment.fired and share.get(m, 0) > 0.5)
+    quiet = ", ".join(f"{m} ({share[m]:.0%})" for m in experiment.fired if share.get(m, 1) <= 0.5)
     return (
         f"{detector}: fires in most runs where {figure} shows silence: {loud or 'none'}; in at most half of them where it "
         f"shows an alarm: {quiet or 'none'}."
     )
 
 
-def alarms_table(rows: list[Row], told: Experiment, detectors: Sequence[str]) -> Table:
+def alarms_table(rows: list[Row], experiment: Experiment, detectors: Sequence[str]) -> Table:
     """First alarm of each module in each detector beside the paper's."""
     cells = {(r.detector, r.quantity, r.metric): r.value for r in rows if r.metric in ("fired_share", "first_alarm_time")}
 
@@ -217,7 +218,11 @@ def alarms_table(rows: list[Row], told: Experiment, detectors: Sequence[str]) ->
         "First alarm of each module: mean over the runs in which it fires, and their share",
         ("module", *detectors, "paper, one run"),
         tuple(
-            (name, *(shown(d, name) for d in detectors), f"{told.fired[name]:g} s" if name in told.fired else "silent")
+            (
+                name,
+                *(shown(d, name) for d in detectors),
+                f"{experiment.fired[name]:g} s" if name in experiment.fired else "silent",
+            )
             for name in NAMES
         ),
     )

@@ -1,4 +1,4 @@
-"""What engine/noise compares with K24's Fig. 5 and Table VI, and its figures."""
+"""The published numbers of K24's Fig. 5 and Table VI for engine/noise, and its figures."""
 
 from __future__ import annotations
 
@@ -27,6 +27,11 @@ ISOLATION = {
 
 Found = dict[tuple[str, str, float], Response]
 TITLES = [f"({letter}) {sensor} +{size:.0%}" for letter, (sensor, size) in zip("ab", FAULTS.items(), strict=True)]
+
+
+def condition(level: float) -> str:
+    """The condition of a row: the noise level, as a share of the nominal values."""
+    return f"noise {level:.0%}"
 
 
 def modules_of(sensor: str, group: str) -> list[int]:
@@ -113,8 +118,9 @@ def isolation_figure(levels: list[float], rows: list[Row]) -> Figure:
         figure, axes = panels(TITLES, height=3.0)
         for panel, (sensor, size) in zip(axes, FAULTS.items(), strict=True):
             for i, (metric, label) in enumerate(ISOLATION.items()):
-                found = pick(rows, fault=f"{sensor} +{size:.0%}", metric=metric)
-                x = [100 * level for level in levels for r in found if r.quantity == f"all, noise {level:.0%}"]
+                of = {r.condition: r for r in pick(rows, fault=f"{sensor} +{size:.0%}", metric=metric)}
+                found = [of[condition(level)] for level in levels if condition(level) in of]
+                x = [100 * level for level in levels if condition(level) in of]
                 panel.plot(x, [r.value for r in found], f"{'os'[i]}{('-', '-.')[i]}", color=COLOURS[i], ms=4, label=label)
                 panel.fill_between(x, [r.low for r in found], [r.high for r in found], color=COLOURS[i], alpha=0.15)
             panel.set(xlabel="noise (% of the nominal values)", ylabel="performance (%)", ylim=(-5, 105))
@@ -124,8 +130,8 @@ def isolation_figure(levels: list[float], rows: list[Row]) -> Figure:
     return Figure(
         "isolation",
         "Isolation and exoneration as the noise grows (K24, (25) and (26))",
-        "Means over the runs with an alarm, from the first alarm on: P^U falls as healthy sensors are accused with the faulty "
-        "one, P^E as few sensors are cleared. Shaded: 95 % interval of the mean.",
+        "Means over the runs with an alarm, from the first alarm on: P^U falls as healthy sensors are isolated with the "
+        "faulty one, P^E as few sensors are exonerated. Shaded: 95 % interval of the mean.",
         draw,
         "Curves of isolation and exoneration performance over the noise level for two faults",
     )

@@ -22,6 +22,11 @@ ATTACKS = {  # on a measurement from the onset on: what it reads then; sizes are
 ALL = "all sensors"  # replayed at once
 
 
+def severity_text(severity: float) -> str:
+    """The condition of a process fault's rows."""
+    return f"severity {severity:.0%}"
+
+
 def process_cases(severities: list[float]) -> list[tuple[str, float]]:
     """Kind and severity of the process faults."""
     return [(kind, severity) for kind in PROCESS_FAULTS for severity in severities]
@@ -36,7 +41,7 @@ def process_figure(severities: list[float], first: Array) -> Figure:
     """Modules and sensors by process fault, from first firings (cases, B, N)."""
 
     def draw() -> Drawing:
-        figure, axes = panels(["fired", "accused"], width=8.5, height=3.0)
+        figure, axes = panels(["fired", "isolated"], width=8.5, height=3.0)
         fired, cases = np.isfinite(first), [f"{kind} {severity:.0%}" for kind, severity in process_cases(severities)]
         share_matrix(axes[0], fired.mean(axis=1), cases, NAMES, ylabel="process fault")
         share_matrix(axes[1], logic().isolated(fired).mean(axis=1), cases, tuple(SENSORS))
@@ -44,11 +49,11 @@ def process_figure(severities: list[float], first: Array) -> Figure:
 
     return Figure(
         "process",
-        "Process faults: modules that fire and sensors accused",
-        "Share of runs in which a module has fired (left) and a sensor, all of them healthy, is accused (right) at the end. "
+        "Process faults: modules that fire and isolated sensors",
+        "Share of runs in which a module has fired (left) and a sensor, all of them healthy, is isolated (right) at the end. "
         "Dark: all runs.",
         draw,
-        "Matrices of process fault against modules that fired and against sensors accused",
+        "Matrices of process fault against modules that fired and against isolated sensors",
     )
 
 
@@ -59,7 +64,7 @@ def attack_figure(drive: str, first: Array) -> Figure:
     right = np.stack([isolated[:, i, :, i] for i in range(len(SENSORS))], axis=1)
 
     def draw() -> Drawing:
-        figure, axes = panels(["detected", "attacked sensor accused", "accused alone"], columns=3, width=10.0, height=2.2)
+        figure, axes = panels(["detected", "attacked sensor isolated", "exact isolation"], columns=3, width=10.0, height=2.2)
         alone = right & (isolated.sum(axis=-1) == 1)
         for panel, values in zip(axes, (fired.any(axis=-1), right, alone), strict=True):
             share_matrix(panel, values.mean(axis=-1), tuple(ATTACKS), tuple(SENSORS))
@@ -68,21 +73,22 @@ def attack_figure(drive: str, first: Array) -> Figure:
     return Figure(
         f"attacks-{drive}",
         f"Attacks on one measurement: {DRIVES[drive]}",
-        "Share of runs in which any module has fired, the attacked sensor is accused, no other is, at the end. Dark: all runs.",
+        "Share of runs in which any module has fired, the attacked sensor is isolated, and no other is, at the end. Dark: all "
+        "runs.",
         draw,
-        "Matrices of the kind of attack against the attacked sensor: detected, accused, accused alone",
+        "Matrices of the kind of attack against the attacked sensor: detected, isolated, isolated exactly",
     )
 
 
-def told(severities: list[float], first: Array) -> list[str]:
-    """Of each process fault that is noticed: what fires and who is accused in most runs, in a sentence."""
+def noticed(severities: list[float], first: Array) -> list[str]:
+    """For each process fault that is detected in most runs, a sentence: which modules fire and which sensors are isolated."""
     sentences = []
     for (kind, severity), fired in zip(process_cases(severities), np.isfinite(first), strict=True):
         modules = [name for name, share in zip(NAMES, fired.mean(axis=0), strict=True) if share > 0.5]
-        accused = [name for name, share in zip(SENSORS, logic().isolated(fired).mean(axis=0), strict=True) if share > 0.5]
+        isolated = [name for name, share in zip(SENSORS, logic().isolated(fired).mean(axis=0), strict=True) if share > 0.5]
         if modules:
             sentences.append(
-                f"{kind} of {severity:.0%} is noticed by {', '.join(modules)} in most runs and laid to "
-                f"{', '.join(accused) or 'no sensor'}."
+                f"{kind} of {severity:.0%} is detected by {', '.join(modules)} in most runs; "
+                f"isolated: {', '.join(isolated) or 'no sensor'}."
             )
     return sentences

@@ -1,14 +1,14 @@
-"""What the engine scenarios share: runs with offsets of sensors, watched by the monitoring modules, and the arrays kept.
+"""What the engine scenarios share: runs with offsets of sensors through the monitoring modules, and the arrays kept.
 
 The papers' setting: constant full load, a truth that obeys the detector's model, noise redrawn at each reading. Decisions are
-latched, (16), so when each module fired first says all that was decided in a run.
+latched, (16), so that the first alarm of each module determines all decisions of a run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,8 +21,7 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Published, Row
+from fusion_sfdia.evaluation.results import row_of
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
@@ -38,7 +37,9 @@ NAMES = tuple(MODULES)  # of the modules, each that of one sensor, in the same o
 CHUNK = 25  # runs in one task
 BLOCK = 1000  # samples that are stacked at a time
 BIN = 10  # samples of a trace of which two are kept
-MOST_NOISE = 0.12  # of the nominal values: the envelope is twice as wide and must not hold negative pressures
+MOST_NOISE = 0.12  # of the nominal values: the envelope is twice as wide and must not contain negative pressures
+
+row = partial(row_of, PLANT)  # of scenario, detector, fault, quantity, metric, estimate, published; condition
 
 
 @cache
@@ -104,16 +105,16 @@ def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str 
 
 
 def trial(task: Task) -> Arrays:
-    """The runs of a task through its detector; arrays as in `watch`."""
+    """The runs of a task through its detector; arrays as in `module_scores`."""
     detector = engine_detector(task["detector"], task["noise"], task["design"])
     healthy = recording(task["noise"], round(task["duration"] / detector.plant.dt), tuple(task["seeds"]))
     y = offsets(detector.plant, healthy.t, healthy.y, task["faults"])
     onset = min((onset for _, onset, _ in task["faults"]), default=np.inf)
-    return watch(detector, healthy.t, y, healthy.u, onset)
+    return module_scores(detector, healthy.t, y, healthy.u, onset)
 
 
-def watch(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, onset: float) -> Arrays:
-    """What the modules say of readings y (K, B, N) at t (K,) under u (K, m), BLOCK samples at a time.
+def module_scores(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, onset: float) -> Arrays:
+    """What the modules decide on readings y (K, B, N) at t (K,) under u (K, m), BLOCK samples at a time.
 
     first (B, M): when each module fired first, s, inf for never. healthy, faulty (B, M): its largest |residual| / threshold
     before `onset` and from then on. trace (3, 2 K / BIN, M): time (s), residual and threshold of the first run at the samples
@@ -151,7 +152,7 @@ def extremes(t: Array, residual: Array, threshold: Array) -> Array:
     return kept.reshape(3, 2 * bins, -1).astype(np.float32)
 
 
-def gather(results: Results) -> dict[str, Arrays]:
+def by_detector(results: Results) -> dict[str, Arrays]:
     """The arrays of each detector: its runs side by side, and the trace of the first of them."""
     parts: dict[str, list[Arrays]] = {}
     for task, arrays in results:
@@ -172,7 +173,7 @@ class Timeline(NamedTuple):
 
 
 def timeline(first: Array, faults: Sequence[Offset], duration: float) -> Timeline:
-    """What was decided in runs (B, M) whose modules fired first at these times (s), and what was true."""
+    """The decisions in runs (B, M) whose modules fired first at these times (s), and the true faults."""
     plant = engine(0.05, "K24")
     times = np.concatenate([[0.0, duration], [f.onset for f in faults], first[np.isfinite(first)]])
     t = np.unique(times[times <= duration])
@@ -183,14 +184,6 @@ def timeline(first: Array, faults: Sequence[Offset], duration: float) -> Timelin
     return Timeline(t, decisions, active, AdaptiveThreshold(plant).logic.isolated(decisions))
 
 
-def row(
-    scenario: str, detector: str, fault: str, quantity: str, metric: str, estimate: Estimate, published: Published | None = None
-) -> Row:
-    """A row of metrics.csv on this plant."""
-    value, source = (None, "") if published is None else (published.value, published.source)
-    return Row(scenario, PLANT, detector, fault, quantity, metric, *estimate, published=value, source=source)
-
-
 def published_first(fired: Mapping[str, float]) -> Array:
-    """First firing times (1, M) of a run that is told, inf for the silent modules."""
+    """First firing times (1, M) of a published run, inf for the silent modules."""
     return np.array([[fired.get(name, np.inf) for name in NAMES]])

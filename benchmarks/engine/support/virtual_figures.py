@@ -29,7 +29,7 @@ def figures(found: dict[str, Arrays], duration: float) -> list[Figure]:
             "sizes",
             "Sizes of the faults (V22, Fig. 3)",
             "One run, a panel a module, a row an agent as in the paper: the actual offset of its sensor, and its estimate with "
-            "intervals intersected over time and of each instant alone, as printed; 0 before the sensor is accused. In M(3,1) "
+            "intervals intersected over time and of each instant alone, as printed; 0 before the sensor is isolated. In M(3,1) "
             "both are an adaptive observer's. Right of a title: the sensor.",
             partial(draw_sizes, {v: found[v]["trace"][:, 0] for v in DRAWN}, duration),
             "Ten panels, one a module, with actual and estimated fault over time",
@@ -39,7 +39,7 @@ def figures(found: dict[str, Arrays], duration: float) -> list[Figure]:
             "Errors of the sizes, and the torque's interval (V22, Fig. 4)",
             "(a) to (c): absolute percentage error of the estimate, of one run (faint) and on average over all runs; dashed: "
             "the mean that the paper states, over the time for which it does. (d): ends and middle of the interval of M(2,3) "
-            "in that run, intersected over time, which begins anew when another sensor is accused.",
+            "in that run, intersected over time, which begins anew when another sensor is isolated.",
             partial(draw_errors, {v: found[v]["trace"] for v in DRAWN}, duration),
             "Three panels with percentage errors over time, and one with an interval that narrows around the actual fault",
         ),

@@ -1,7 +1,7 @@
-"""Runs of engine/virtual-sensors: three faults of a marine engine, watched by its modules alone and with virtual sensors.
+"""Runs of engine/virtual-sensors: three faults of a marine engine, by its modules alone and with virtual sensors.
 
 V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines". Its MAPE of a module is the mean
-of |f^ - f| / |f| from a time t_0 on, f^ = 0 before the module's sensor is accused.
+of |f^ - f| / |f| from a time t_0 on, f^ = 0 before the module's sensor is isolated.
 """
 
 from __future__ import annotations
@@ -95,14 +95,15 @@ def sensor_work(task: Task) -> Arrays:
 def follow(
     detector: VirtualSensors, t: Array, y: Array, u: Array, signal: Array, faults: Sequence[Offset], from_: Sequence[float]
 ) -> Arrays:
-    """What virtual sensors say of readings y (K, B, N) of `signal` (K, B, N) at t (K,) under u (K, m), of the F faults.
+    """What virtual sensors decide on readings y (K, B, N) of `signal` (K, B, N) at t (K,) under u (K, m), of the F faults.
 
     from_ (F,): t_0 of the errors, s.
 
-    first (B, N): when each sensor was accused, s, inf for never. mape (B, F), percent. inside (B, F): samples since then whose
-    interval holds the fault, of `told` (B, F). width (B, F): of the last interval over the fault, NaN where it is empty.
+    first (B, N): when each sensor was isolated, s, inf for never. mape (B, F), percent. inside (B, F): samples since then whose
+    interval contains the fault, of the `isolated` (B, F) ones. width (B, F): of the last interval over the fault, NaN where it
+    is empty.
     square, square_faulty (B, F): mean squared error of the reconstructed and of the faulty reading since t_0.
-    rise (B, F): s from the accusation until the estimate reaches 1 - REMAINS of the fault, NaN for never.
+    rise (B, F): s from the isolation until the estimate reaches 1 - REMAINS of the fault, NaN for never.
     trace (4, B, K / KEPT, N): time, the fault's estimate, and the ends of its interval.
     """
     own = [detector.plant.sensor_index(f.sensor) for f in faults]
@@ -110,18 +111,18 @@ def follow(
     runs, count = y.shape[1:]
     state = detector.init((runs,), float(t[0]) - detector.plant.dt)
     first, rise = np.full((runs, count), np.inf), np.full((runs, len(faults)), np.nan)
-    ape, inside, told, square, square_faulty = np.zeros((5, runs, len(faults)))
+    ape, inside, isolated, square, square_faulty = np.zeros((5, runs, len(faults)))
     trace = np.zeros((4, runs, t.size // KEPT, count), np.float32)
     for k, now in enumerate(t):
         state, decision = detector.step(state, float(now), y[k], u[k])
         held, size = detector.fault_interval(state), np.nan_to_num(decision.fault_size)
         first = np.where(decision.isolated, np.minimum(first, now), first)
-        accused = decision.isolated[:, own]
+        found = decision.isolated[:, own]
         error = np.abs(size[:, own] / true - 1)
-        risen = accused & (size[:, own] >= (1 - REMAINS) * true) & np.isnan(rise)
+        risen = found & (size[:, own] >= (1 - REMAINS) * true) & np.isnan(rise)
         rise = np.where(risen, now - first[:, own], rise)
-        inside += accused & (held.lo[:, own] <= true) & (true <= held.hi[:, own])
-        told += accused
+        inside += found & (held.lo[:, own] <= true) & (true <= held.hi[:, own])
+        isolated += found
         late = now >= since - detector.plant.dt / 2
         ape += np.where(late, 100 * error, 0.0)
         square += np.where(late, (decision.reconstruction - signal[k])[:, own] ** 2, 0.0)
@@ -135,7 +136,7 @@ def follow(
         "first": first,
         "mape": ape / samples,
         "inside": inside,
-        "told": told,
+        "isolated": isolated,
         "width": (last.hi - last.lo)[:, own] / true,
         "square": square / samples,
         "square_faulty": square_faulty / samples,
@@ -144,7 +145,7 @@ def follow(
     }
 
 
-def gathered(results: Results) -> dict[str, Arrays]:
+def by_kind(results: Results) -> dict[str, Arrays]:
     """The arrays of the modules alone ("alone"), of each variant, and of each inversion on short runs, runs side by side."""
     parts: dict[str, list[Arrays]] = {}
     for task, arrays in results:

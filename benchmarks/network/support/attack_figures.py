@@ -1,4 +1,4 @@
-"""Figures of network/attacks: what is named and which sensors are blamed, by what is wrong."""
+"""Figures of network/attacks: answers and false isolation of sensors by fault."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ def answers_figure(cases: Mapping[str, tuple[Sequence[str], Mapping[str, Array]]
         figure, axes = panels(list(cases), width=10.0, height=3.3)
         for one, (options, answers) in zip(axes, cases.values(), strict=True):
             table = [np.bincount(a, minlength=len(options)) / max(a.size, 1) for a in answers.values()]
-            _shares(one, np.array(table), list(answers), options, "named in the end")
+            _shares(one, np.array(table), list(answers), options, "answer at the end")
         return figure
 
     return Figure(
         "answers",
-        "What is named, by what is wrong",
-        f"Share of the runs with each answer {PATIENCE} s after the detection, or at the end of the run. The slow governor and "
-        "the lost load are in no set: the right answer is none of these.",
+        "Answers by fault",
+        f"Share of the runs with each answer {PATIENCE} s after the detection, or at the end of the run. No hypothesis is the "
+        "slow governor or the lost load: the right answer is none of these.",
         draw,
         "Matrices of fault against answer, with the shares written into the cells",
     )
 
 
-def blamed_figure(cases: Mapping[str, Mapping[str, Array]], own: Mapping[str, int], detector: str) -> Figure:
-    """A panel for each case, {title: {fault: blamed (B, sensors)}}; own: places of the area's sensors by name."""
+def false_isolation_figure(cases: Mapping[str, Mapping[str, Array]], own: Mapping[str, int], detector: str) -> Figure:
+    """A panel for each case, {title: {fault: isolated (B, sensors)}}; own: places of the area's sensors by name."""
 
     def draw() -> Drawing:
         figure, axes = panels(list(cases), width=9.0, height=3.3)
@@ -48,16 +48,16 @@ def blamed_figure(cases: Mapping[str, Mapping[str, Array]], own: Mapping[str, in
                 [*b[:, places].mean(axis=0), np.delete(b, places, axis=1).any(axis=1).mean(), b.any(axis=1).mean()]
                 for b in by_fault.values()
             ]
-            _shares(one, np.array(table), list(by_fault), [*own, "another", "any"], "sensor blamed")
+            _shares(one, np.array(table), list(by_fault), [*own, "another", "any"], "sensor isolated")
         return figure
 
     return Figure(
-        "blamed",
-        "Sensors that are blamed for what is wrong with the area",
-        f"Share of the runs in which the detector {detector}, which knows sensor faults only, leaves a sensor out at some time "
-        "after the fault began. None of them is faulty.",
+        "false-isolation",
+        "False isolation of sensors under faults of the area",
+        f"Share of the runs in which the detector {detector}, which knows sensor faults only, isolates a sensor at some time "
+        "after the onset. None of the sensors is faulty.",
         draw,
-        "Matrices of fault against sensor blamed, with the shares written into the cells",
+        "Matrices of fault against isolated sensor, with the shares written into the cells",
     )
 
 

@@ -1,14 +1,64 @@
-"""What is claimed of false alarms, and whether a count keeps it."""
+"""Claimed false-alarm probabilities, counted ones with what they were counted of, and whether a count exceeds its claim."""
 
 from __future__ import annotations
 
-from fusion_sfdia.evaluation.results import Row
+import math
+from collections.abc import Iterable, Mapping
+from itertools import product
+from typing import NamedTuple
+
+from fusion_sfdia.benchmarks.network.support.residuals import B18, PAPER
+from fusion_sfdia.benchmarks.network.support.rows import row
+from fusion_sfdia.evaluation.metrics import NOTHING
+from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.stochastic_thresholds.threshold_rules import CONFORMAL
 
 ALPHAS = (2.0, 5.0, 10.0)
 B18_ALPHA = 2.0  # B18, sec. VIII
 LEVELS = (0.1, 0.01, 0.001)  # claimed probabilities, by which the rules set alpha
 RULES_SHOWN = ("chebyshev", "cantelli", "cantelli-one-sided", "gaussian", CONFORMAL)
+SINGLE, CONSECUTIVE = "false_alarm_probability", "consecutive_alarm_probability"
+AFTER, CONFIRMED = "alarm_after_alarm_probability", "false_confirmation_share"
+ONE_SHOCK = "one white shock"  # the law of a residual without any other noise
+
+
+class Counted(NamedTuple):
+    """What a probability was counted of.
+
+    quantity: the components or areas. noise of the process (empty where there is ONE_SHOCK alone), law of all noise. alpha, or
+    the rule that sets it and its claimed level. q: consecutive alarms, 0 where the metric is not of consecutive ones.
+    """
+
+    metric: str
+    detector: str
+    quantity: str
+    noise: str
+    law: str
+    alpha: float | None = None
+    rule: str = ""
+    level: float | None = None
+    q: int = 0
+
+    @property
+    def runs(self) -> str:
+        """The noise of the runs: "lit, gaussian"."""
+        return ", ".join(filter(None, (self.noise, self.law)))
+
+    @property
+    def condition(self) -> str:
+        """The condition of its row: "3 consecutive, alpha 5, lit, gaussian"."""
+        threshold = f"{self.rule} {self.level:g}" if self.level is not None else f"alpha {self.alpha:g}"
+        return ", ".join([f"{self.q} consecutive"] * bool(self.q) + [threshold, self.runs])
+
+    @property
+    def claim(self) -> float:
+        """The claimed upper bound: the rule's level, or that of alpha and q."""
+        if self.level is not None:
+            return self.level
+        return claim(self.alpha or math.nan, max(self.q, 1))
+
+
+Rates = Mapping[Counted, Row]
 
 
 def claim(alpha: float, q: int = 1) -> float:
@@ -16,13 +66,25 @@ def claim(alpha: float, q: int = 1) -> float:
     return float(alpha ** (-2.0 * q))
 
 
-def bound(r: Row) -> float:
-    """What is claimed of a row whose quantity says "alpha 5", and "3 in a row" or nothing."""
-    parts = r.quantity.split(", ")
-    q = next((int(p[0]) for p in parts if p.endswith("in a row")), 1)
-    return claim(next(float(p.removeprefix("alpha ")) for p in parts if p.startswith("alpha ")), q)
+def claimed_bounds(scenario: str, consecutive: Iterable[int]) -> list[Row]:
+    """The probabilities that B18 claims are never exceeded, for each alpha and number of consecutive alarms."""
+    rows = []
+    for alpha, q in product(ALPHAS, consecutive):
+        stated = Published(claim(alpha, q), f"{B18}, " + ("(12)" if q == 1 else "Proposition 5"))
+        bound, condition = NOTHING._replace(value=stated.value), f"{q} consecutive, alpha {alpha:g}"
+        rows.append(row(scenario, PAPER.name, "none", "all", "false_alarm_bound", bound, stated, condition=condition))
+    return rows
 
 
 def verdict(found: Row, allowed: float) -> str:
-    """Whether a claimed upper bound is kept: "no" or "yes" where the interval decides it."""
+    """Whether a count keeps a claimed upper bound: "no" or "yes" where its interval decides it."""
     return "no" if found.low > allowed else "yes" if found.high <= allowed else "undecided"
+
+
+def chosen(rates: Rates, **expected: object) -> dict[Counted, Row]:
+    """The rates with a finite value whose keys have these entries."""
+    return {
+        key: r
+        for key, r in rates.items()
+        if math.isfinite(r.value) and all(getattr(key, name) == value for name, value in expected.items())
+    }

@@ -1,8 +1,10 @@
-"""The figures, the table and the sentences of network/consensus."""
+"""The figures, the table and the sentences of network/consensus, all from its rows by what they measure."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure as Drawing
@@ -10,52 +12,84 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, Table
-from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.findings import span
 from fusion_sfdia.report.plots import COLOURS, Bars, bars, legend_above, panels
 
 ALONE = "alone"
 WEIGHTS = ("corrected", "paper")  # modes of consensus: (17) as it should be and as printed
 READINGS = ("equal", "unequal")
 COPIES = ("its area", "a neighbour")
-SHARERS = ("2 sharers", "3 sharers", "4 sharers")
+SHARERS = (2, 3, 4)
+RATIO = "residual_variance_ratio"
 LABELS = {
     "process": "noise of the process",
     "drive": "drive",
     "readings": "readings that are averaged",
-    "own": "reading that is judged",
+    "own": "reading that is evaluated",
 }
-Parts = Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]]  # of variances by case, sharers, weights, source
+Parts = Mapping[tuple[str, float], Mapping[int, Mapping[str, Mapping[str, float]]]]  # {(noise, memory): {sharers: {weights: ...
 
 
-def ratio_figure(rows: Sequence[Row]) -> Figure:
-    """Variance with consensus over variance without, beside theory and what (15) says."""
-    cases = [(noise, lam) for noise in PROCESS_VARIANCE for lam in ("0", "0.3")]
+class Case(NamedTuple):
+    """Copies of the angles that `sharers` areas share, read by one of COPIES, with weights ALONE or one of WEIGHTS."""
+
+    noise: str
+    readings: str
+    memory: float
+    sharers: int
+    copy: str
+    weights: str
+
+
+class Variance(NamedTuple):
+    """What a row measures: a metric of a case."""
+
+    metric: str
+    of: Case
+
+    @property
+    def quantity(self) -> str:
+        """The quantity of the row."""
+        return f"theta, {self.of.sharers} sharers, read by {self.of.copy}"
+
+    @property
+    def condition(self) -> str:
+        """The condition of the row."""
+        return f"{self.of.readings} readings, memory {self.of.memory:g}, {self.of.noise}" + ", alone" * (
+            self.of.weights == ALONE
+        )
+
+
+Rows = Mapping[Variance, Row]
+
+
+def ratio_figure(rows: Rows) -> Figure:
+    """Variance with consensus over variance without, beside theory and (15)."""
+    cases = [(noise, lam) for noise in PROCESS_VARIANCE for lam in (0.0, 0.3)]
 
     def draw() -> Drawing:
-        figure, axes = panels([f"process noise '{n}', memory {m}" for n, m in cases], height=2.5, width=8.0)
+        figure, axes = panels([f"process noise '{n}', memory {m:g}" for n, m in cases], height=2.5, width=8.0)
         for panel, (noise, lam) in zip(axes, cases, strict=True):
             series = []
-            for label, metric in (("measured", "residual_variance_ratio"), ("theory", "residual_variance_ratio_theory")):
-                found = [
-                    _one(rows, metric, f"theta, {s}, read by its area, equal readings, memory {lam}, {noise}") for s in SHARERS
-                ]
+            for label, metric in (("measured", RATIO), ("theory", f"{RATIO}_theory")):
+                keys = [Variance(metric, Case(noise, "equal", lam, s, COPIES[0], "corrected")) for s in SHARERS]
+                found = [_one(rows, key) for key in keys]
                 series.append(Bars(label, *_limits(found), [np.nan] * 3))
-            bars(panel, SHARERS, series, ylabel="variance over that alone")
+            bars(panel, [f"{s} sharers" for s in SHARERS], series, ylabel="variance over that alone")
             panel.plot(range(3), [1 / 2, 1 / 3, 1 / 4], "D", mfc="white", mec="black", ms=4.5, label="(15): 1 / sharers")
             panel.set_ylim(0, 1.1)
         legend_above(figure)
         return figure
 
-    found = pick(rows, metric="residual_variance_ratio", detector="chebyshev:corrected")
-    equal = [r for r in found if "unequal" not in r.quantity]
+    equal = _ratios(rows, readings="equal", weights="corrected").values()
     return Figure(
         "ratio",
         "Variance of the angles' residuals with consensus over that without",
-        f"All read an angle equally well. Consensus leaves {span(r.value for r in equal)} of the variance, where (15) counts "
-        " 1/2 to 1/4. Whiskers: 95 % intervals over runs, with and without on the same readings.",
+        f"All areas read an angle equally precisely. Consensus leaves {span(r.value for r in equal)} of the variance, where "
+        "(15) states 1/2 to 1/4. Whiskers: 95 % intervals over runs, with and without consensus on the same readings.",
         draw,
-        "Bars of measured and reckoned variance ratios by number of sharers for two process noises and two memories, with the "
-        "much lower values of (15) as diamonds",
+        "Bars of measured and theoretical variance ratios by number of sharers for two process noises and two memories, with "
+        "the much lower values of (15) as diamonds",
     )
 
 
@@ -63,7 +97,7 @@ def parts_figure(kinds: Parts) -> Figure:
     """Where the variance comes from."""
 
     def draw() -> Drawing:
-        figure, axes = panels([f"process noise '{k.split(',')[0]}',{k.split(',')[1]}" for k in kinds], height=2.5, width=8.0)
+        figure, axes = panels([f"process noise '{noise}', memory {lam:g}" for noise, lam in kinds], height=2.5, width=8.0)
         for panel, of_case in zip(axes, kinds.values(), strict=True):
             groups = [(s, w) for s in of_case for w in of_case[s]]
             base = np.zeros(len(groups))
@@ -71,8 +105,8 @@ def parts_figure(kinds: Parts) -> Figure:
                 height = np.array([of_case[s][w][part] for s, w in groups]) * 1e4
                 panel.bar(range(len(groups)), height, 0.7, base, color=COLOURS[i], label=label)
                 base += height
-            named = [f"{s.split()[0]},\n{'alone' if w == ALONE else 'agreed'}" for s, w in groups]
-            panel.set_xticks(range(len(groups)), named, fontsize=7)
+            labels = [f"{s},\n{'alone' if w == ALONE else 'agreed'}" for s, w in groups]
+            panel.set_xticks(range(len(groups)), labels, fontsize=7)
             panel.grid(visible=False, axis="x")
             panel.set_ylabel("variance ($10^{-4}$ rad$^2$)")
         legend_above(figure)
@@ -83,54 +117,54 @@ def parts_figure(kinds: Parts) -> Figure:
         "parts",
         "Where the variance of an angle's residual comes from",
         "By theory, for an angle that 2, 3 or 4 areas share, each using its own reading or all agreed. Consensus averages "
-        f"one of four parts, {span(shares)} of the whole without it; the noise of the process and the drive's error are the "
-        "same for all who share, and the reading that is judged is nobody else's.",
+        f"one of four parts, {span(shares)} of the whole without it. The noise of the process and the error of the drive are "
+        "common to all sharers, and the reading that is evaluated is the area's own.",
         draw,
         "Stacked bars of four parts of the residual's variance with and without consensus",
     )
 
 
-def unequal_figure(rows: Sequence[Row]) -> Figure:
-    """Both weights where neighbours read worse."""
+def unequal_figure(rows: Rows) -> Figure:
+    """Both weights where neighbours read less precisely."""
     cases = [(noise, copy) for noise in PROCESS_VARIANCE for copy in COPIES]
 
     def draw() -> Drawing:
         figure, axes = panels([f"process noise '{n}', read by {c}" for n, c in cases], height=2.5, width=8.0)
         for panel, (noise, copy) in zip(axes, cases, strict=True):
             series = []
-            for label, detector in (("(17) corrected", "chebyshev:corrected"), ("(17) as printed", "chebyshev:paper")):
-                where = [f"theta, {s}, read by {copy}, unequal readings, memory 0, {noise}" for s in SHARERS]
-                found = [_one(rows, "residual_variance_ratio", w, detector) for w in where]
+            for label, weights in (("(17) corrected", "corrected"), ("(17) as printed", "paper")):
+                keys = [Variance(RATIO, Case(noise, "unequal", 0.0, s, copy, weights)) for s in SHARERS]
+                found = [_one(rows, key) for key in keys]
                 series.append(Bars(label, *_limits(found), [np.nan] * 3))
-            bars(panel, SHARERS, series, ylabel="variance over that alone")
+            bars(panel, [f"{s} sharers" for s in SHARERS], series, ylabel="variance over that alone")
             panel.axhline(1.0, color="black", lw=1, ls="--", label="alone")
         legend_above(figure)
         return figure
 
-    found = [r for r in pick(rows, metric="residual_variance_ratio") if "unequal readings, memory 0," in r.quantity]
-    area = [r for r in found if "its area" in r.quantity and r.detector == "chebyshev:paper"]
-    right = [r for r in found if "its area" in r.quantity and r.detector == "chebyshev:corrected"]
+    of_area = {"readings": "unequal", "memory": 0.0, "copy": COPIES[0]}
+    printed, right = (_ratios(rows, **of_area, weights=w).values() for w in ("paper", "corrected"))
     return Figure(
         "weights",
-        "Weights (17) where neighbours read worse",
-        f"Variance over that alone, memory 0. The area that reads its angle best has {span(r.value for r in area)} by the "
-        "printed weights, which count what is common to all as if it were each one's own and so hide who reads well; "
+        "Weights (17) where neighbours read less precisely",
+        f"Variance over that alone, memory 0. The area that reads its angle best has {span(r.value for r in printed)} by the "
+        "printed weights, which count errors common to all as if they were independent, and so hide which reading is precise; "
         f"{span(r.value for r in right)} by the corrected ones. Whiskers: 95 % intervals.",
         draw,
         "Bars of variance ratios by number of sharers for corrected and printed weights, for the area itself and a neighbour",
     )
 
 
-def table(rows: Sequence[Row]) -> Table:
+def table(rows: Rows) -> Table:
     """Measured beside theory."""
     lines = []
-    for r in pick(rows, metric="residual_variance_ratio"):
-        expected = _one(rows, "residual_variance_ratio_theory", r.quantity, r.detector)
+    for key, r in _ratios(rows).items():
+        expected = _one(rows, key._replace(metric=f"{RATIO}_theory"))
         stated = "" if r.published is None else f"{r.published:.3g}"
         lines.append(
             (
                 r.detector,
                 r.quantity,
+                r.condition,
                 f"{r.value:.4f}",
                 f"{r.low:.4f} to {r.high:.4f}",
                 f"{expected.value:.4f}" if expected else "",
@@ -139,37 +173,48 @@ def table(rows: Sequence[Row]) -> Table:
         )
     return Table(
         "Variance of the angles' residuals over that without consensus",
-        ("weights", "copies", "measured", "95 % interval", "theory", "(15) as printed"),
+        ("weights", "copies", "condition", "measured", "95 % interval", "theory", "(15) as printed"),
         tuple(lines),
     )
 
 
-def remarks(rows: Sequence[Row]) -> list[str]:
-    """What consensus saves and what it cannot, the first for the top of the report."""
-    equal = [r for r in pick(rows, metric="residual_variance_ratio", detector="chebyshev:paper") if "unequal" not in r.quantity]
+def remarks(rows: Rows) -> list[str]:
+    """How much variance consensus removes, the first for the top of the report."""
     inside = outside = 0
-    for r in pick(rows, metric=("residual_variance_ratio", "residual_variance")):
-        expected = _one(rows, f"{r.metric}_theory", r.quantity, r.detector)
+    for key, r in rows.items():
+        expected = _one(rows, key._replace(metric=f"{key.metric}_theory"))
         if expected is not None and np.isfinite(r.low):
             good = r.low <= expected.value <= r.high
             inside, outside = inside + good, outside + (not good)
-    saved = {n: [1 - r.value for r in equal if r.quantity.endswith(n)] for n in PROCESS_VARIANCE}
-    lost = [r for r in pick(rows, metric="residual_variance_ratio") if r.low > 1]
+    removed = {
+        n: [1 - r.value for r in _ratios(rows, noise=n, readings="equal", weights="paper").values()] for n in PROCESS_VARIANCE
+    }
+    lost = [r for r in _ratios(rows).values() if r.low > 1]
     worst = {d: span(r.value for r in lost if r.detector == d) for d in sorted({r.detector for r in lost})}
     return [
-        "Consensus on shared angles takes "
-        + ", ".join(f"{span(100 * v for v in values)} % ('{n}')" for n, values in saved.items())
-        + " off the variance of their residuals; (15) as printed counts 50 to 75 %. That it lowers the variance holds; that it "
-        "lowers the threshold by the root of the sharers' number does not, and the thresholds so lowered alarm falsely.",
-        f"Theory, Var e = (Var drive + Var w + (a - lam)^2 Var r_bar) / (1 - lam^2) + sigma_i^2, lies within {inside} of "
+        "Consensus on shared angles removes "
+        + ", ".join(f"{span(100 * v for v in values)} % ('{n}')" for n, values in removed.items())
+        + " of the variance of their residuals; (15) as printed states 50 to 75 %. It lowers the variance, but not by the "
+        "number of sharers, and thresholds that are lowered by the root of that number alarm falsely.",
+        f"Theory, Var e = (Var drive + Var w + (a - lam)^2 Var r_bar) / (1 - lam^2) + sigma_i^2, is within {inside} of "
         f"{inside + outside} intervals of 95 %.",
-        "Where all read equally well, both weights are 1 / sharers. Where they do not, consensus can raise the variance over "
-        "that alone: " + ("; ".join(f"{d} to {v} times" for d, v in worst.items()) or "nowhere here") + ".",
+        "Where all areas read equally precisely, both weights are 1 / sharers. Where they do not, consensus can raise the "
+        "variance over that alone: " + ("; ".join(f"{d} to {v} times" for d, v in worst.items()) or "nowhere here") + ".",
     ]
 
 
-def _one(rows: Sequence[Row], metric: str, quantity: str, detector: str = "chebyshev:corrected") -> Row | None:
-    return next(iter(pick(rows, detector=detector, quantity=quantity, metric=metric)), None)
+def _one(rows: Rows, key: Variance) -> Row | None:
+    return rows[key] if key in rows and math.isfinite(rows[key].value) else None
+
+
+def _ratios(rows: Rows, **expected: object) -> dict[Variance, Row]:
+    """Finite variance ratios of the cases with these entries."""
+    return {
+        key: r
+        for key, r in rows.items()
+        if key.metric == RATIO and math.isfinite(r.value)
+        and all(getattr(key.of, name) == value for name, value in expected.items())
+    }  # fmt: skip
 
 
 def _limits(found: Sequence[Row | None]) -> tuple[list[float], list[float], list[float]]:

@@ -1,8 +1,10 @@
-"""The figures, the table and the sentences of network/detectors."""
+"""The figures, the table and the sentences of network/detectors, all from its rows by what they measure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure as Drawing
@@ -10,7 +12,7 @@ from matplotlib.figure import Figure as Drawing
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, Table
-from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.findings import span
 from fusion_sfdia.report.plots import COLOURS, MARKERS, Bars, bars, legend_above, panels
 
 LEVELS = (0.03, 0.01, 0.003, 0.001)  # false alarms per step
@@ -27,7 +29,20 @@ TESTS = {  # name: (detector, how it is used)
 }
 
 
-def delay_figure(rows: Sequence[Row]) -> Figure:
+class Measured(NamedTuple):
+    """What a row measures: a fault by one of TESTS, at a level of false alarms per step, with a process noise."""
+
+    fault: str
+    test: str
+    level: float
+    noise: str
+    metric: str = "detection_delay"
+
+
+Rows = Mapping[Measured, Row]
+
+
+def delay_figure(rows: Rows) -> Figure:
     """Mean delays at one false alarm in a thousand steps."""
 
     def draw() -> Drawing:
@@ -35,7 +50,7 @@ def delay_figure(rows: Sequence[Row]) -> Figure:
         for panel, fault in zip(axes, CASES, strict=True):
             series = []
             for noise in PROCESS_VARIANCE:
-                found = [_delay(rows, fault, test, LEVEL, noise) for test in TESTS]
+                found = [_one(rows, Measured(fault, test, LEVEL, noise)) for test in TESTS]
                 value, low, high = (
                     [np.nan if r is None else float(getattr(r, c)) for r in found] for c in ("value", "low", "high")
                 )
@@ -50,13 +65,13 @@ def delay_figure(rows: Sequence[Row]) -> Figure:
     return Figure(
         "delays",
         "Mean delay at one false alarm in a thousand healthy steps",
-        f"Runs without an alarm count until their end. {_best(rows)} Whiskers: 95 % intervals over runs.",
+        f"{_best(rows)} A run without an alarm counts with the time until its end. Whiskers: 95 % intervals over runs.",
         draw,
         "Bars of the mean detection delay of seven detectors for three faults and two process noises",
     )
 
 
-def curve_figure(rows: Sequence[Row]) -> Figure:
+def curve_figure(rows: Rows) -> Figure:
     """Mean delay of the weak fault over the rate of false alarms."""
 
     def draw() -> Drawing:
@@ -64,7 +79,7 @@ def curve_figure(rows: Sequence[Row]) -> Figure:
         figure, axes = panels(titles, width=9.0, height=3.2)
         for panel, noise in zip(axes, PROCESS_VARIANCE, strict=True):
             for i, test in enumerate(TESTS):
-                found = [(p, r) for p in LEVELS if (r := _delay(rows, "load-loss", test, p, noise)) is not None]
+                found = [(p, r) for p in LEVELS if (r := _one(rows, Measured("load-loss", test, p, noise))) is not None]
                 panel.plot(
                     [p for p, _ in found], [r.value for _, r in found], marker=MARKERS[i], ms=4, lw=1,
                     color=COLOURS[i], linestyle="-" if i < 4 else "--", label=test,
@@ -79,22 +94,22 @@ def curve_figure(rows: Sequence[Row]) -> Figure:
     return Figure(
         "weak",
         "A weak fault: delay over the rate of false alarms",
-        "Mean delay after a small loss of load. A threshold on one residual, however it is set, moves along its own curve: the "
-        "rules (Chebyshev, Cantelli, Gaussian, conformal) choose a point on it, no other curve.",
+        "Mean delay after a small loss of load. The threshold on a residual moves a detector along its own curve: the rules "
+        "(Chebyshev, Cantelli, Gaussian, conformal) choose a point on this curve, not another curve.",
         draw,
         "Mean delay over the false-alarm rate on logarithmic axes, one line for each of seven detectors",
     )
 
 
-def table(rows: Sequence[Row]) -> Table:
-    """Delays and misses at the common level."""
+def table(rows: Rows) -> Table:
+    """Delays and missed detections at the common level."""
     lines = []
     for test in TESTS:
         cells = []
         for fault in CASES:
             for noise in PROCESS_VARIANCE:
-                r = _delay(rows, fault, test, LEVEL, noise)
-                missed = _delay(rows, fault, test, LEVEL, noise, "missed_detection_rate")
+                r = _one(rows, Measured(fault, test, LEVEL, noise))
+                missed = _one(rows, Measured(fault, test, LEVEL, noise, "missed_detection_rate"))
                 lost = "" if missed is None or not missed.value else f", {missed.value:.0%} missed"
                 cells.append("none" if r is None else f"{r.value:.3g} ({r.low:.3g} to {r.high:.3g}){lost}")
         lines.append((test, *cells))
@@ -105,20 +120,21 @@ def table(rows: Sequence[Row]) -> Table:
     )
 
 
-def remarks(rows: Sequence[Row]) -> list[str]:
-    """Who is early, the first for the top of the report."""
-    checked = pick(rows, metric="false_alarm_probability")
+def remarks(rows: Rows) -> list[str]:
+    """Which detectors are early, the first for the top of the report."""
+    checked = [r for key, r in rows.items() if key.metric == "false_alarm_probability" and math.isfinite(r.value)]
     inside = sum(r.low <= LEVEL <= r.high for r in checked)
     three = []
     for fault in CASES:
         single, triple = (
-            [_delay(rows, fault, f"residual, {n}", LEVEL, noise) for noise in PROCESS_VARIANCE] for n in ("1 alarm", "3 alarms")
+            [_one(rows, Measured(fault, f"residual, {n}", LEVEL, noise)) for noise in PROCESS_VARIANCE]
+            for n in ("1 alarm", "3 alarms")
         )
         three.append(f"{fault} {span(r.value for r in triple if r)} s against {span(r.value for r in single if r)} s")
     beside = []
     for fault in CASES:
         for noise in PROCESS_VARIANCE:
-            found = {t: r.value for t in TESTS if (r := _delay(rows, fault, t, LEVEL, noise)) is not None}
+            found = {t: r.value for t in TESTS if (r := _one(rows, Measured(fault, t, LEVEL, noise))) is not None}
             if found:
                 first = min(found, key=found.__getitem__)
                 one, more = found["residual, 1 alarm"], found["residual, 3 alarms"]
@@ -127,34 +143,32 @@ def remarks(rows: Sequence[Row]) -> list[str]:
         "Mean delay at one false alarm in a thousand steps by the paper's residual with one and with three alarms, and the "
         f"earliest of all: {'; '.join(beside)}.",
         f"From the earliest to the latest: {_best(rows)}",
-        f"Three alarms in a row against one, at the same rate of false alarms: {'; '.join(three)}. What is lost are two "
-        "more steps; what is gained is the lower level that three allow.",
+        f"Three consecutive alarms against one, at the same false-alarm rate: {'; '.join(three)}. Three alarms cost two more "
+        "steps and allow a lower level.",
         f"Levels are set on other healthy runs; before the onset {span(r.value for r in checked)} of the steps alarm, and the "
-        f"interval holds {LEVEL:g} in {inside} of {len(checked)} cases.",
-        "B18's own alpha = 2 stands at another rate of false alarms (network/false-alarms); its published times of detection "
-        "are beside ours in network/governor and network/sign-flip.",
-        "The weak fault is of our choice; the paper has none. The Kalman filter knows the whole network and its gain is that "
-        "of the steady state; its test is that of the innovations of the faulty area's sensors together.",
+        f"interval contains {LEVEL:g} in {inside} of {len(checked)} cases.",
+        "B18's own alpha = 2 has another false-alarm rate (network/false-alarms); its published detection times are beside "
+        "ours in network/governor and network/sign-flip.",
+        "The weak fault is of our choice; the paper has none. The Kalman filter knows the whole network and has the gain of "
+        "the steady state; it tests the innovations of the faulty area's sensors together.",
     ]
 
 
-def _best(rows: Sequence[Row]) -> str:
-    told = []
+def _best(rows: Rows) -> str:
+    cases = []
     for fault in CASES:
         for noise in PROCESS_VARIANCE:
-            found = {t: r for t in TESTS if (r := _delay(rows, fault, t, LEVEL, noise)) is not None}
+            found = {t: r for t in TESTS if (r := _one(rows, Measured(fault, t, LEVEL, noise))) is not None}
             if found:
                 first = min(found, key=lambda t: found[t].value)
                 last = max(found, key=lambda t: found[t].value)
                 close = sum(r.low <= found[first].high for r in found.values()) - 1
-                told.append(
+                cases.append(
                     f"{fault} ({noise}): {found[first].value:.3g} s by {first}, from which {close} of the {len(found) - 1} "
-                    f"others are not told apart, to {found[last].value:.3g} s by {last}"
+                    f"others do not differ significantly, to {found[last].value:.3g} s by {last}"
                 )
-    return "; ".join(told) + "."
+    return "; ".join(cases) + "."
 
 
-def _delay(rows: Sequence[Row], fault: str, test: str, level: float, noise: str, metric: str = "detection_delay") -> Row | None:
-    detector, how = TESTS[test]
-    quantity = f"{how}, false alarms {level:g}, {noise}"
-    return next(iter(pick(rows, detector=detector, fault=fault, quantity=quantity, metric=metric)), None)
+def _one(rows: Rows, key: Measured) -> Row | None:
+    return rows[key] if key in rows and math.isfinite(rows[key].value) else None

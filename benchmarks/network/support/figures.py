@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 
 def waves(axes: Axes, t: Array, values: Array, names: Sequence[str], ylabel: str, loads: Array | None = None) -> None:
-    """Signals (K, k) of the areas named over t (s), dashed beside them their loads."""
+    """Signals (K, k) of the named areas over t (s), their loads as dashed lines."""
     for k, name in enumerate(names):
         colour = COLOURS[k % len(COLOURS)]
         axes.plot(t, values[:, k], color=colour, linewidth=1.2, label=f"area {name}")
@@ -34,7 +34,7 @@ def legend_beside(axes: Axes) -> None:
 
 
 def grey(axes: Axes, start: float, end: float) -> None:
-    """The time from the fault to its end, as the paper shades it; nothing where the end did not come."""
+    """The time from the fault to its end in grey, as in the paper; nothing where the end is infinite."""
     if np.isfinite(end):
         axes.axvspan(start, end, color="0.85", zorder=0)
 
@@ -57,7 +57,7 @@ def residuals(axes: Axes, trace: Arrays, components: Sequence[int], until: float
 def times_figure(
     name: str, title: str, cells: Mapping[str, Sequence[tuple[str, Array]]], published: Mapping[str, float], end: float
 ) -> Figure:
-    """A panel for each cell: how many of its runs have each event by a time, and when it came in the published run."""
+    """A panel for each cell: the share of its runs with each event by a time, and its time in the published run."""
 
     def draw() -> Drawing:
         figure, axes = panels(list(cells))
@@ -76,11 +76,11 @@ def times_figure(
         legend_above(figure)
         return figure
 
-    told = ", ".join(f"{event} {time:g} s" for event, time in published.items())
+    stated = ", ".join(f"{event} {time:g} s" for event, time in published.items())
     return Figure(
         name,
         title,
-        f"Share of the runs in which each event has come, by time; dotted: the one published run ({told}).",
+        f"Share of the runs in which each event has occurred, by time; dotted: the one published run ({stated}).",
         draw,
         f"Steps from 0 to 1 over time for {', '.join(cells)}, with dotted vertical lines at the published times",
     )
@@ -113,8 +113,8 @@ def unplugged_operation(trace: Arrays) -> Figure:
         "operation",
         "References, loads and speeds with the area unplugged (as Fig. 3)",
         "One run. Solid: references (left) and speeds (right); dashed: loads. Grey: from the fault at "
-        f"{GOVERNOR.fault.onset:g} s to its detection at {detected:g} s, after which area {GOVERNOR.fault.area} is away and "
-        f"not shown. Area 15 joins at {PLUGGED_IN:g} s.",
+        f"{GOVERNOR.fault.onset:g} s to its detection at {detected:g} s, after which area {GOVERNOR.fault.area} is "
+        f"unplugged and not shown. Area 15 is plugged in at {PLUGGED_IN:g} s.",
         draw,
         "References and speeds of five areas in each of three rows; after unplugging the others follow their loads",
     )
@@ -142,12 +142,12 @@ def both_bounds(trace: Arrays) -> Figure:
         return figure
 
     seen = float(trace["deterministic"][0])
-    told = f"crossed at {seen:g} s" if np.isfinite(seen) else "never crossed"
+    crossed = f"crossed at {seen:g} s" if np.isfinite(seen) else "never crossed"
     return Figure(
         "residuals",
         f"Residuals and thresholds of area {GOVERNOR.fault.area} (as Fig. 4)",
         f"One run. Dashed: residuals of angle {{1}}, speed {{2}}, mechanical power and valve {{3, 4}}; solid: thresholds, left "
-        f"stochastic (until the area is unplugged), right by the bound {BOUND}, {told} by the run that is not unplugged. Grey: "
+        f"stochastic (until the area is unplugged), right by the bound {BOUND}, {crossed} in the run without unplugging. Grey: "
         f"from fault to detection at {detected:g} s.",
         draw,
         "Six panels: residuals leave the stochastic thresholds soon after the fault and stay far below the deterministic ones",
@@ -171,8 +171,8 @@ def area_residuals(trace: Arrays) -> Figure:
         "residuals",
         f"Residuals and thresholds of area {SIGN_FLIP.fault.area} (as Fig. 5)",
         f"One run. Dashed: residuals; solid: thresholds. Grey: from the fault at {SIGN_FLIP.fault.onset:g} s to its detection "
-        f"at {detected:g} s. Once the fault is isolated, at {trace['answered'][0]:g} s, the diagnosers reckon with the input "
-        "as it is then known to act.",
+        f"at {detected:g} s. Once the fault is isolated, at {trace['answered'][0]:g} s, the model of the diagnosers has the "
+        "isolated gain of the input.",
         draw,
         "Three panels: after the flip the residuals of mechanical power and valve leave their thresholds until the isolation",
     )
@@ -185,24 +185,24 @@ def reconfigured_operation(trace: Arrays) -> list[Figure]:
 
     def figure(name: str, title: str, key: str, label: str, alt: str) -> Figure:
         def draw() -> Drawing:
-            drawn, axes = panels(["reconfigured", "left alone"], columns=1, width=9.6, height=2.6)
+            drawn, axes = panels(["reconfigured", "not reconfigured"], columns=1, width=9.6, height=2.6)
             for one, values in zip(axes, (trace[key], trace[f"alone_{key}"]), strict=True):
                 waves(one, trace["t"], values[:, :5], names, label, trace["load"][:, :5] if key == "reached" else None)
                 grey(one, SIGN_FLIP.fault.onset, until)
                 legend_beside(one)
             return drawn
 
-        told = "; references as they reach the areas, dashed: loads" if key == "reached" else ""
+        loads = "; references as they reach the areas, dashed: loads" if key == "reached" else ""
         return Figure(
             name, title,
-            f"One run, areas 1 to 5{told}. Grey: from the fault to the reconfiguration of area {SIGN_FLIP.fault.area} at "
+            f"One run, areas 1 to 5{loads}. Grey: from the fault to the reconfiguration of area {SIGN_FLIP.fault.area} at "
             f"{until:g} s. Below: the same run without isolation.",
             draw, alt,
         )  # fmt: skip
 
     return [
         figure("references", "References with and without reconfiguration (as Fig. 6)", "reached", "reference (per unit)",
-               "References of five areas; left alone, that of area 5 runs away from its load"),
+               "References of five areas; without reconfiguration, that of area 5 diverges from its load"),
         figure("speeds", "Speeds with and without reconfiguration (as Fig. 7)", "speeds", "speed (rad/s)",
                "Speeds of five areas around zero"),
     ]  # fmt: skip

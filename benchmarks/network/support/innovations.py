@@ -1,4 +1,4 @@
-"""Innovations of one Kalman filter on the whole power network in its steady state: the yardstick of local residuals."""
+"""Innovations of one steady-state Kalman filter on the whole power network: the reference for local residuals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
-from fusion_sfdia.models.power_network.simulation import Moment
+from fusion_sfdia.models.power_network.simulation import NetworkSample
 
 Array = NDArray[Any]
 
@@ -23,7 +23,7 @@ class Innovations(NamedTuple):
     sensors: Array
 
 
-def innovations(model: NetworkModel, moments: Iterable[Moment]) -> Innovations:
+def innovations(model: NetworkModel, moments: Iterable[NetworkSample]) -> Innovations:
     """Y - H x_hat with the gain of the steady state, from x = 0; sensors at open ties are left out.
 
     P = F P F' - F P H' S^-1 H P F' + Q, S = H P H' + R, x_hat+ = F (x_hat + P H' S^-1 (y - H x_hat)) + B u.

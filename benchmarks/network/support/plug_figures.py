@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import ListedColormap
@@ -13,16 +13,41 @@ from numpy.typing import NDArray
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE
 from fusion_sfdia.report.content import Figure, Table
-from fusion_sfdia.report.findings import pick, span
+from fusion_sfdia.report.findings import span
 from fusion_sfdia.report.plots import COLOURS, DASHES, legend_above, panels
 
 Array = NDArray[Any]
 
-LEAVES, JOINS = "area 4 leaves", "area 15 joins"
-MANNERS = ("replugged", "sec. VI-A to the letter", "not told")
+LEAVES, JOINS = "area 4 unplugged", "area 15 plugged in"
+MANNERS = ("replugged", "sec. VI-A literally", "not updated")
 PHASES = {"before": (10, 44), "without area 4": (44, 71), "with area 15": (71, 96)}  # samples
 NUMBERS = ("model", "weights", "thresholds", "copies")
 PLACES = {"area 4": ("4",), "areas 3, 5, 13": ("3", "5", "13"), "areas 14, 15": ("14", "15")}
+CHANGED_IN = {"area 4": "without area 4", "areas 3, 5, 13": "without area 4", "areas 14, 15": "with area 15"}  # phase by place
+
+
+class Changed(NamedTuple):
+    """What a row counts: the areas of which some numbers change at an event."""
+
+    event: str
+    what: str
+    noise: str
+    areas: tuple[str, ...]
+
+    @property
+    def who(self) -> str:
+        """The areas as text."""
+        return f"areas {', '.join(self.areas)}"
+
+
+class Alarm(NamedTuple):
+    """What a row measures: alarms in a place and phase, with the diagnosers in one of MANNERS."""
+
+    place: str
+    phase: str
+    manner: str
+    noise: str
+    metric: str = "false_alarm_probability"
 
 
 def locality_figure(local: Mapping[str, Mapping[str, Array]], names: tuple[str, ...]) -> Figure:
@@ -45,16 +70,16 @@ def locality_figure(local: Mapping[str, Mapping[str, Array]], names: tuple[str, 
 
     return Figure(
         "locality",
-        "What changes when an area leaves or joins, bit for bit",
-        "Blue: some bit changes. Model, weights and thresholds of an area's own states change in the area and its neighbours "
-        "alone. But these tell their new consensus to all who share their angles, and so the copies that their neighbours hold "
-        "change too: the diagnosers of areas that have nothing to do with the change.",
+        "What changes when an area is unplugged or plugged in, bit for bit",
+        "Blue: some bit changes. Model, weights and thresholds of an area's own states change only in the area and its "
+        "neighbours. But the new consensus is sent to all areas that share their angles, so that the copies that their "
+        "neighbours hold change, too: in areas that have no tie to the area that is switched.",
         draw,
-        "Grid of the areas by kind of number, coloured where a bit changes, for one area that leaves and one that joins",
+        "Grid of the areas by kind of number, coloured where a bit changes, for one area unplugged and one plugged in",
     )
 
 
-def alarm_figure(curves: Mapping[tuple[str, str], Array], names: tuple[str, ...], told: str) -> Figure:
+def alarm_figure(curves: Mapping[tuple[str, str], Array], names: tuple[str, ...], finding: str) -> Figure:
     """Share of areas in alarm over time."""
 
     def draw() -> Drawing:
@@ -77,29 +102,36 @@ def alarm_figure(curves: Mapping[tuple[str, str], Array], names: tuple[str, ...]
     return Figure(
         "alarms",
         "Alarms of healthy areas around the changes",
-        f"Share of the runs and areas that alarm, mean of three steps. Dotted: area 4 leaves, area 15 joins. {told} Where "
-        "nobody is told, missing readings widen the thresholds, which hides part of the error.",
+        "Share of the runs and areas that alarm, mean of three steps. Dotted: area 4 is unplugged, area 15 plugged in. "
+        f"{finding} Where the diagnosers are not updated, missing readings widen the thresholds, which hides part of the "
+        "error.",
         draw,
-        "Alarm rates over time of three groups of areas for three manners of telling the diagnosers of a change",
+        "Alarm rates over time of three groups of areas for three manners of updating the diagnosers after a change",
     )
 
 
 SHOWN = 10  # s from which alarms are drawn
 
 
-def tables(rows: Sequence[Row]) -> list[Table]:
-    """What changes; alarms by phase."""
-    changed = pick(rows, metric="changed_areas")
-    local = [(r.quantity, f"{r.value:g}", "" if r.published is None else f"{r.published:g}") for r in changed]
+def tables(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list[Table]:
+    """Which areas change; alarms by phase."""
+    local = [
+        (k.event, k.what, k.noise, k.who, f"{r.value:g}", "" if r.published is None else f"{r.published:g}")
+        for k, r in changed.items()
+    ]
     lines = []
     for noise in PROCESS_VARIANCE:
         for manner in MANNERS:
             for place in (*PLACES, "other areas"):
-                found = [_alarm(rows, place, phase, manner, noise) for phase in PHASES]
+                found = [_one(alarms, place, phase, manner, noise) for phase in PHASES]
                 if all(r is not None for r in found):
                     lines.append((noise, manner, place, *(f"{r.value:.3f} ({r.low:.3f} to {r.high:.3f})" for r in found if r)))
     return [
-        Table("Areas of which a number changes", ("what", "areas", "published"), tuple(local)),
+        Table(
+            "Areas of which a number changes",
+            ("event", "what", "process noise", "which", "areas", "published"),
+            tuple(local),
+        ),
         Table(
             "Share of healthy areas in alarm per step at alpha = 2, with 95 % intervals over runs",
             ("process noise", "diagnosers", "areas", *PHASES),
@@ -108,38 +140,28 @@ def tables(rows: Sequence[Row]) -> list[Table]:
     ]
 
 
-def remarks(rows: Sequence[Row]) -> list[str]:
-    """What replugging does, the first for the top of the report."""
-    told = {}
+def remarks(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list[str]:
+    """The effect of replugging, the first for the top of the report."""
+    after = {}
     for manner in MANNERS:
-        found = [_alarm(rows, p, ph, manner, n) for n in PROCESS_VARIANCE for p in PLACES for ph in PHASES if _near(p, ph)]
-        told[manner] = span(r.value for r in found if r is not None)
-    before = [_alarm(rows, p, "before", MANNERS[0], n) for n in PROCESS_VARIANCE for p in PLACES]
-    anything = [r for r in pick(rows, metric="changed_areas") if "any number" in r.quantity]
-    own = [r for r in pick(rows, metric="changed_areas") if "own numbers" in r.quantity]
+        found = [_one(alarms, place, phase, manner, n) for n in PROCESS_VARIANCE for place, phase in CHANGED_IN.items()]
+        after[manner] = span(r.value for r in found if r is not None)
+    before = [_one(alarms, place, "before", MANNERS[0], n) for n in PROCESS_VARIANCE for place in PLACES]
+    own, anything = (
+        "; ".join(f"{k.event}: {k.who}" for k in list(changed)[: len(changed) // 2] if k.what == what)
+        for what in ("own numbers", "any number")
+    )
     return [
-        f"Replugged, {told[MANNERS[0]]} of the areas at a change alarm in a step after it, "
-        f"{span(r.value for r in before if r)} before; by sec. VI-A to the letter {told[MANNERS[1]]}, not told "
-        f"{told[MANNERS[2]]}.",
-        "Sec. VI-A sets the angle of an unplugged area to 0 and its weights too. sum_j P_ij in A_ii still holds its tie, so "
-        "that its neighbours reckon with a spring that is not there.",
-        "Models, weights and thresholds of the own states change of "
-        + "; ".join(r.quantity.split(", own numbers of ")[0] + ": " + _who(r) for r in own[:2])
-        + ", as B18 has it. 'The FDI units of all other subsystems are unaffected' does not hold of shared angles: counting "
-        "the copies that areas hold of their neighbours' angles, "
-        + "; ".join(r.quantity.split(", any number of ")[0] + ": " + _who(r) for r in anything[:2])
-        + ". They need no new model, but another consensus, which they are told.",
+        f"Replugged, {after[MANNERS[0]]} of the areas at a change alarm in a step after it, "
+        f"{span(r.value for r in before if r)} before it; by sec. VI-A literally {after[MANNERS[1]]}, not updated "
+        f"{after[MANNERS[2]]}.",
+        "Sec. VI-A sets the angle and the weights of an unplugged area to 0. sum_j P_ij in A_ii still contains its tie, so "
+        "that the model of its neighbours contains a spring that is not there.",
+        f"Areas of which models, weights and thresholds of the own states change: {own}, as B18 states. 'The FDI units of all "
+        "other subsystems are unaffected' does not hold for shared angles: with the copies that areas hold of their "
+        f"neighbours' angles, {anything}. They need no new model, but a new consensus, which they receive.",
     ]
 
 
-def _near(place: str, phase: str) -> bool:
-    return phase == ("with area 15" if place == "areas 14, 15" else "without area 4")
-
-
-def _who(r: Row) -> str:
-    return r.quantity.split(" of ")[1].rsplit(",", 1)[0]
-
-
-def _alarm(rows: Sequence[Row], place: str, phase: str, manner: str, noise: str) -> Row | None:
-    quantity = f"{place}, {phase}, {manner}, {noise}"
-    return next(iter(pick(rows, metric="false_alarm_probability", quantity=quantity)), None)
+def _one(alarms: Mapping[Alarm, Row], place: str, phase: str, manner: str, noise: str) -> Row | None:
+    return alarms.get(Alarm(place, phase, manner, noise))

@@ -1,9 +1,8 @@
-"""What the scenarios of the power network's residuals share: noise laws, normalised residuals of healthy and faulty runs."""
+"""What the scenarios on residuals of the power network share: noise laws, normalised residuals of healthy and faulty runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,19 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import NetworkModel
-from fusion_sfdia.models.power_network.simulation import Draw, Moment
+from fusion_sfdia.models.power_network.simulation import Draw, NetworkSample
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
 
 Array = NDArray[Any]
 
-PLANT = "power-network"
 B18 = "Boem 2018"
-SETTLE = 10  # s that are not judged: lam^10 of the start is left, 6e-6 for lam = 0.3
+SETTLE = 10  # s that are not evaluated: lam^10 of the start is left, 6e-6 for lam = 0.3
 STUDENT_FREEDOM = 3  # the heaviest whole number with finite variance
 
 
@@ -66,8 +62,8 @@ def draw_of(law: str) -> Draw:
     return known[law]
 
 
-def watch(areas: Areas, moments: Iterable[Moment], variant: Variant) -> Iterator[tuple[Moment, Diagnosers]]:
-    """The diagnosers of one network after the readings of each moment."""
+def diagnosed(areas: Areas, moments: Iterable[NetworkSample], variant: Variant) -> Iterator[tuple[NetworkSample, Diagnosers]]:
+    """Each moment of the runs of a network, with its diagnosers after the readings of that moment."""
     state = None
     for now in moments:
         if state is None:
@@ -79,7 +75,7 @@ def watch(areas: Areas, moments: Iterable[Moment], variant: Variant) -> Iterator
 
 
 def normalised(state: Diagnosers) -> Array:
-    """Residuals over deviations (B, 4N + 2E) in the order of the plant's sensors, NaN where there is none to be judged."""
+    """Residuals over deviations (B, 4N + 2E) in the order of the plant's sensors, NaN where there is none to evaluate."""
     residual, deviation = (
         np.concatenate([own.reshape(*own.shape[:-2], -1), shared], axis=-1)
         for own, shared in ((state.residual, state.residual_shared), (state.deviation, state.deviation_shared))
@@ -88,14 +84,14 @@ def normalised(state: Diagnosers) -> Array:
     return z
 
 
-def streams(model: NetworkModel, moments: Iterable[Moment], variants: Iterable[Variant]) -> dict[str, Array]:
+def streams(model: NetworkModel, moments: Iterable[NetworkSample], variants: Iterable[Variant]) -> dict[str, Array]:
     """Normalised residuals (K, B, 4N + 2E) by variant of the same runs, without the first SETTLE samples."""
     areas, recorded = network_areas(model, named=False), list(moments)
-    return {v.name: np.stack([normalised(s) for _, s in watch(areas, recorded, v)])[SETTLE:] for v in variants}
+    return {v.name: np.stack([normalised(s) for _, s in diagnosed(areas, recorded, v)])[SETTLE:] for v in variants}
 
 
 def owners(model: NetworkModel) -> Array:
-    """(4N + 2E,): the area whose diagnoser judges each component."""
+    """(4N + 2E,): the area whose diagnoser evaluates each component."""
     return np.concatenate([np.repeat(np.arange(len(model.names)), 4), model.network.topology.node])
 
 
@@ -107,11 +103,3 @@ def groups(model: NetworkModel) -> dict[str, Array]:
     who = np.concatenate([np.repeat(sharers, 4), sharers[at.neighbour]])
     angles = {f"theta, {k} sharers": (state == 0) & (who == k) for k in np.unique(sharers)}
     return angles | {name: state == c for c, name in enumerate(("theta", "omega", "p_m", "p_v")) if c}
-
-
-def row(
-    scenario: str, detector: str, fault: str, quantity: str, metric: str, value: Estimate, published: Published | None = None
-) -> Row:
-    """A row of metrics.csv."""
-    plain = Row(scenario, PLANT, detector, fault, quantity, metric, value.value, value.low, value.high, value.n)
-    return plain if published is None else replace(plain, published=published.value, source=published.source)

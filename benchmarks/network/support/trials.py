@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.models.power_network.accommodation import Compensated
 from fusion_sfdia.models.power_network.control import Control, PredictiveControl, generation_control
 from fusion_sfdia.models.power_network.diagnosis import network_areas
@@ -17,7 +18,8 @@ from fusion_sfdia.models.power_network.faults import fault_function
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
-from fusion_sfdia.models.power_network.simulation import Moment, run_network
+from fusion_sfdia.models.power_network.simulation import NetworkSample, run_network
+from fusion_sfdia.registry import require_known
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.fault_hypotheses import FaultHypotheses
 
@@ -27,18 +29,19 @@ Arrays = dict[str, Array]
 CONTROLLERS: dict[str, Callable[[], Control]] = {"generation": lambda: generation_control, "predictive": PredictiveControl}
 ALPHA, LAM = 2.0, 0.3  # B18, sec. VIII
 CONFIRMATIONS = 3  # B18, sec. VIII-A: "after 3 consecutively alarms"
+ALARM_RULES = ("single alarms", f"{CONFIRMATIONS} consecutive")  # the last axis of `Alarms`
 PATIENCE = 30  # steps until the isolation ends; ours
 BOUND = 0.0427  # of noise and disturbances (B18, sec. VIII-A), the largest of 10 series of samples there
-LATE = 70.0  # s; from then on it is seen whether the area is in control, whatever was done before
+LATE = 70.0  # s; the angles from then on show whether the area is under control, whatever happened before
 SHOWN = ("t", "reference", "reached", "load", "angles", "speeds", "residual", "deviation")
 
 
 @dataclass(frozen=True)
 class Watch:
-    """How the runs are watched: the area whose alarms count from `onset` (s) on, and the mode of the diagnosers.
+    """How the runs are diagnosed: the area whose alarms count from `onset` (s) on, and the mode of the diagnosers.
 
     hypotheses: faults of the area by name, None for no fault; none at all for no isolation. alpha, exclusions: thresholds and
-    confirmations of the isolation. reconfigure: make up for an isolated gain of the input.
+    confirmations of the isolation. reconfigure: compensate for an isolated gain of the input.
     """
 
     area: str
@@ -60,7 +63,7 @@ def trial(
     faults: Sequence[AreaFault],
     switches: Sequence[Switch] = (),
     controller: str = "generation",
-    each: Callable[[Moment], None] | None = None,
+    each: Callable[[NetworkSample], None] | None = None,
 ) -> Arrays:
     """Runs of B seeds over K = steps + 1 samples; loads: "1" or "2" of B18. Isolation where no area is switched.
 
@@ -110,11 +113,11 @@ def trial(
 
 @dataclass
 class Alarms:
-    """When an area alarms, from its onset on, and how many areas did before; B runs.
+    """When an area alarms, from the onset on, and how many areas alarmed before it; B runs.
 
-    detected (B, 2): time (s) of its first alarm and of its first CONFIRMATIONS in a row, inf for never. false_alarms (B, 2):
-    areas that so alarmed before the onset, and other_alarms (B, 2) others that did after it. deterministic (B,): time at which
-    a residual of its own first exceeds `bounds` (n,).
+    detected (B, 2): time (s) of its first alarm and of its first CONFIRMATIONS consecutive ones, inf for never.
+    false_alarms (B, 2): number of areas with such alarms before the onset. other_alarms (B, 2): number of other areas with such
+    alarms after it. deterministic (B,): time at which a residual of the area first exceeds `bounds` (n,).
     """
 
     areas: Areas
@@ -160,10 +163,10 @@ class Alarms:
 
 
 class Answers:
-    """What the isolation says, started at the first confirmed alarm; places in FaultHypotheses.answers.
+    """The answers of the isolation, which starts at the first confirmed alarm; places in FaultHypotheses.answers.
 
-    answered (B,): time (s) of the first answer, inf for none, and first_answer what it was; answer: at the end. excluded
-    (B, L): when each hypothesis was excluded. gain (B,): of the input as it was named last, 1 before.
+    answered (B,): time (s) of the first answer, inf for none, and first_answer which it was; answer: at the end. excluded
+    (B, L): time at which each hypothesis was excluded. gain (B,): of the input as isolated last, 1 before.
     """
 
     def __init__(self, areas: Areas, model: NetworkModel, watch: Watch, runs: int) -> None:
@@ -174,7 +177,7 @@ class Answers:
         self.answer, self.gain = self.first_answer.copy(), np.ones(runs)
         self.excluded = np.full((runs, len(self.faults)), np.inf)
 
-    def step(self, before: Diagnosers, moment: Moment, load: Array) -> None:
+    def step(self, before: Diagnosers, moment: NetworkSample, load: Array) -> None:
         if self.observer is not None and self.state is not None:
             self.state = self.observer.step(self.state, before, moment.reference, load, moment.own, moment.shared)
 
@@ -196,7 +199,7 @@ class Answers:
 
 
 def observer(areas: Areas, model: NetworkModel, watch: Watch) -> FaultHypotheses | None:
-    """The isolation of a watched area; None without hypotheses."""
+    """The isolation of the diagnosed area; None without hypotheses."""
     functions = {
         name: (lambda x, u, e: np.zeros(x.shape)) if fault is None else fault_function(model, fault)
         for name, fault in watch.hypotheses
@@ -210,10 +213,10 @@ def observer(areas: Areas, model: NetworkModel, watch: Watch) -> FaultHypotheses
 
 
 def deterministic_thresholds(areas: Areas, bound: float = BOUND) -> Array:
-    """(N, n): the largest residuals in the long run while all noise and all disturbances are within the bound.
+    """(N, n): the limit over time of the largest residuals while all noise and all disturbances are within the bound.
 
-    B18 takes them from its reference [22]: eps+ = lam eps + sum |coefficient| bound + 2 bound for the same residuals, and in
-    the long run the sum over 1 - lam.
+    B18 takes them from its reference [22]: eps+ = lam eps + sum |coefficient| bound + 2 bound for the same residuals, whose
+    limit is the sum over 1 - lam.
     """
     inflow = np.add.reduceat(np.abs(areas.slope), areas.network.topology.start[:-1])
     n = areas.matrices.shape[1]
@@ -222,8 +225,16 @@ def deterministic_thresholds(areas: Areas, bound: float = BOUND) -> Array:
     return thresholds
 
 
-def gather(results: Sequence[tuple[Any, Arrays]], key: Callable[[Any], Any]) -> dict[Any, Arrays]:
-    """The runs of all tasks with the same key side by side; what is of one run (after a prefix too), of the first task."""
+def require_settings(settings: Settings, **known: Iterable[str]) -> None:
+    """ValueError for a setting, or an entry of one, that is not among the known names."""
+    for name, names in known.items():
+        one = isinstance(settings[name], str)
+        for value in (settings[name],) if one else settings[name]:
+            require_known(name if one else f"one of {name}", value, names)
+
+
+def join_runs(results: Sequence[tuple[Any, Arrays]], key: Callable[[Any], Any]) -> dict[Any, Arrays]:
+    """The runs of all tasks with the same key joined; what is of one run only (after a prefix too) is of the first task."""
     parts: dict[Any, list[Arrays]] = {}
     for task, arrays in results:
         parts.setdefault(key(task), []).append(arrays)

@@ -1,7 +1,7 @@
 """Both readings of the process noise of Shaheen 2024, beside its tables.
 
 Sec. V makes the process noise "10% lower" than the measurement noise: 0.9 sigma, read literally, the default of the scenarios.
-"10 % of" it, 0.1 sigma, is the other reading, to which Table IV comes nearer.
+"10 % of" it, 0.1 sigma, is the other reading, which agrees better with Table IV.
 """
 
 from __future__ import annotations
@@ -14,14 +14,18 @@ from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE
 from fusion_sfdia.report.content import Interval, Table
 
-OTHER = "process noise"  # in the names of rows of the reading that is not that of the settings
 Cases = Mapping[tuple[str, ...], Mapping[str, Estimate]]  # (detector, ...): {reading: value}
 
 
 def readings(settings: Settings) -> dict[str, str]:
-    """Both readings, that of the settings first, with what is added to a name in the rows of the other."""
+    """Both readings, that of the settings first, with what is added to the condition in the rows of the other."""
     chosen = str(settings["process_noise"])
-    return {chosen: ""} | {k: f", {OTHER} {v:g} sigma" for k, v in PROCESS_NOISE.items() if k != chosen}
+    return {chosen: ""} | {k: f", process noise {v:g} sigma" for k, v in PROCESS_NOISE.items() if k != chosen}
+
+
+def condition(snr: str, suffix: str = "") -> str:
+    """The condition of a row: the level of noise, and the other reading where it is of that."""
+    return f"{snr} SNR{suffix}"
 
 
 def readings_table(
@@ -50,7 +54,7 @@ def interval(e: Estimate) -> Interval:
 
 
 def nearer(found: Cases, published: Mapping[tuple[str, ...], Published | None]) -> str:
-    """In how many of the published values each reading is the nearer, where both have one and differ."""
+    """For how many published values each reading is the nearer one, where both have one and differ."""
     count = dict.fromkeys(PROCESS_NOISE, 0)
     for case, values in found.items():
         theirs = published.get(case)
@@ -59,5 +63,5 @@ def nearer(found: Cases, published: Mapping[tuple[str, ...], Published | None]) 
             best = min(off, key=lambda k: off[k])
             if sum(o == off[best] for o in off.values()) == 1:
                 count[best] += 1
-    told = ", ".join(f"{PROCESS_NOISE[k]:g} sigma in {n}" for k, n in count.items())
-    return f"Nearer to the published value: {told} (the paper prints 0.9 sigma, 10 % lower than the measurement noise)."
+    counts = ", ".join(f"{PROCESS_NOISE[k]:g} sigma in {n}" for k, n in count.items())
+    return f"Nearer to the published value: {counts} (the paper prints 0.9 sigma, 10 % lower than the measurement noise)."

@@ -1,9 +1,10 @@
-"""What the pipeline scenarios share: their tasks, the work of a task, and its arrays gathered by cell."""
+"""What the pipeline scenarios share: their tasks, the work of a task, and its arrays joined by case."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache, partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,13 @@ from fusion_sfdia import registry
 from fusion_sfdia.builders import fusing_bank, watching
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion
-from fusion_sfdia.evaluation.results import Published, Row
-from fusion_sfdia.evaluation.trials import faulted, join, outcome, unpack
+from fusion_sfdia.evaluation.trials import faulted, outcome
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
-from fusion_sfdia.models.gas_pipeline.published import QUANTITIES
-from fusion_sfdia.report.plots import Bars
 
 Array = NDArray[Any]
 Results = Sequence[tuple[Task, Arrays]]
-Shown = Mapping[tuple[str, str], Estimate | None]
 
 PLANT = "gas-pipeline"
 PAPER = ("fusing-ekf", "fusing-ukf", "fusing-enkf")
@@ -40,7 +35,7 @@ CHUNK = 25  # runs in one task
 COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "nine-tenths", "truth": "model"}
 OWN = "tenth"  # the plant's own process noise
 
-KNOWN = {  # what the settings that name something may name
+KNOWN = {  # values of the settings that are names
     "snr": tuple(SIGMA),
     "levels": tuple(SIGMA),
     "process_noise": tuple(PROCESS_NOISE),
@@ -67,6 +62,16 @@ def detector_on_pipeline(name: str, snr: str, process_noise: str) -> Detector:
     """A named detector on the paper's pipeline, built (and calibrated) once for all tasks of a process."""
     plant = gas_pipeline(snr=snr, process_noise=process_noise, initial=initial(name))
     return fusing_bank(plant, name.removeprefix("fusing-")) if name in PAPER else registry.detector(name, plant)
+
+
+def common(*without: str) -> dict[str, Any]:
+    """The settings of COMMON, without some."""
+    return {name: value for name, value in COMMON.items() if name not in without}
+
+
+def grid(**values: Iterable[Any]) -> list[dict[str, Any]]:
+    """Every combination of the values, the last name changing fastest, as dictionaries of one value each."""
+    return [dict(zip(values, combination, strict=True)) for combination in product(*values.values())]
 
 
 def steps(settings: Settings) -> int:
@@ -125,83 +130,3 @@ def trial(task: Task, detector: Detector | None = None, truth: Plant | None = No
         to_states=to_states,
     )
     return outcome(detector, data, seed=task["seeds"][0])
-
-
-class Cell:
-    """The joined arrays of one cell without its diverged runs, after the settling time, unpacked where asked."""
-
-    def __init__(self, arrays: Arrays) -> None:
-        sound = ~arrays["diverged"]
-        self.runs, self.diverged = arrays["diverged"].size, int(arrays["diverged"].sum())
-        self._arrays = {k: v[SETTLE:][:, sound] if v.ndim > 1 else v[sound] for k, v in arrays.items()}
-        self.active = unpack(self._arrays, "active", SENSORS)
-        self.isolated = unpack(self._arrays, "isolated", SENSORS)
-        self.judged = ~aftermath(np.asarray(self.active.any(axis=-1)))
-
-    @property
-    def divergence(self) -> Estimate:
-        """Share of runs that diverged: every other number of the cell is of those that did not."""
-        return proportion(self.diverged, self.runs)
-
-    def __getitem__(self, name: str) -> Array:
-        return self._arrays[name]
-
-
-def aftermath(faulty: Array, samples: int = AFTERMATH) -> Array:
-    """Whether a fault has ended within the last `samples` samples and none is active; faulty and result (K, B)."""
-    recent = np.zeros_like(faulty)
-    for k in range(1, samples + 1):
-        recent[k:] |= faulty[:-k]
-    return recent & ~faulty
-
-
-def gather(results: Sequence[tuple[Task, Arrays]], *keys: str) -> dict[tuple[Any, ...], Cell]:
-    """Join the results of the tasks that agree on keys."""
-    parts: dict[tuple[Any, ...], list[Arrays]] = {}
-    for task, arrays in results:
-        parts.setdefault(tuple(task[k] for k in keys), []).append(arrays)
-    return {key: Cell(join(found)) for key, found in parts.items()}
-
-
-def row(
-    scenario: str, detector: str, fault: str, quantity: str, metric: str, estimate: Estimate, published: Published | None = None
-) -> Row:
-    """A row of metrics.csv on this plant."""
-    value, source = (None, "") if published is None else (published.value, published.source)
-    return Row(scenario, PLANT, detector, fault, quantity, metric, *estimate, published=value, source=source)
-
-
-def detection_rows(scenario: str, cells: Mapping[tuple[Any, ...], Cell]) -> list[Row]:
-    """Area under the ROC of the faulty quantity's score, and both probabilities at the detector's own threshold.
-
-    Of the samples that are judged; auc_all_samples: of those in the aftermath of a fault too.
-    """
-    rows = []
-    for (detector, fault, quantity), cell in cells.items():
-        score = cell["score"][..., QUANTITIES.index(quantity)]
-        at = partial(row, scenario, detector, fault, quantity)
-        rows += [
-            at("diverged", cell.divergence),
-            at("auc", metrics.auc(score, cell.active, cell.judged)),
-            at("auc_all_samples", metrics.auc(score, cell.active)),
-            at("detection_probability", metrics.detection_probability(score > 1, cell.active, cell.judged)),
-            at("false_alarm_probability", metrics.false_alarm_probability(score > 1, cell.active, cell.judged)),
-        ]
-    return rows
-
-
-def bar_series(
-    shown: Shown,
-    labels: Sequence[str],
-    groups: Sequence[str],
-    published: Mapping[tuple[str, str], Published | None] | None = None,
-) -> list[Bars]:
-    """Return the bars of plots.bars from estimates by (label, group); labels without any are left out."""
-    series = []
-    for label in labels:
-        found = [shown.get((label, g)) or NOTHING for g in groups]
-        theirs = [(published or {}).get((label, g)) for g in groups]
-        if any(e.n for e in found) or any(np.isfinite(e.value) for e in found):
-            stated = [np.nan if p is None else p.value for p in theirs]
-            series.append(Bars(label, [e.value for e in found], [e.low for e in found], [e.high for e in found], stated))
-    return series

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from engine_signatures import K22_LOCAL, K24_LOCAL
+from smallest_scenarios import smallest
 
 from fusion_sfdia.benchmarks.engine import minimum_fault as minimum
 from fusion_sfdia.benchmarks.engine import signatures as engine_signatures
@@ -12,9 +13,9 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     BIN,
     DETECTORS,
     NAMES,
+    by_detector,
     engine_detector,
     extremes,
-    gather,
     published_first,
     recording,
     tasks,
@@ -26,36 +27,12 @@ from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
-from fusion_sfdia.registry import SCENARIOS, scenario
-from fusion_sfdia.report.content import Summary
-
-MINE = ("engine/three-faults", "engine/two-faults", "engine/minimum-fault", "engine/signatures")
-SHORT = {"engine/three-faults": 72.0, "engine/two-faults": 22.0, "engine/minimum-fault": 1.5}  # s
-
-
-def summary(name: str, seeds: int, **changes: object) -> Summary:
-    one = scenario(name)
-    settings = {**one.settings, **changes}
-    return one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, seeds)])
+from fusion_sfdia.registry import scenario
 
 
 def value(rows: list[Row], **expected: str) -> float:
     (found,) = [r for r in rows if all(getattr(r, k) == v for k, v in expected.items())]
     return found.value
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MINE)
-def test_a_scenario_runs_to_its_rows_and_figures(name: str) -> None:
-    found = summary(name, 2 if name in SHORT else 1, **({"duration": SHORT[name]} if name in SHORT else {}))
-    assert found.rows and found.figures and found.tables and found.remarks
-    assert {(r.scenario, r.plant) for r in found.rows} == {(name, "marine-engine")}
-    keys = [(r.detector, r.fault, r.quantity, r.metric) for r in found.rows]
-    assert len(set(keys)) == len(keys)
-    for r in found.rows:
-        assert np.isnan(r.low) or r.low <= r.value <= r.high, r
-    for figure in found.figures:
-        assert figure.draw().axes and figure.alt and figure.caption
 
 
 def test_published_numbers_say_where_they_stand() -> None:
@@ -68,19 +45,19 @@ def test_published_numbers_say_where_they_stand() -> None:
 
 
 def test_the_printed_timelines_by_hand() -> None:
-    """K24: 2, 4, 5, 6 sensors accused from 20, 45.06, 69.9, 70.01 s on. K22: 2, 3, 3, 4 from 10, 20, 22.1, 25.3 s on."""
-    for told, counts in ((THREE_FAULTS, [2, 4, 5, 6]), (TWO_FAULTS, [2, 3, 3, 4])):
-        lines = timeline(published_first(told.fired), told.faults, told.duration)
-        at = np.searchsorted(lines.t, sorted(told.fired.values()))
+    """K24: 2, 4, 5, 6 sensors isolated from 20, 45.06, 69.9, 70.01 s on. K22: 2, 3, 3, 4 from 10, 20, 22.1, 25.3 s on."""
+    for published, counts in ((THREE_FAULTS, [2, 4, 5, 6]), (TWO_FAULTS, [2, 3, 3, 4])):
+        lines = timeline(published_first(published.fired), published.faults, published.duration)
+        at = np.searchsorted(lines.t, sorted(published.fired.values()))
         assert lines.isolated[at, 0].sum(axis=-1).tolist() == counts
-        assert lines.active.any(axis=-1)[:, 0].tolist() == (lines.t >= told.faults[0].onset).tolist()
+        assert lines.active.any(axis=-1)[:, 0].tolist() == (lines.t >= published.faults[0].onset).tolist()
     one = scenario("engine/three-faults")
     rows = list(one.summarise(one.settings, []).rows)
     ours = {m: value(rows, metric=f"{m}_performance_percent") for m in ("isolation", "exoneration")}
     # as in test_diagnosis_metrics: durations 25.06, 24.84, 0.11, 29.99 s of 80
-    length, faulty, named = np.array([25.06, 24.84, 0.11, 29.99]), np.array([1, 2, 2, 3]), np.array([2, 4, 5, 6])
-    assert ours["isolation"] == pytest.approx(100 * length @ (faulty / named) / 80, abs=1e-9)
-    assert ours["exoneration"] == pytest.approx(100 * length @ (1 - named / 10) / 80, abs=1e-9)
+    length, faulty, isolated = np.array([25.06, 24.84, 0.11, 29.99]), np.array([1, 2, 2, 3]), np.array([2, 4, 5, 6])
+    assert ours["isolation"] == pytest.approx(100 * length @ (faulty / isolated) / 80, abs=1e-9)
+    assert ours["exoneration"] == pytest.approx(100 * length @ (1 - isolated / 10) / 80, abs=1e-9)
 
 
 def test_first_alarms_are_those_of_the_decisions() -> None:
@@ -104,7 +81,7 @@ def test_first_alarms_are_those_of_the_decisions() -> None:
     lines = timeline(found["first"], faults, 2.5)
     last = np.searchsorted(healthy.t, lines.t[1:], side="right") - 1
     np.testing.assert_array_equal(lines.isolated[1:], decision.isolated[last])
-    assert gather([(task, found), (task, found)])[DETECTORS[0]]["first"].shape == (6, 10)
+    assert by_detector([(task, found), (task, found)])[DETECTORS[0]]["first"].shape == (6, 10)
 
 
 def test_a_trace_keeps_the_samples_nearest_to_the_thresholds() -> None:
@@ -160,7 +137,7 @@ def test_matrices_differ_from_the_printed_in_three_entries() -> None:
         "K24 Table II": turbine,
         "K22 Table 1": turbine,
     }
-    rows = summary("engine/signatures", 1).rows
+    rows = smallest("engine/signatures").summary.rows
     assert sum(r.value for r in rows if r.metric == "entries_equal") == 230 - 4
     assert set(K24_LOCAL) == set(K22_LOCAL) == set(engine_signatures.ROWS)
 
@@ -177,7 +154,3 @@ def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dic
     one = scenario("engine/three-faults")
     with pytest.raises(ValueError, match=expected):
         one.tasks({**one.settings, **changes}, 1)
-
-
-def test_the_scenarios_are_on_the_command_line() -> None:
-    assert set(MINE) <= set(SCENARIOS)

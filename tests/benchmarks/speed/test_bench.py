@@ -1,4 +1,4 @@
-"""The benchmark: what is compared computes the same, and the rows are there. No word on how fast."""
+"""The benchmark: what is compared computes the same, and the rows are there. Speed itself is not tested."""
 
 import json
 from importlib.util import find_spec
@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks.engine.support.campaign import truth
-from fusion_sfdia.benchmarks.speed import bench
-from fusion_sfdia.benchmarks.speed import engine as bench_engine
-from fusion_sfdia.benchmarks.speed import lorenz as bench_lorenz
-from fusion_sfdia.benchmarks.speed.against_filterpy import compiled_model, numpy_model, step_call
+from fusion_sfdia.benchmarks.speed import bank, bench, model, scaling
+from fusion_sfdia.benchmarks.speed.support import engine_modules, lorenz_96
+from fusion_sfdia.benchmarks.speed.support.against_filterpy import compiled_model, numpy_model, step_call
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.results import read_rows
@@ -50,7 +49,7 @@ def test_filterpy_on_the_pipeline_estimates_what_ours_does(kind: str, compiled: 
 
 @pytest.mark.parametrize("kind", ["kf", "ukf"])
 def test_filterpy_on_lorenz_96_estimates_what_ours_does(kind: str) -> None:
-    ours, theirs = bench_lorenz.pairs(kind, "np.roll")
+    ours, theirs = lorenz_96.pairs(kind, "np.roll")
     theirs()
     # weights of 1e6 magnify rounding of values near 8, over 127 points
     np.testing.assert_allclose(ours(), theirs(), rtol=0, atol=1e6 * 8 * np.finfo(float).eps * 127 if kind == "ukf" else 1e-11)
@@ -59,7 +58,7 @@ def test_filterpy_on_lorenz_96_estimates_what_ours_does(kind: str) -> None:
 def test_the_two_sources_of_lorenz_96_are_one_equation() -> None:
     x = np.random.default_rng(1).standard_normal((3, 63))
     nothing = np.empty(0)
-    a, b = (f(0.0, x, nothing, nothing, 8.0) for f in bench_lorenz.MODELS.values())
+    a, b = (f(0.0, x, nothing, nothing, 8.0) for f in lorenz_96.MODELS.values())
     np.testing.assert_array_equal(a, b)
     i = 5
     assert a[0, i] == pytest.approx((x[0, i + 1] - x[0, i - 2]) * x[0, i - 1] - x[0, i] + 8.0, rel=1e-14)
@@ -67,11 +66,11 @@ def test_the_two_sources_of_lorenz_96_are_one_equation() -> None:
 
 @pytest.mark.skipif(find_spec("codac") is None, reason="codac is not installed: pip install 'fusion-sfdia[codac]'")
 def test_codac_bounds_what_healthy_readings_leave_to_the_engine() -> None:
-    modules, sensors = bench_engine.detector().plant.structure.modules, bench_engine.detector().plant.sensors
+    modules, sensors = engine_modules.detector().plant.structure.modules, engine_modules.detector().plant.sensors
     run, rng = truth(1.0), np.random.default_rng(0)
     within = run.signal[0] + rng.uniform(-1, 1, (50, 10)) * [s.noise_bound for s in sensors]
     values = {s.measures: v for s, v in zip(sensors, within.T, strict=True)} | {"fuel_setting": run.u[0, 0]}
-    for name, call in bench_engine.codac_calls(0.1).items():
+    for name, call in engine_modules.codac_calls(0.1).items():
         function = modules.equations[MODULES[name].variable]
         found = function(*(values[a] for a in argument_names(function) if a != "c"), modules.parameters)
         hull = call().hull
@@ -80,17 +79,18 @@ def test_codac_bounds_what_healthy_readings_leave_to_the_engine() -> None:
 
 def test_each_part_has_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = lambda nodes=9: gas_pipeline(nodes=nodes)  # noqa: E731
-    monkeypatch.setattr(bench, "gas_pipeline", small)
-    monkeypatch.setattr(bench, "NODES", (9, 13))
-    monkeypatch.setattr(bench, "BANK_NODES", (13,))
+    for part in (bank, model, scaling):
+        monkeypatch.setattr(part, "gas_pipeline", small)
+    monkeypatch.setattr(scaling, "NODES", (9, 13))
+    monkeypatch.setattr(scaling, "BANK_NODES", (13,))
     rows = bench.run([], tmp_path, seconds=SHORT)
     assert {r.scenario for r in rows} == {f"bench/{part}" for part in bench.PARTS}
     assert all(np.isfinite(r.value) and r.value > 0 and r.n > 0 and r.published is None for r in rows)
-    keys = [(r.scenario, r.detector, r.quantity, r.metric) for r in rows]
+    keys = [(r.scenario, r.detector, r.quantity, r.condition, r.metric) for r in rows]
     assert len(set(keys)) == len(keys)
     for kind in ("ekf", "ukf", "enkf"):
-        for quantity in ("single", "filterpy", "filterpy, compiled model"):
-            assert ("bench/bank", f"fusing-{kind}", quantity, "speedup") in keys
+        for quantity, where in (("single", ""), ("filterpy", ""), ("filterpy", "compiled model")):
+            assert ("bench/bank", f"fusing-{kind}", quantity, where, "speedup") in keys
     memory = {r.quantity: r.value for r in rows if r.metric == "peak_memory" and r.detector == "fusing-enkf"}
     # an ensemble of 40 members with 27 states is 8640 bytes: a handful of copies, never a thousand
     assert 8640 < memory["9 nodes"] < 100 * 8640

@@ -1,9 +1,10 @@
-"""engine/virtual-sensors: the scenario, and what is kept of a run."""
+"""engine/virtual-sensors: intervals of the faults' sizes, and the arrays that are kept of a run."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from smallest_scenarios import smallest
 
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, offsets, recording
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
@@ -35,25 +36,17 @@ def value(rows: list[Row], **expected: str) -> float:
 
 
 @pytest.mark.slow
-def test_the_scenario_runs_to_its_rows_and_figures() -> None:
-    one = scenario(NAME)
-    settings = {**one.settings, "duration": 42.0, "inversion_seeds": 1}
-    found = one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, 2)])
+def test_intervals_contain_the_faults_and_narrow_when_intersected() -> None:
+    found = smallest(NAME).summary
+    assert len(found.figures) == 3
     rows = list(found.rows)
-    assert {(r.scenario, r.plant) for r in rows} == {(NAME, "marine-engine")}
-    assert len({(r.detector, r.fault, r.quantity, r.metric) for r in rows}) == len(rows)
-    for r in rows:
-        assert np.isnan(r.low) or r.low <= r.value <= r.high, r
-    for figure in found.figures:
-        assert figure.draw().axes and figure.alt and figure.caption
-    assert len(found.figures) == 3 and found.tables and found.highlights and found.remarks
     assert not any(r.published for r in rows if r.metric == "fault_mape_percent")  # those are of 100 s
     for n in SIZED:
         for kind in (*VARIANTS, *INVERSIONS):
-            assert value(rows, quantity=f"{n}, {kind}", metric="interval_holds_fault_share") == 1
-    mape = {v: value(rows, quantity=f"M(2,3), {v}", metric="fault_mape_percent") for v in VARIANTS}
+            assert value(rows, quantity=n, condition=kind, metric="interval_coverage") == 1
+    mape = {v: value(rows, quantity="M(2,3)", condition=v, metric="fault_mape_percent") for v in VARIANTS}
     assert mape[INTERSECTED] < mape[PRINTED] and mape[GUARANTEED] == pytest.approx(mape[INTERSECTED])
-    widths = [value(rows, quantity=f"M(2,3), {i}", metric="fault_interval_percent") for i in INVERSIONS]
+    widths = [value(rows, quantity="M(2,3)", condition=i, metric="fault_interval_percent") for i in INVERSIONS]
     assert widths[0] <= widths[1]
 
 
@@ -71,8 +64,8 @@ def test_what_is_kept_of_a_run() -> None:
     own = [NAMES.index("M(2,3)"), NAMES.index("M(4,2)")]
     np.testing.assert_allclose(found["first"][:, own], [[0.2, 1.0]] * 3, rtol=1e-12)
     assert np.isinf(np.delete(found["first"], own, axis=-1)).all()
-    np.testing.assert_array_equal(found["inside"], found["told"])
-    np.testing.assert_array_equal(found["told"], [[281, 201]] * 3)  # samples from 0.2 and 1.0 to 3.0 s
+    np.testing.assert_array_equal(found["inside"], found["isolated"])
+    np.testing.assert_array_equal(found["isolated"], [[281, 201]] * 3)  # samples from 0.2 and 1.0 to 3.0 s
     time, size, low, high = found["trace"]
     assert time.shape == (3, 300 // KEPT, 10)
     for i, (column, fault) in enumerate(zip(own, faults, strict=True)):
@@ -94,7 +87,7 @@ def test_an_unseen_fault_counts_as_wholly_wrong() -> None:
     y = offsets(detector.plant, healthy.t, healthy.y, unseen)
     found = follow(detector, healthy.t, y, healthy.u, healthy.signal, unseen, (0.2,))
     assert np.isinf(found["first"]).all() and found["mape"].tolist() == [[100.0]] * 3
-    assert np.isnan(found["rise"]).all() and not found["told"].any()
+    assert np.isnan(found["rise"]).all() and not found["isolated"].any()
 
 
 def test_settings_that_no_run_can_be_made_of_are_refused() -> None:

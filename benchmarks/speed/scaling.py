@@ -1,0 +1,69 @@
+"""bench scaling: an ensemble filter on finer pipelines, and the extended bank at 201 nodes.
+
+step_time of predict and update, of the model's part of it (condition `model`) or of one filter of the bank (`one filter`);
+peak_memory of NumPy's arrays beside those of the plant. The compiled model holds one ensemble more.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.speed.support.calls import QUIET, Call, peak_memory, repeated_step, time_row
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.results import Row
+from fusion_sfdia.experiments.timing import Timing, best_times
+from fusion_sfdia.filters import enkf
+from fusion_sfdia.filters.estimators import Extended
+from fusion_sfdia.filters.gaussian import sample
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
+
+Array = NDArray[Any]
+
+NODES = (21, 201, 2001)
+BANK_NODES = (201,)
+
+
+def measure(seconds: float) -> list[Row]:
+    """The ensemble filter on finer and finer pipelines, every node with its sensors, and the extended bank on one of them."""
+    rows = []
+    for nodes in NODES:
+        plant = gas_pipeline(nodes=nodes)
+        rows += timed_with_memory(plant, "fusing-enkf", f"{nodes} nodes", *ensemble_calls(plant), "model", seconds)
+    for nodes in BANK_NODES:
+        plant = gas_pipeline(nodes=nodes)
+        whole = repeated_step(FusingBank(plant, Extended(), thresholds=tuple((QUIET * plant.sensor_sigma).tolist())))
+        one = repeated_step(CentralFilter(plant, Extended()))
+        rows += timed_with_memory(plant, "fusing-ekf", f"{nodes} nodes", whole, one, "one filter", seconds)
+    return rows
+
+
+def timed_with_memory(
+    plant: Plant, detector: str, where: str, whole: Call, other: Call, name: str, seconds: float
+) -> list[Row]:
+    """Time and memory of a call, and the time of another beside it."""
+    memory = Timing(peak_memory(whole), 1)
+    times = best_times({"": whole, name: other}, seconds)
+    rows = [time_row("scaling", plant, detector, where, "step_time", time, condition=c) for c, time in times.items()]
+    return [*rows, time_row("scaling", plant, detector, where, "peak_memory", memory)]
+
+
+def ensemble_calls(plant: Plant) -> tuple[Call, Call]:
+    """Predict and update of an ensemble without any matrix of all states, and the model's step of it alone."""
+    settings, rng = enkf.EnKFSettings(), np.random.default_rng(0)
+    u = plant.input_at(0.0)
+    members = plant.x0 + sample(plant.initial_cov, rng, (settings.size,))
+    y = plant.output(0.0, plant.x0, u) + sample(plant.sensor_cov, rng)
+
+    def advance(states: Array) -> Array:
+        return plant.step(0.0, states, u, plant.dt)
+
+    def step() -> Array:
+        ahead = enkf.predict(members, advance, plant.process_cov, rng)
+        return enkf.update(settings, ahead, lambda s: plant.output(0.0, s, u), y, plant.sensor_cov, rng)
+
+    return step, lambda: advance(members)

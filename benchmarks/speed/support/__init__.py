@@ -1,0 +1,1 @@
+"""What the measurements of speed share: the workloads, filterpy, and calls that are timed."""

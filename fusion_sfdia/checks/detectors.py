@@ -1,0 +1,197 @@
+"""What every detector keeps. The tests of another package call it for their own:
+
+def test_my_detector() -> None:
+    check_detector(MyDetector)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from fusion_sfdia import registry
+from fusion_sfdia.checks.readings import (
+    Healthy,
+    a_silent_sensor_is_used_again,
+    absurd_values_are_replaced,
+    healthy_readings,
+    missing_readings_are_no_evidence,
+    what_does_not_fit_is_refused,
+)
+from fusion_sfdia.checks.require import (
+    pickled,
+    require,
+    require_refused,
+    require_same,
+    require_same_end,
+    require_same_state,
+    scaled,
+)
+from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.state import State, leaves, mapped
+from fusion_sfdia.core.storage import load_state, save_state
+
+Array = NDArray[Any]
+
+FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input"}
+
+
+def check_detector(detector: Any, plant: Any = "two-tanks") -> None:
+    """Check a detector, meant as in `registry.find_detector`, on a plant: DETECTOR_CHECKS, of which `compare` makes use.
+
+    AssertionError or ValueError with the reason, NotApplicableError for a plant that lacks what the method needs. How often it
+    alarms and what it isolates is not checked: `compare` measures that.
+    """
+    of = registry.plant(plant)
+    built = registry.detector(detector, of)
+    healthy = healthy_readings(of)
+    for check in DETECTOR_CHECKS:
+        check(built, healthy)
+
+
+def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
+    """The state is a tuple of arrays; a Decision has the shapes of its docstring, of a batch and of a single run."""
+    plant, names = detector.plant, detector.hypotheses
+    n, count = len(plant.states), len(plant.sensors)
+    require(names[:count] == plant.sensor_names, "its hypotheses begin with the plant's sensors", names)
+    require(len(set(names)) == len(names), "its hypotheses differ", names)
+    shapes = {
+        "estimate": (n,), "residual": (count,), "threshold": (count,), "isolated": (len(names),), "fault_size": (len(names),),
+        "absurd": (count,), "absurd_input": (len(plant.inputs),), "diverged": (), "guarded": (), "nis": (), "capped": (),
+    }  # fmt: skip
+    t, y, u = healthy(3, 2)
+    for batch in ((), (2,)):
+        state = detector.init(batch)
+        arrays = isinstance(state, State) and all(isinstance(a, np.ndarray) and a.dtype != object for a in leaves(state))
+        require(arrays, "its state is a State of arrays of numbers", type(state))
+        for k in range(3):
+            state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
+        for f in fields(Decision):
+            expected = shapes.get(f.name, (count,))
+            if f.name == "covariance":
+                if d.covariance is None:
+                    continue
+                expected = (n, n)
+            value = np.asarray(getattr(d, f.name))
+            require(value.shape == (*batch, *expected), f"{f.name} has the shape {(*batch, *expected)}", value.shape)
+            require(value.dtype == (bool if f.name in FLAGS else float), f"{f.name} is of its type", value.dtype)
+        require(np.all(d.threshold > 0), "thresholds are positive", d.threshold)
+        require(np.all(np.isfinite(d.estimate)), "the estimate is finite", d.estimate)
+        assert_array_equal(np.isnan(d.fault_size), ~d.isolated, "a fault has a size where it is isolated, and NaN elsewhere")
+
+
+def the_same_seed_gives_the_same_bits(detector: Detector, healthy: Healthy) -> None:
+    """Two runs from one state agree to the bit, and leave the state that they are given as it was."""
+    t, y, u = healthy(8, 2)
+    first = detector.init((2,), seed=11)
+    before = mapped(np.array, first)
+    end, decisions = run(detector, first, t, y, u)
+    require_same_state(first, before, "step writes into the state that it is given")
+    again, repeated = run(detector, detector.init((2,), seed=11), t, y, u)
+    require_same(decisions, repeated, "a second run with the same seed")
+    require_same_state(end, again, "the state after a second run with the same seed")
+
+
+def a_single_run_is_a_batch_of_one(detector: Detector, healthy: Healthy) -> None:
+    """Step by step, as a run, and as a batch of one run: the same bits, with a faulty and a missing reading."""
+    t, y, u = healthy(10, 1)
+    y = y.copy()
+    y[6:, 0, 0] += 30 * detector.plant.sensor_sigma[0]
+    y[8, 0, 1 % y.shape[-1]] = np.nan
+    batch, batch_of_one = run(detector, detector.init((1,)), t, y, u, covariance=True)
+    _, whole = run(detector, detector.init(), t, y[:, 0], u[:, 0], covariance=True)
+    state = detector.init()
+    for k in range(len(t)):
+        state, d = detector.step(state, float(t[k]), y[k, 0], u[k, 0])
+        for f in fields(Decision):
+            if (value := getattr(d, f.name)) is not None:
+                assert_array_equal(getattr(whole, f.name)[k], value, f"{f.name}: step and run differ")
+                assert_array_equal(getattr(batch_of_one, f.name)[k, 0], value, f"{f.name}: single run and batch of one differ")
+    for alone, one in zip(leaves(state), leaves(batch), strict=True):
+        assert_array_equal(np.ravel(alone), np.ravel(one), "the states of a single run and of a batch of one differ")
+
+
+def an_input_may_be_shared_by_the_batch(detector: Detector, healthy: Healthy) -> None:
+    """One row of inputs for all runs gives the bits of the same row for each."""
+    t, y, u = healthy(5, 3)
+    _, shared = run(detector, detector.init((3,)), t, y, u[:, 0])
+    _, each = run(detector, detector.init((3,)), t, y, np.repeat(u[:, :1], 3, axis=1))
+    require_same(shared, each, "an input that is shared by the batch")
+
+
+def thresholds_scale(detector: Detector, healthy: Healthy) -> None:
+    """A setting threshold_scale multiplies all thresholds and is positive."""
+    t, y, u = healthy(5, 2)
+    twice = scaled(detector, 2.0)
+    _, a = run(detector, detector.init((2,)), t, y, u)
+    _, b = run(twice, twice.init((2,)), t, y, u)
+    quiet = ~np.any(a.alarm, axis=0)  # what is left out after an alarm changes the numbers that follow
+    # a few roundings; where a detector shows the worse of two residuals it may show the other at a tie
+    assert_allclose(b.threshold[:, quiet], 2 * a.threshold[:, quiet], rtol=1e-12, err_msg="threshold_scale=2")
+    require_refused("threshold_scale of 0", scaled, detector, 0.0)
+
+
+def a_state_knows_no_threshold_until_the_first_alarm(detector: Detector, healthy: Healthy) -> None:
+    """So that thresholds may be set after a run without any: the states of runs without an alarm do not depend on them."""
+    runs = 6
+    t, y, u = healthy(30, runs)
+
+    def end(scale: float) -> tuple[list[Array], Array]:
+        other = scaled(detector, scale)
+        state, decisions = run(other, other.init((runs,)), t, y, u)
+        return leaves((state.diverged, state.memory)), np.asarray(decisions.alarm.any(axis=0))
+
+    beyond_reach, alarmed = end(1e6)
+    require(not alarmed.any(), "no run alarms at a threshold_scale of 1e6", alarmed)
+    for scale in (1e7, 1.0):
+        state, alarmed = end(scale)
+        for one, other in zip(state, beyond_reach, strict=True):
+            assert_array_equal(one[~alarmed], other[~alarmed], f"a state at threshold_scale {scale:g} without an alarm")
+
+
+def a_saved_state_continues_with_the_same_bits(detector: Detector, healthy: Healthy) -> None:
+    """save_state and load_state in the middle of a run, with a sensor left out, of a batch and of a single run."""
+    t, y, u = healthy(14, 2)
+    y = y.copy()
+    second = 1 % y.shape[-1]
+    y[6:, 0, second] += 30 * detector.plant.sensor_sigma[second]  # saved with a sensor left out
+    y[7, :, 0] = np.nan
+    for batch in ((), (2,)):
+        ys, us = (y, u) if batch else (y[:, 0], u[:, 0])
+        middle, _ = run(detector, detector.init(batch, seed=5), t[:8], ys[:8], us[:8])
+        with TemporaryDirectory() as folder:
+            save_state(Path(folder) / "state.npz", detector, middle)
+            loaded = load_state(Path(folder) / "state.npz", detector)
+        require_same_state(loaded, middle, "a state that is loaded")
+        require_same_end(detector, middle, detector, loaded, (t[8:], ys[8:], us[8:]), "a loaded state")
+
+
+def a_pickled_detector_continues_with_the_same_bits(detector: Detector, healthy: Healthy) -> None:
+    """So that pools of processes can take it, also after it was used: what it keeps of its own has to go with it."""
+    t, y, u = healthy(8, 2)
+    middle, _ = run(detector, detector.init((2,), seed=5), t[:4], y[:4], u[:4])
+    copy, state = pickled((detector, middle), type(detector).__name__)
+    require_same_end(detector, middle, copy, state, (t[4:], y[4:], u[4:]), "a pickled detector")
+
+
+DETECTOR_CHECKS: tuple[Callable[[Detector, Healthy], None], ...] = (
+    shapes_and_types,
+    the_same_seed_gives_the_same_bits,
+    a_single_run_is_a_batch_of_one,
+    an_input_may_be_shared_by_the_batch,
+    thresholds_scale,
+    a_state_knows_no_threshold_until_the_first_alarm,
+    missing_readings_are_no_evidence,
+    absurd_values_are_replaced,
+    a_silent_sensor_is_used_again,
+    a_saved_state_continues_with_the_same_bits,
+    a_pickled_detector_continues_with_the_same_bits,
+    what_does_not_fit_is_refused,
+)

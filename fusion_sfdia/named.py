@@ -1,0 +1,46 @@
+"""Detectors by name: diagnose recorded readings, and fit to healthy ones, with any registered detector."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fusion_sfdia import registry
+from fusion_sfdia.builders import healthy_data
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.log import as_log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.detectors import FALSE_ALARM
+from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
+
+
+def diagnose(detector: Detector | str, *data: Any, plant: Plant | str | None = None, gap: int = 3) -> Diagnosis:
+    """Run a detector over recorded readings and collect what it isolates into events, see `diagnose_run`.
+
+    detector: an object, or a registered name, which needs its plant, an object or a name. data: a Log, a Recording of one
+    run, a pandas frame, or t (K,), y (K, N), u (K, m), see `as_log`; of a frame with time stamps, events are in seconds since
+    its first row. ValueError where names are unknown or the data do not fit; DiagnosisWarning for what events do not show.
+    """
+    if isinstance(detector, str):
+        if plant is None:
+            raise ValueError(f"detector {detector!r} is a name, which needs its plant; pass plant=..., a Plant or a name")
+        detector = registry.detector(detector, registry.plant(plant))
+    elif plant is not None and plant is not detector.plant:
+        raise ValueError(f"plant is given beside a detector, which has its own, {detector.plant.name!r}; leave plant out")
+    return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
+
+
+def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> Detector:
+    """The registered detector of that name with what it learns from healthy readings, and else its thresholds.
+
+    The counterpart of `BatchDetector.fit` for names. healthy: as `as_log` takes it; None for simulated runs of the plant, of
+    the seeds that registered detectors are fitted on, enough for the rate. false_alarm: per step over all sensors. ValueError
+    for unknown names, and where the readings do not fit or are too few; NotApplicableError as the detector raises it.
+    """
+    plant, named = registry.plant(plant), registry.find_detector(name)
+    if named.learns:
+        return named.build(plant, healthy=healthy, false_alarm=false_alarm)
+    detector: Any = registry.detector(named, plant)
+    if not hasattr(detector, "fit_thresholds"):
+        raise ValueError(f"detector {named.name} has no fit_thresholds and does not learn; build it and set its thresholds")
+    fitted: Detector = detector.fit_thresholds(healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
+    return fitted

@@ -1,0 +1,47 @@
+"""network/governor: deterministic thresholds, unplugging after the detection, runs that depend on their seeds alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fusion_sfdia.benchmarks.network.support.trials import ALPHA, BOUND, LAM, Watch, deterministic_thresholds, trial
+from fusion_sfdia.models.power_network.diagnosis import network_areas
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.operation import Switch
+from fusion_sfdia.registry import scenario
+
+
+def test_deterministic_thresholds_hold_what_is_bounded() -> None:
+    """The residuals of 200 steps with noise and disturbances of +- BOUND, by their very equation, stay below."""
+    model = network_model()
+    areas = network_areas(model)
+    rng = np.random.default_rng(0)
+    at, (count, n, _) = model.network.topology, areas.size
+    bounds, residual, largest = deterministic_thresholds(areas), np.zeros((50, count, n)), 0.0
+    for _ in range(200):
+        own, w, after = BOUND * rng.choice([-1.0, 1.0], size=(3, 50, count, n))
+        theirs = BOUND * rng.choice([-1.0, 1.0], size=(50, at.node.size))
+        inflow = np.add.reduceat(areas.slope * theirs, at.start[:-1], axis=-1)
+        change = np.einsum("irc,bic->bir", areas.matrices[..., :n], own) + areas.matrices[..., n + 1] * inflow[..., None]
+        residual = LAM * residual - change + w + after
+        largest = max(largest, float(np.max(np.abs(residual) / bounds)))
+    assert 0.5 < largest <= 1.0  # all signs at once are rare, none exceed
+
+
+def test_runs_are_their_seeds_whatever_runs_beside_them() -> None:
+    one = scenario("network/governor")
+    task = one.tasks({**one.settings, "noises": ("lit",), "modes": ("corrected",), "duration": 72.0}, 3)[0]
+    together, alone = one.work(task), one.work({**task, "seeds": [2]})
+    for name in ("detected", "false_alarms", "unplugged_angle", "unplugged_other_alarms"):
+        assert np.array_equal(together[name][2:], alone[name]), name
+
+
+def test_an_area_is_unplugged_at_the_step_after_its_detection() -> None:
+    model, leaves = network_model(noise="small"), [Switch(50.0, unplug=("4",))]
+    watch = Watch("4", 35.0, "corrected")
+    kept, gone = (trial(model, watch, 60, [0], loads="1", faults=[], switches=s) for s in ((), leaves))
+    for name in ("residual", "angles"):
+        assert np.array_equal(kept[name][:50], gone[name][:50])
+    assert np.array_equal(kept["angles"][50], gone["angles"][50])  # the step from 49 s on was joined still
+    assert not np.array_equal(kept["angles"][51], gone["angles"][51])
+    assert np.all(np.abs(gone["residual"][51:]) < 3 * ALPHA * gone["deviation"][51:])  # of its model alone; 6 deviations

@@ -1,0 +1,96 @@
+"""The checks of plants and detectors find what they are for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_plants import Array, chain, changed
+
+from fusion_sfdia import CentralFilter, Decision, Plant, check_detector, check_plant
+from fusion_sfdia.core.state import State, leaves
+
+CHAIN = chain(3)
+LOW_STATES = tuple(replace(state, low=-0.5, high=0.5) for state in CHAIN.states)
+
+
+def mixed(t: float, x: Array, u: Array, dt: float) -> Array:
+    """Moves each state by the mean of all runs."""
+    return 0.9 * x + 0.1 * x.mean(axis=tuple(range(x.ndim - 1)), keepdims=True)
+
+
+def writing(t: float, x: Array, u: Array, dt: float) -> Array:
+    x[..., 0] += 1.0
+    return 0.9 * x
+
+
+def wrong_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
+    return np.broadcast_to(-0.95 * np.eye(3) - 0.03 * np.eye(3, k=1), (*x.shape[:-1], 3, 3))
+
+
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        (changed(CHAIN, step=mixed), "step of plant 'chain': states .* give other numbers"),
+        (changed(CHAIN, step=writing), "step of plant 'chain'"),
+        (changed(CHAIN, step_jacobian=wrong_jacobian), "step_jacobian of plant 'chain' is not the derivative of step"),
+        (changed(CHAIN, output=lambda t, x, u: x), "plant 'chain' cannot be pickled .* no closures or lambdas"),
+        (replace(CHAIN, x0=np.ones(3), states=LOW_STATES), "x0 of plant 'chain' is outside"),
+    ],
+)  # fmt: skip
+def test_a_plant_that_breaks_the_contract_is_found(plant: Plant, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_plant(plant)
+
+
+def test_a_plant_that_keeps_it_passes() -> None:
+    check_plant(CHAIN)
+    check_plant("two-tanks")
+
+
+@dataclass(frozen=True)
+class Broken(CentralFilter):
+    """A filter that breaks the contract in one way."""
+
+    way: str = ""
+
+    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
+        given = state
+        if self.way == "takes anything":
+            y = np.where(np.isinf(y), np.nan, y)
+            y = y if y.shape == (*state.diverged.shape, 3) else np.resize(y, (*state.diverged.shape, 3))
+        state, decision = super().step(state, t, y, u)
+        changes: dict[str, Any] = {
+            "lists": {"isolated": decision.isolated.astype(float)},
+            "nameless": {"fault_size": np.zeros_like(decision.fault_size)},
+            "silent": {"absurd": np.zeros_like(decision.absurd)},
+            "random": {"residual": decision.residual + np.random.default_rng().standard_normal(decision.residual.shape)},
+        }.get(self.way, {})
+        if self.way == "overwrites":
+            leaves(given.memory)[0][...] = 7.0
+        return state, replace(decision, **changes)
+
+
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        ("lists", "isolated is of its type"),
+        ("nameless", "a fault has a size where it is isolated"),
+        ("silent", "absurd readings are reported"),
+        ("random", "a second run with the same seed: residual"),
+        ("overwrites", "step writes into the state that it is given"),
+        ("takes anything", "expected: ValueError for readings"),
+    ],
+)
+def test_a_detector_that_breaks_the_contract_is_found(way: str, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_detector(partial(Broken, way=way), CHAIN)
+
+
+def test_a_detector_that_keeps_it_passes() -> None:
+    check_detector("loo-chi2", CHAIN)
+    check_detector(Broken, CHAIN)
+    check_detector(CentralFilter)

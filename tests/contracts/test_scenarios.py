@@ -1,0 +1,80 @@
+"""Every registered scenario runs at its smallest size to rows and figures, with the same bits in one process and in two."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from smallest_scenarios import SMALLEST, smallest
+
+from fusion_sfdia.evaluation.results import read_rows, write_rows
+from fusion_sfdia.experiments.parts import read_part, write_part
+from fusion_sfdia.experiments.scenario import Arrays, Task
+from fusion_sfdia.experiments.workers import Piece, work_off
+from fusion_sfdia.registry import GROUPS, SCENARIOS, detectors, scenario
+from fusion_sfdia.report.content import Summary
+from fusion_sfdia.report.plots import style
+
+NAMES = [name for name in SCENARIOS if name != "comparison"]  # has tests of its own
+PLANTS = {"pipeline": "gas-pipeline", "engine": "marine-engine", "network": "power-network"}
+VARIANTS = {"ekf", "ukf", "enkf", "chebyshev:corrected"}  # in rows, but not in `list detectors`: single filters, a mode
+TIMED = ("network/scale",)  # measures time, which no second run repeats
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_smallest_sizes_are_of_registered_scenarios() -> None:
+    assert set(SMALLEST) <= set(NAMES) and {name.partition("/")[0] for name in NAMES} == set(GROUPS) == set(PLANTS)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scenario_runs_to_its_rows_and_figures_with_the_same_bits_in_two_processes(name: str, tmp_path: Path) -> None:
+    """One test a scenario, so that each runs once, however the tests are shared out."""
+    results, summary = smallest(name)
+    check_rows(name, summary, tmp_path)
+    check_figures(summary)
+    if name not in TIMED:
+        check_bits(name, results, tmp_path)
+
+
+def check_rows(name: str, summary: Summary, folder: Path) -> None:
+    """Each row once, in the vocabulary of its columns, with its value within its interval."""
+    rows = summary.rows
+    keys = [(r.detector, r.fault, r.quantity, r.condition, r.metric) for r in rows]
+    assert rows and len(set(keys)) == len(keys)
+    for r in rows:
+        assert (r.scenario, r.plant) == (name, PLANTS[name.partition("/")[0]])
+        assert r.detector in {*detectors(), *VARIANTS} and r.fault and r.quantity, r
+        assert re.fullmatch(r"[a-z0-9_]+", r.metric), r
+        assert np.isnan(r.low) or r.low <= r.value <= r.high, r
+        assert not r.metric.endswith("performance_percent") or np.isnan(r.value) or 0 <= r.value <= 100
+    write_rows(folder / "metrics.csv", rows)
+    assert len(read_rows(folder / "metrics.csv")) == len(rows)
+
+
+def check_figures(summary: Summary) -> None:
+    """Figures draw and have an alternative text, tables are rectangular, sentences have their numbers."""
+    assert summary.every_figure and (summary.remarks or summary.highlights)
+    for figure in summary.every_figure:
+        with style():
+            assert figure.draw().axes
+        assert figure.title and figure.caption and figure.alt
+    for table in summary.tables:
+        assert table.rows and {len(row) for row in table.rows} == {len(table.header)}
+    assert not [text for text in (*summary.highlights, *summary.remarks) if re.search(r"\bnan\b", text)]
+
+
+def check_bits(name: str, results: list[tuple[Task, Arrays]], folder: Path) -> None:
+    """The first and the last task alone in processes of their own: their bits do not depend on what ran before them."""
+    work = scenario(name).work
+    ends = {0: results[0], len(results) - 1: results[-1]}
+    pieces = [Piece(folder / f"{k}.npz", work, task) for k, (task, _) in ends.items()]
+    assert [done.error for done in work_off(pieces, 2)] == [None] * len(pieces)
+    for k, (_, arrays) in ends.items():
+        write_part(folder / "here.npz", arrays)
+        here, there = read_part(folder / "here.npz"), read_part(folder / f"{k}.npz")
+        assert here is not None and there is not None and here.keys() == there.keys()
+        for key, array in here.items():
+            assert array.tobytes() == there[key].tobytes() and array.dtype == there[key].dtype, key

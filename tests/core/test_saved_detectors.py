@@ -1,0 +1,93 @@
+"""Detectors on disk: what is read is what was written, on the plant it was written with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_plants import readings, tanks
+
+from fusion_sfdia.core.saved_detectors import load_detector, save_detector
+from fusion_sfdia.core.storage import read_arrays, save_state, write_arrays
+from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+from fusion_sfdia.filters.estimators import Unscented
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+
+PLANT = tanks()
+
+
+@dataclass(frozen=True)
+class Mine(CentralFilter):
+    """A detector of a caller's own module, with settings of every kind."""
+
+    any: Any = None
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, True, 3, 0.1, float("inf"), "text", (), (1, (2.0, "x")), {"a": (1.0,)}, np.float64(0.1), Unscented(redraw=False)],
+    ids=repr,
+)
+def test_a_setting_comes_back_as_it_was(value: Any, tmp_path: Path) -> None:
+    save_detector(tmp_path / "mine.npz", Mine(PLANT, any=value))
+    found = load_detector(tmp_path / "mine.npz", PLANT)
+    assert type(found) is Mine and found.any == value and type(found.any) is type(value) and found.plant is PLANT
+
+
+@pytest.mark.parametrize("array", [np.array(0.1), np.eye(3, dtype=np.float32), np.array([True, False]), np.array(["a", "b"])])
+def test_an_array_comes_back_to_the_bit(array: np.ndarray, tmp_path: Path) -> None:
+    save_detector(tmp_path / "mine.npz", Mine(PLANT, any=(array, array + array if array.dtype.kind == "f" else array)))
+    found = load_detector(tmp_path / "mine.npz", PLANT).any
+    np.testing.assert_array_equal(found[0], array)
+    assert found[0].dtype == array.dtype and found[0].shape == array.shape and len(found) == 2
+
+
+def test_what_only_pickle_keeps_is_refused_by_its_place(tmp_path: Path) -> None:
+    for value, where in ((len, r"Mine\.any is <built-in"), ((1, {2}), r"Mine\.any\[1\] is \{2\}"), ({1: 2}, r"Mine\.any is")):
+        with pytest.raises(ValueError, match=where + ".*; a saved detector holds numbers, text, arrays"):
+            save_detector(tmp_path / "mine.npz", Mine(PLANT, any=value))
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_plant_or_file_is_refused(tmp_path: Path) -> None:
+    t, _, y, u = readings(PLANT, 60, 2, seed=0)
+    detector, path = FixedLimits.fit(PLANT, (t, y, u), 0.1), tmp_path / "limits.npz"
+    save_detector(path, detector)
+    for other in (
+        replace(PLANT, name="other tanks"),
+        replace(PLANT, dt=6.0),
+        replace(PLANT, sensors=(replace(PLANT.sensors[0], sigma=0.02), *PLANT.sensors[1:])),
+    ):
+        with pytest.raises(ValueError, match=r"was saved with another plant than .*; build the plant as it was, or fit"):
+            load_detector(path, other)
+    fewer = PLANT.sensors[:3]
+    with pytest.raises(ValueError, match=r"does not fit plant 'two-tanks' or this version of the package: centre has shape"):
+        load_detector(path, replace(PLANT, sensors=fewer, output=lambda t, x, u: PLANT.output(t, x, u)[..., :3]))
+    save_state(tmp_path / "state.npz", detector, detector.init())
+    (tmp_path / "notes.txt").write_text("readings of 3 May")
+    for wrong in ("state.npz", "notes.txt"):
+        with pytest.raises(ValueError, match=rf"{wrong} is not a saved detector .*; write one with save_detector"):
+            load_detector(tmp_path / wrong, PLANT)
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("antigravity:Detector", "its class Detector is of the module 'antigravity'; import that first"),
+        ("os:system", "os:system is no class of settings"),
+        ("fusion_sfdia.core.files:atomic_write", "is no class of settings"),
+        ("fusion_sfdia.core.plant:Nothing", "has no attribute 'Nothing'"),
+    ],
+)
+def test_a_file_names_no_other_code(reference: str, message: str, tmp_path: Path) -> None:
+    """A crafted file calls nothing but classes of settings, and imports no module from outside of the package."""
+    path = tmp_path / "mine.npz"
+    save_detector(path, Mine(PLANT))
+    found = read_arrays(path)
+    found["detector"] = np.array(str(found["detector"]).replace(f"{Mine.__module__}:Mine", reference))
+    write_arrays(path, found)
+    with pytest.raises(ValueError, match=message):
+        load_detector(path, PLANT)

@@ -1,0 +1,69 @@
+"""The smallest size at which each scenario gives its rows and figures, run once in a process for all tests that read it."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+from threadpoolctl import threadpool_limits
+
+from fusion_sfdia.experiments.scenario import Arrays, Task
+from fusion_sfdia.registry import scenario
+from fusion_sfdia.report.content import Summary
+
+PIPELINE = {"steps": 75}
+SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings that differ from the default
+    "pipeline/accommodation": (1, PIPELINE),
+    "pipeline/accuracy": (1, PIPELINE),
+    "pipeline/consistency": (1, PIPELINE),
+    "pipeline/estimation": (1, PIPELINE),
+    "pipeline/isolation": (1, {**PIPELINE, "faults": ("weak-bias",)}),
+    "pipeline/mismatch": (1, PIPELINE),
+    "pipeline/roc": (1, PIPELINE),
+    "pipeline/units": (1, PIPELINE),
+    "pipeline/weak": (1, PIPELINE),
+    "engine/load": (2, {"drives": ("constant", "step"), "change": 0.3, "onset": 0.5, "duration": 1.0}),
+    "engine/minimum-fault": (2, {"duration": 1.5}),
+    "engine/noise": (2, {"levels": (0.03, 0.05), "onset": 0.5, "duration": 1.0}),
+    "engine/process": (2, {"severities": (0.2,), "period": 0.3, "onset": 0.5, "duration": 1.0}),
+    "engine/sensitivity": (2, {"levels": (0.05,), "gains": ("K22", "K24"), "onset": 0.3, "duration": 0.5}),
+    "engine/three-faults": (1, {"duration": 72.0}),  # the last fault is at 70 s
+    "engine/two-faults": (1, {"duration": 22.0}),
+    "engine/virtual-sensors": (1, {"duration": 42.0, "inversion_seeds": 1}),  # errors are averaged from 40 s on
+    "network/attacks": (2, {"noises": ("lit",), "faults": ("-u", "slow governor"), "duration": 75.0}),
+    "network/consensus": (4, {"steps": 40}),
+    "network/detectors": (6, {}),
+    # the rule "conformal" needs 999 samples for one in a thousand: 10 runs of 101
+    "network/false-alarms": (10, {"shock_steps": 500, "laws": ("gaussian",), "shocks": ("three-point 90",)}),
+    "network/governor": (2, {"noises": ("lit",), "duration": 75.0}),
+    "network/plug": (3, {}),
+    "network/scale": (1, {"areas": (15, 40), "parts": (), "seconds": 1e-3}),
+    "network/sign-flip": (
+        2,
+        {"noises": ("small",), "modes": ("corrected",), "cases": ("three consecutive", "one"), "duration": 75.0},
+    ),
+}
+MOST = 8  # tasks, of those that differ in detector and fault only
+
+
+class Run(NamedTuple):
+    """The tasks that were run, their arrays, and the summary."""
+
+    results: list[tuple[Task, Arrays]]
+    summary: Summary
+
+
+@cache
+def smallest(name: str) -> Run:
+    """The scenario at its smallest size; a scenario that is not in SMALLEST with its default settings and one seed."""
+    one = scenario(name)
+    seeds, changes = SMALLEST.get(name, (1, {}))
+    settings = {**one.settings, **changes}
+    with threadpool_limits(1):
+        results = [(task, one.work(task)) for task in some(one.tasks(settings, seeds))]
+        return Run(results, one.summarise(settings, results))
+
+
+def some(tasks: list[Task]) -> list[Task]:
+    """All tasks, or of many on the pipeline about MOST, evenly spread."""
+    return tasks[:: len(tasks) // MOST] if len(tasks) >= 2 * MOST and "accommodate" in tasks[0] else tasks
