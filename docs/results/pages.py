@@ -27,17 +27,13 @@ PUBLISHED = "published"  # the column of published values, in tables that have o
 
 # situation, detector, what it needs
 CHOICES = (
-    ("the model errs by less than the noise; small, slow or large faults", "loo-glr", "model"),
+    ("model error below the noise level; small, slow or large faults", "loo-glr", "model"),
     ("the same; large or very short faults", "loo-chi2", "model"),
-    ("the plant's inputs (valves, loads, demand) are not known well", "uio", "model"),
-    ("no model; recordings of every healthy operation", "dynamic-pca", "recordings"),
-    ("no model; the plant stays at rest", "limits-ewma", "recordings"),
-    ("the model errs by more than the noise; large faults", "chebyshev", "model"),
-    (
-        "noise has known bounds, and no alarm may be false (its own thresholds, steady load)",
-        "adaptive-threshold",
-        "model, noise bounds",
-    ),
+    ("inputs (valves, loads, demand) not known well", "uio", "model"),
+    ("no model; recordings of all normal operating conditions", "dynamic-pca", "recordings"),
+    ("no model; steady operation", "limits-ewma", "recordings"),
+    ("model error above the noise level; large faults", "chebyshev", "model"),
+    ("bounded noise, no false alarm allowed; large faults", "adaptive-threshold", "model, noise bounds"),
 )
 
 
@@ -67,9 +63,9 @@ def choices(rows: Sequence[comparison.Row]) -> str:
         "situation",
         "detector",
         "needs",
-        "ROC area, bias of 3 sigma",
+        "AUC, bias of 3 sigma",
         "exact isolation, 10 sigma",
-        "false isolation, wrong model",
+        "false isolation, model mismatch",
     )
     return comparison.table(header, lines)
 
@@ -90,7 +86,7 @@ def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
         )
         for d in there
     ]
-    header = ("detector", "ROC area, bias of 3 sigma", "exact isolation, 10 sigma")
+    header = ("detector", "AUC, bias of 3 sigma", "exact isolation, 10 sigma")
     return comparison.table((*header, "false isolation, worst model mismatch", "false isolation, worst process fault"), lines)
 
 
