@@ -96,7 +96,18 @@ def test_conditions_are_each_once_and_the_healthy_one_first() -> None:
         found = protocol.conditions(settings, cases(plant))
         assert len({c.name for c in found}) == len(found)
         assert found[0].name == protocol.HEALTHY
-    assert len(protocol.conditions(settings, cases("two-tanks"))) == 1 + 4 * 4 + 2 + 2 + 2 + 2 * 4 + 1
+
+
+def test_the_grid_of_faults() -> None:
+    """Kind, size in sigma and length in samples of each condition of the tanks, at the default settings, as documented."""
+    found = protocol.conditions(dict(protocol.SETTINGS), cases("two-tanks"))
+    graded = {(kind, size, 30) for kind in ("bias", "drift", "scale", "noise") for size in (1.0, 3.0, 10.0, 30.0)}
+    several = {("two-faults", 10.0, 30), ("three-faults", 10.0, 30)}
+    without_size = {(kind, None, 30) for kind in ("none", "freeze", "dropout", "sign", "replay", "process")}
+    lengths = {("length", size, length) for size in (3.0, 10.0) for length in (2, 5, 30, 120)}
+    expected = graded | several | without_size | lengths
+    assert {(c.kind, None if np.isnan(c.sigmas) else c.sigmas, c.length) for c in found} == expected
+    assert len(found) == len(expected)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
