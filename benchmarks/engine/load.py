@@ -15,22 +15,21 @@ from fusion_sfdia.benchmarks.engine.support.campaign import (
     DRIVES,
     USUAL_NOISE,
     VALID,
-    check,
-    engine_detector,
+    diagnosis_rows,
     first_firings,
     fork,
     logic,
     moving_detector,
     noise,
+    require_settings,
     response,
-    share,
     sizes,
+    steady_detector,
     truth,
-    verdict_rows,
 )
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import drive_figure, run_figure, share_matrix
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import SENSORS
@@ -59,7 +58,7 @@ METRICS = (
 
 def load_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each way to change the load with each detector; all sensors' faults on the same noise."""
-    check(settings)
+    require_settings(settings)
     for name, known in (("drives", DRIVES), ("allowed", ALLOWED)):
         if unknown := [d for d in settings[name] if d not in known]:
             raise ValueError(f"setting {name} has {', '.join(unknown)}; known: {', '.join(known)}")
@@ -79,7 +78,7 @@ def load_tasks(settings: Settings, seeds: int) -> list[Task]:
 def load_detector(task: Task) -> AdaptiveThreshold:
     """The detector of a task."""
     if task["allowed"] == "steady":
-        return engine_detector(task["detector"], task["noise"])
+        return steady_detector(task["detector"], task["noise"])
     return moving_detector(task["detector"], task["noise"], task["duration"], task["change"])
 
 
@@ -93,7 +92,7 @@ def load_work(task: Task) -> Arrays:
     t, u, signal = truth(task["duration"], task["drive"], task["change"])
     onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
     biases = np.zeros((len(CASES), 1, len(SENSORS)))
-    biases[1:, 0] = np.diag(sizes(engine_detector(task["detector"], task["noise"]), task["size"]))
+    biases[1:, 0] = np.diag(sizes(steady_detector(task["detector"], task["noise"]), task["size"]))
     draws = noise(detector.plant, t.size, task["seeds"])
     state, before = first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)), shown=(0,))
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
@@ -134,7 +133,7 @@ def load_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
             rows.append(one("threshold_noise_bounds", mean))
         for i, case in enumerate(CASES):
             at = partial(row, "engine/load", settings["detector"], case, "all", condition=condition(drive, allowed))
-            rows += [at("diverged", share(diverged[i])), *verdict_rows(at, first[i], None if i == 0 else i - 1)]
+            rows += [at("diverged", share(diverged[i])), *diagnosis_rows(at, first[i], None if i == 0 else i - 1)]
             if i:
                 size = 100 * parts[0]["size"][i, i - 1] / parts[0]["signal"][0, i - 1]
                 others = [j for j, n in enumerate(NAMES) if n[:3] != NAMES[i - 1][:3]]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine.support.campaign import (
     VALID,
-    check,
-    engine_detector,
     first_firings,
     fork,
     noise,
+    require_settings,
     response,
+    steady_detector,
     truth,
 )
 from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows
@@ -52,14 +52,14 @@ CHUNK = 100  # runs in one task
 
 def noise_tasks(settings: Settings, seeds: int) -> list[Task]:
     """One task a noise level and CHUNK runs, both faults on the same noise."""
-    check(settings)
+    require_settings(settings)
     common = {k: settings[k] for k in ("detector", "onset", "duration")}
     return [common | {"level": level, "seeds": block} for level in settings["levels"] for block in seed_blocks(seeds, CHUNK)]
 
 
 def noise_work(task: Task) -> Arrays:
     """First firings (2, B, N), by fault: the runs are one until the onset."""
-    detector = engine_detector(task["detector"], task["level"])
+    detector = steady_detector(task["detector"], task["level"])
     t, u, signal = truth(task["duration"])
     faults = [Fault(s, "bias", task["onset"], magnitude=size, relative=True) for s, size in FAULTS.items()]
     changed = apply_faults(detector.plant, t, np.stack([signal] * len(faults), axis=1), [[f] for f in faults])

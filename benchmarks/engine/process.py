@@ -16,16 +16,15 @@ from fusion_sfdia.benchmarks.engine.support.campaign import (
     DRIVES,
     USUAL_NOISE,
     VALID,
-    check,
-    engine_detector,
+    diagnosis_rows,
     first_firings,
     moving_detector,
     noise,
+    require_settings,
     response,
-    share,
     sizes,
+    steady_detector,
     truth,
-    verdict_rows,
 )
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import run_figure
 from fusion_sfdia.benchmarks.engine.support.process_figures import (
@@ -41,7 +40,7 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.evaluation.metrics import Estimate, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import SENSORS
@@ -56,7 +55,7 @@ PROCESS, ATTACK = "process", "attack"
 
 def process_tasks(settings: Settings, seeds: int) -> list[Task]:
     """All process faults at full load, and all attacks with each way to change the load, on the same noise."""
-    check(settings)
+    require_settings(settings)
     if unknown := [d for d in settings["drives"] if d not in DRIVES]:
         raise ValueError(f"setting drives has {', '.join(unknown)}; known: {', '.join(DRIVES)}")
     common = {k: settings[k] for k in ("detector", "noise", "onset", "duration")}
@@ -68,7 +67,7 @@ def process_tasks(settings: Settings, seeds: int) -> list[Task]:
 def process_work(task: Task) -> Arrays:
     """First firings (cases, B, N), diverged (cases, B)."""
     name, level, onset, duration = (task[k] for k in ("detector", "noise", "onset", "duration"))
-    steady = engine_detector(name, level)
+    steady = steady_detector(name, level)
     moving = task["drive"] != "constant"
     detector = moving_detector(name, level, duration, onset) if moving else steady
     t, u, healthy = truth(duration, task["drive"], onset)
@@ -130,7 +129,7 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
                 at("detection_delay", answer.delay),
                 at("runs_with_false_alarm", early),
                 at("diverged", share(lost)),
-                *verdict_rows(at, times, faulty),
+                *diagnosis_rows(at, times, faulty),
             ]
     figures = []
     for key in (k for k in firsts if k[0] == PROCESS):

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from fusion_sfdia.benchmarks.engine.support.campaign import (
     USUAL_NOISE,
     VALID,
-    check,
-    engine_detector,
     first_firings,
     fork,
     noise,
+    require_settings,
+    steady_detector,
     truth,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
@@ -25,7 +25,7 @@ from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
-from fusion_sfdia.models.marine_engine.plant import GAINS, MODULES
+from fusion_sfdia.models.marine_engine.modules import GAINS, MODULES
 from fusion_sfdia.models.marine_engine.published import DESIGNS, minimum_fault
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import listed, pick, span
@@ -48,7 +48,7 @@ SIZES = np.round(np.geomspace(0.01, 5.0, 28), 4)  # of the faults tried, in nois
 
 def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each noise level with each set of gains; the published and the calibrated thresholds with the published gains alone."""
-    check(settings)
+    require_settings(settings)
     if unknown := [g for g in settings["gains"] if g not in GAIN_SETS]:
         raise ValueError(f"setting gains has {', '.join(unknown)}; known: {', '.join(GAIN_SETS)}")
     common = {k: settings[k] for k in ("onset", "duration")}
@@ -66,7 +66,7 @@ def sensitivity_work(task: Task) -> Arrays:
 
     detected (3, sizes, B) bool: whether its own module, silent without it, noticed a bias of SIZES on an observer's sensor.
     """
-    detector = engine_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
+    detector = steady_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
     t, u, signal = truth(task["duration"])
     bound = np.array([s.noise_bound for s in detector.plant.sensors])
     own = [NAMES.index(name) for name in OBSERVERS]

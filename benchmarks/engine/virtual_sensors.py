@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fusion_sfdia.adaptive_thresholds.adaptive_observer import Rates, adaptive_rate
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, Array, Results, engine, row
-from fusion_sfdia.benchmarks.engine.support.virtual_figures import figures
+from fusion_sfdia.benchmarks.engine.support.virtual_figures import virtual_sensor_figures
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     DETECTOR,
     DURATION,
@@ -30,7 +29,7 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     sensor_tasks,
     sensor_work,
 )
-from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
+from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, share
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings
 from fusion_sfdia.models.marine_engine.published import K22_GAINS
@@ -78,11 +77,6 @@ def sensor_rows(found: dict[str, Arrays], duration: float) -> list[Row]:
     return rows
 
 
-def share(hits: ArrayLike) -> Estimate:
-    """Of runs (B,)."""
-    return proportion(int(np.sum(hits)), np.size(hits))
-
-
 def mean(values: Array, counts: Array | None = None) -> Estimate:
     """Over runs (B,), of those with a number."""
     known = np.isfinite(values)
@@ -105,7 +99,9 @@ def sensor_summary(settings: Settings, results: Results) -> Summary:
         tuple((n, *(value_of(rows, "fault_mape_percent", n, v) for v in known), f"{MAPE[i]:g}") for i, n in enumerate(SIZED)),
         f"From {', '.join(f'{s:g} s ({n})' for s, n in zip(SINCE, SIZED, strict=True))} on.",
     )
-    return Summary(rows, figures(found, settings["duration"]), [table], highlights(rows), remarks(rows, settings))
+    return Summary(
+        rows, virtual_sensor_figures(found, settings["duration"]), [table], highlights(rows), remarks(rows, settings)
+    )
 
 
 def value_of(rows: list[Row], metric: str, module: str, kind: str) -> str:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.attack_figures import answers_figure, false_isolation_figure
-from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, share, spread, time_rows
+from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, Watch, join_runs, require_settings, trial
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.metrics import mean_over_runs
+from fusion_sfdia.evaluation.metrics import mean_over_runs, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.equations import STATES

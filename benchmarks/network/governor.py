@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from fusion_sfdia.benchmarks.network.support.figures import both_bounds, times_figure, unplugged_operation
-from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, share, spread, time_rows
+from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import (
     ALARM_RULES,
     BOUND,
@@ -19,7 +19,7 @@ from fusion_sfdia.benchmarks.network.support.trials import (
     require_settings,
     trial,
 )
-from fusion_sfdia.evaluation.metrics import mean_over_runs
+from fusion_sfdia.evaluation.metrics import mean_over_runs, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model

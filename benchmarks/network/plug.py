@@ -24,9 +24,9 @@ from fusion_sfdia.benchmarks.network.support.plug_figures import (
     tables,
 )
 from fusion_sfdia.benchmarks.network.support.residuals import B18, CORRECTED, SETTLE, normalised, owners
-from fusion_sfdia.benchmarks.network.support.rows import row, share
+from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, rate_over_runs
+from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, rate_over_runs, share
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.diagnosis import network_areas

@@ -6,7 +6,7 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.readings import condition, nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline.support.interpretations import condition, interpretations, interpretations_table, nearer
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
@@ -29,7 +29,7 @@ def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
     """
     levels = settings["levels"]
     assert isinstance(levels, tuple)
-    printed, other = readings(settings)
+    printed, other = interpretations(settings)
     rounds = [(s, printed, DETECTORS if s == "moderate" else PAPER) for s in levels]
     rounds += [("moderate", other, PAPER)] if "moderate" in levels else []
     return tasks(
@@ -53,7 +53,7 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
     shown: dict[tuple[str, ...], Estimate] = {}
     found: dict[tuple[str, ...], dict[str, Estimate]] = {}
     stated: dict[tuple[str, ...], Published | None] = {}
-    suffix = readings(settings)
+    suffix = interpretations(settings)
     for (detector, snr, fault, quantity, process), cell in cells.items():
         other = suffix[process] if detector in PAPER else ""
         at = partial(row, "pipeline/accuracy", detector, fault, quantity, condition=condition(snr, other))
@@ -99,7 +99,9 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
         "The paper has the fusing EKF lowest on pressure: its (20) adds MPa to kg/s (pipeline/units). Runs judged right here, "
         "over all faults and levels: " + " ".join(f"{q}: {_right(settings, rows, q)}." for q in QUANTITIES),
     ]
-    table = readings_table("Table VI by process noise: runs judged right", ("detector", "fault", "quantity"), found, stated)
+    table = interpretations_table(
+        "Table VI by process noise: runs judged right", ("detector", "fault", "quantity"), found, stated
+    )
     return Summary(
         rows=rows,
         figures=[figure] if shown else [],

@@ -8,7 +8,7 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.readings import condition, nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline.support.interpretations import condition, interpretations, interpretations_table, nearer
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, grid, initial, tasks, trial
 from fusion_sfdia.builders import PAPER_FILTERS
@@ -32,7 +32,7 @@ NAME, LEVELS = "pipeline/estimation", ("high", "moderate", "low")
 def estimation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Table IV: banks and basic filters at three levels of noise, with both readings of the paper's process noise."""
     healthy = {"fault": ("none",), "quantity": ("all",), "accommodate": (True,)}
-    cells = grid(process_noise=readings(settings), snr=LEVELS, detector=(*PAPER, *PAPER_FILTERS), **healthy)
+    cells = grid(process_noise=interpretations(settings), snr=LEVELS, detector=(*PAPER, *PAPER_FILTERS), **healthy)
     return tasks(settings, cells, seeds)
 
 
@@ -57,7 +57,7 @@ def estimation_summary(settings: Settings, results: Results) -> Summary:
     shown: dict[tuple[Any, ...], Estimate] = {}
     found: dict[tuple[str, ...], dict[str, Estimate]] = {}
     stated: dict[tuple[str, ...], Published | None] = {}
-    suffix = readings(settings)
+    suffix = interpretations(settings)
     for (detector, snr, process), cell in judged_runs(results, "detector", "snr", "process_noise").items():
         at = partial(row, NAME, detector, "none", condition=condition(snr, suffix[process]))
         rows.append(at("all", "diverged", cell.divergence))
@@ -99,7 +99,9 @@ def estimation_summary(settings: Settings, results: Results) -> Summary:
         f"Here its error over that of the single filter of its kind is {listed(_over_basic(rows))}.",
         nearer(found, stated),
     ]
-    table = readings_table("Table IV by process noise: RMSE, Pa, kg/s, K", ("filter", "noise", "quantity"), found, stated)
+    table = interpretations_table(
+        "Table IV by process noise: RMSE, Pa, kg/s, K", ("filter", "noise", "quantity"), found, stated
+    )
     return Summary(rows=rows, figures=[figure], tables=[table], remarks=[*remarks, *left_out(rows)])
 
 

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 from fusion_sfdia.core.modules import ObserverBound
 from fusion_sfdia.evaluation.results import Published
-from fusion_sfdia.models.marine_engine.plant import GAINS, OBSERVER_BOUNDS
+from fusion_sfdia.models.marine_engine.modules import GAINS, OBSERVER_BOUNDS
 
 K24, K22 = "Kougiatsos 2024", "Kougiatsos 2022"
+PAPERS = {"K24": K24, "K22": K22}
 
 
 class Offset(NamedTuple):
@@ -105,47 +106,65 @@ DESIGNS = {
     "K22": (K22_GAINS, K22_OBSERVER_BOUNDS),
 }
 
+
+class PrintedTable(NamedTuple):
+    """A table of one of the papers: the paper's abbreviation, "K24" or "K22", and the table's number as printed."""
+
+    paper: str
+    number: str
+
+    @property
+    def name(self) -> str:
+        """As in "K24 Table I"."""
+        return f"{self.paper} {self.number}"
+
+    @property
+    def source(self) -> str:
+        """As in "Kougiatsos 2024, Table I"."""
+        return f"{PAPERS[self.paper]}, {self.number}"
+
+
 # Signature matrices as printed. f3(2) is the fault of sensor S(2){3}, E(2,3) the residual of module M(2,3). Only single
 # faults are printed; a column that is not printed is 0
 SIGNATURES = {
-    "K24 Table I": """
+    PrintedTable("K24", "Table I"): """
         f1(2)  f2(2)  f3(2)  f1(1)  f1(4)  f2(4)
 E(2,1)  *      0      0      *      *      0
 E(2,2)  0      *      0      *      *      *
 E(2,3)  0      *      *      *      *      *
 """,
-    "K24 Table II": """
+    PrintedTable("K24", "Table II"): """
         f1(3)  f2(3)  f3(3)  f1(1)  f1(2)  f2(2)  f3(2)  f1(4)  f2(4)
 E(3,1)  1      *      0      *      0      0      *      *      *
 E(3,2)  *      *      0      *      *      *      *      *      *
 E(3,3)  *      *      *      0      0      0      0      0      0
 """,
-    "K24 Table III": """
+    PrintedTable("K24", "Table III"): """
         f1(4)  f2(4)  f3(4)  f1(1)  f3(2)  f1(3)  f2(3)
 E(4,1)  1      *      0      *      *      *      *
 E(4,2)  0      *      0      0      0      0      0
 E(4,3)  *      *      *      *      *      *      *
 """,
-    "K24 Table IV": """
+    PrintedTable("K24", "Table IV"): """
      f1(1)  f1(2)  f2(2)  f3(2)  f1(3)  f2(3)  f3(3)  f1(4)  f2(4)  f3(4)
 E(1)  1      0      0      0      0      0      0      0      0      0
 E(2)  *      1      1      1      0      0      0      *      *      0
 E(3)  *      *      *      *      1      1      1      *      *      0
 E(4)  *      0      0      *      *      *      0      1      1      1
 """,
-    "K22 Table 1": """
+    PrintedTable("K22", "Table 1"): """
         f1(3)  f2(3)  f3(3)  f1(1)  f1(2)  f2(2)  f3(2)  f1(4)  f2(4)
 E(3,1)  1      1      0      *      0      0      *      *      *
 E(3,2)  *      *      0      *      *      *      *      *      *
 E(3,3)  *      *      *      0      0      0      0      0      0
 """,
-    "K22 Table 2": """
+    PrintedTable("K22", "Table 2"): """
         f1(4)  f2(4)  f3(4)  f1(1)  f3(2)  f1(3)  f2(3)
 E(4,1)  1      1      0      *      *      *      *
 E(4,2)  0      *      0      0      0      0      0
 E(4,3)  *      *      *      *      *      *      *
 """,
-    "K22 Table 3": """
+    PrintedTable("K22", "Table 3"): """
      f1(1)  f1(2)  f2(2)  f3(2)  f1(3)  f2(3)  f3(3)  f1(4)  f2(4)  f3(4)
 E(1)  1      0      0      0      0      0      0      0      0      0
 E(2)  *      1      1      1      0      0      0      *      *      0
@@ -155,7 +174,7 @@ E(4)  *      0      0      *      *      *      0      1      1      1
 }
 
 
-def signatures(table: str) -> dict[str, dict[str, str]]:
+def signatures(table: PrintedTable) -> dict[str, dict[str, str]]:
     """A printed matrix, {row: {column: entry}}, in the order of print."""
     header, *lines = (line.split() for line in SIGNATURES[table].strip().splitlines())
     return {row: dict(zip(header, entries, strict=True)) for row, *entries in lines}

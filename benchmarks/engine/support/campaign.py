@@ -22,7 +22,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings
@@ -91,7 +91,7 @@ def default_envelope(level: float) -> float:
 
 
 @cache
-def engine_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0) -> AdaptiveThreshold:
+def steady_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0) -> AdaptiveThreshold:
     """A named detector at a noise level, with the gains of a design times a factor."""
     plant = engine(level, design)
     if plant.structure.modules is not None:
@@ -186,7 +186,7 @@ def logic() -> DiagnosisLogic:
     return AdaptiveThreshold(marine_engine()).logic
 
 
-def verdict_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int | None = None) -> list[Row]:
+def diagnosis_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int | None = None) -> list[Row]:
     """The diagnosis sets at the end of runs of first firings (B, N): rows of `at(metric, estimate)`.
 
     faulty: the faulty sensor, None for none. isolated_sensors: how many sensors are in S^F; unexplained: runs whose pattern is
@@ -207,12 +207,7 @@ def verdict_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int |
     return rows
 
 
-def share(hits: Array) -> Estimate:
-    """The proportion of runs (B,) bool."""
-    return proportion(int(hits.sum()), hits.size)
-
-
-def check(settings: Settings) -> None:
+def require_settings(settings: Settings) -> None:
     """Raise ValueError for settings that no run can be made of, before any is begun."""
     for name in ("detector", "detectors"):
         for value in np.atleast_1d(np.asarray(settings.get(name, VALID))):

@@ -159,7 +159,7 @@ def draw_shares(firsts: dict[str, Array], experiment: Experiment) -> Drawing:
     return figure
 
 
-def figures(found: Mapping[str, Arrays], experiment: Experiment, what: str) -> list[Figure]:
+def module_figures(found: Mapping[str, Arrays], experiment: Experiment, what: str) -> list[Figure]:
     """The shares of all detectors, and the papers' figure of the first run of each."""
     shares = Figure(
         "modules",

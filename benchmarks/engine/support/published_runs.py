@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from fusion_sfdia.benchmarks.engine.support.decisions import alarms_table, differences, figures, isolation_rows, module_rows
+from fusion_sfdia.benchmarks.engine.support.decisions import (
+    alarms_table,
+    differences,
+    isolation_rows,
+    module_figures,
+    module_rows,
+)
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, published_first, timeline
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays
@@ -56,4 +62,4 @@ def beside_published(
     printed = isolation_rows(scenario, DETECTORS[0], fault, lines, published=published, condition=PUBLISHED_TIMELINE)
     sentences = [differences(rows, detector, ours, figure) for detector, rows in of.items()]
     every = [r for rows in of.values() for r in rows]
-    return Beside(of, printed, figures(found, ours, what), alarms_table(every, ours, list(found)), sentences)
+    return Beside(of, printed, module_figures(found, ours, what), alarms_table(every, ours, list(found)), sentences)

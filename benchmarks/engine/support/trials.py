@@ -25,7 +25,8 @@ from fusion_sfdia.evaluation.results import row_of
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
-from fusion_sfdia.models.marine_engine.plant import MODULES, marine_engine
+from fusion_sfdia.models.marine_engine.modules import MODULES
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, Offset
 
 Array = NDArray[Any]

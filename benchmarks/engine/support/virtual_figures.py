@@ -20,7 +20,7 @@ DRAWN = {INTERSECTED: FOUND, PRINTED: INSTANT}
 SHOWN = {"N m": ("kN m", 1e-3), "Pa": ("kPa", 1e-3), "kg": ("g", 1e3), "K": ("K", 1.0)}
 
 
-def figures(found: dict[str, Arrays], duration: float) -> list[Figure]:
+def virtual_sensor_figures(found: dict[str, Arrays], duration: float) -> list[Figure]:
     """Those whose variants were run."""
     if not {*DRAWN, "alone"} <= set(found):
         return []

@@ -76,7 +76,7 @@ def claimed_bounds(scenario: str, consecutive: Iterable[int]) -> list[Row]:
     return rows
 
 
-def verdict(found: Row, allowed: float) -> str:
+def claim_kept(found: Row, allowed: float) -> str:
     """Whether a count keeps a claimed upper bound: "no" or "yes" where its interval decides it."""
     return "no" if found.low > allowed else "yes" if found.high <= allowed else "undecided"
 

@@ -22,7 +22,7 @@ from fusion_sfdia.benchmarks.network.support.claims import (
     Rates,
     chosen,
     claim,
-    verdict,
+    claim_kept,
 )
 from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, PAPER, VARIANTS
 from fusion_sfdia.evaluation.results import Row
@@ -50,7 +50,9 @@ def exceeded(rates: Rates, *detectors: str) -> str:
     """Where the components of a quantity alarm more often than (12) allows, where the interval decides it."""
     of = {k: r for d in detectors for k, r in chosen(rates, detector=d, metric=SINGLE, rule="").items()}
     found = [
-        f"{r.value:.2g} for {k.claim:.2g} ({k.quantity}, {k.condition})" for k, r in of.items() if verdict(r, k.claim) == "no"
+        f"{r.value:.2g} for {k.claim:.2g} ({k.quantity}, {k.condition})"
+        for k, r in of.items()
+        if claim_kept(r, k.claim) == "no"
     ]
     return "; ".join(found) or "nowhere"
 
@@ -149,7 +151,7 @@ def tables(rates: Rates, laws: Sequence[str]) -> list[Table]:
                 for p in LEVELS:
                     found = chosen(rates, metric=SINGLE, detector=v.name, law=law, rule=rule, level=p).values()
                     worst = max(found, key=lambda r: r.value, default=None)
-                    cells.append("none" if worst is None else f"{worst.value:.3g} ({verdict(worst, p)})")
+                    cells.append("none" if worst is None else f"{worst.value:.3g} ({claim_kept(worst, p)})")
                 audit.append((v.name, law, rule, *cells))
     confirmed = [
         (k.detector, k.quantity, k.condition, f"{r.value:.0%}", f"{r.low:.0%} to {r.high:.0%}", r.n)
@@ -232,7 +234,7 @@ def _broken(rates: Rates, detector: str) -> str:
     """Which rules' claims are exceeded, over all components."""
     broken: dict[str, set[str]] = {}
     for k, r in chosen(rates, detector=detector, metric=SINGLE, quantity="all").items():
-        if verdict(r, k.claim) == "no":
+        if claim_kept(r, k.claim) == "no":
             broken.setdefault(k.rule, set()).add(k.law)
     cases = "; ".join(f"{rule} ({', '.join(sorted(laws))})" for rule, laws in broken.items())
     return f"Claims exceeded by {LABELS[detector]}: {cases or 'none'}."
@@ -242,7 +244,7 @@ def _fifth(rates: Rates) -> str:
     """Where (1/alpha^2)^q is exceeded by consecutive alarms."""
     over: dict[str, list[str]] = {}
     for k, r in chosen(rates, metric=CONSECUTIVE, detector=CORRECTED.name).items():
-        if k.q > 1 and verdict(r, k.claim) == "no":
+        if k.q > 1 and claim_kept(r, k.claim) == "no":
             over.setdefault(k.runs, []).append(
                 f"{k.q} consecutive at alpha {k.alpha:g} {r.value:.1e} for at most {k.claim:.1e}"
             )

@@ -79,7 +79,7 @@ def steps(settings: Settings) -> int:
     return int(str(settings["steps"]))
 
 
-def check(settings: Settings) -> None:
+def require_settings(settings: Settings) -> None:
     """Raise ValueError for settings that no run can be made of, before any is begun."""
     least = SETTLE + AFTERMATH + 5
     if steps(settings) < least:
@@ -91,11 +91,11 @@ def check(settings: Settings) -> None:
 
 
 def tasks(settings: Settings, cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
-    """One task a cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `check` refuses.
+    """One task a cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `require_settings` refuses.
 
     The setting process_noise is one of the paper's filters: the other detectors have the plant's own.
     """
-    check(settings)
+    require_settings(settings)
     common = {name: settings[name] for name in COMMON if name in settings}
     own = {"process_noise": OWN}
     return [

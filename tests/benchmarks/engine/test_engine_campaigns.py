@@ -14,16 +14,17 @@ from fusion_sfdia.benchmarks.engine import process as engine_process
 from fusion_sfdia.benchmarks.engine import sensitivity as engine_sensitivity
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support import process_figures as engine_process_figures
-from fusion_sfdia.benchmarks.engine.support.campaign import VALID, engine_detector, first_firings, fork, noise, response, truth
+from fusion_sfdia.benchmarks.engine.support.campaign import VALID, first_firings, fork, noise, response, steady_detector, truth
 from fusion_sfdia.benchmarks.engine.support.noise_figures import AGENTS, FAULTS, OTHERS, OWN, condition, modules_of, published
 from fusion_sfdia.benchmarks.engine.support.trials import BIN, NAMES
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
+from fusion_sfdia.models.marine_engine.modules import MODULES
+from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.registry import scenario
 
 
 def readings(seeds: range, steps: int = 60) -> np.ndarray:
-    return truth(1.0).signal[:steps, None] + np.stack(list(noise(engine_detector(VALID).plant, steps, seeds)))
+    return truth(1.0).signal[:steps, None] + np.stack(list(noise(steady_detector(VALID).plant, steps, seeds)))
 
 
 @pytest.mark.slow
@@ -52,7 +53,7 @@ def test_modules_and_sensors_have_one_order() -> None:
 
 
 def test_noise_of_a_seed_does_not_depend_on_the_others_and_stays_within_its_bounds() -> None:
-    plant = engine_detector(VALID).plant
+    plant = steady_detector(VALID).plant
     some = np.stack(list(noise(plant, 1100, [3, 4])))  # over the border of what is drawn at once
     np.testing.assert_array_equal(some[:, 1], np.stack(list(noise(plant, 1100, [4])))[:, 0])
     bound = np.array([s.noise_bound for s in plant.sensors])
@@ -63,7 +64,7 @@ def test_noise_of_a_seed_does_not_depend_on_the_others_and_stays_within_its_boun
 
 
 def test_first_firings_say_what_the_decisions_say() -> None:
-    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+    detector, t, u = steady_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
     y = readings(range(3))
     y[30:, 0, 3] -= 3.8e4
     y[40:, 1, 8] += 40.0
@@ -79,7 +80,7 @@ def test_first_firings_say_what_the_decisions_say() -> None:
 
 
 def test_runs_that_part_at_the_onset_are_the_whole_runs() -> None:
-    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+    detector, t, u = steady_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
     y = np.repeat(readings(range(2))[:, None], 2, axis=1)
     y[30:, 1, :, 0] *= 1.2
     _, whole = first_firings(detector, t, u, y)
@@ -93,8 +94,8 @@ def test_runs_that_part_at_the_onset_are_the_whole_runs() -> None:
 
 
 def test_one_envelope_serves_all_noise_up_to_the_usual() -> None:
-    small, usual = engine_detector(VALID, 0.01), engine_detector(VALID)
-    assert small.envelope == usual.envelope == pytest.approx(0.15) and engine_detector(VALID, 0.1).envelope == pytest.approx(
+    small, usual = steady_detector(VALID, 0.01), steady_detector(VALID)
+    assert small.envelope == usual.envelope == pytest.approx(0.15) and steady_detector(VALID, 0.1).envelope == pytest.approx(
         0.25
     )
     np.testing.assert_array_equal(small.slopes.signs, usual.slopes.signs)
@@ -163,7 +164,7 @@ def test_more_noise_hides_more() -> None:
 
 
 def test_two_thresholds_cannot_be_hidden() -> None:
-    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+    detector, t, u = steady_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
     y = np.repeat(readings(range(5))[:, None], 10, axis=1)
     y[30:] += np.diag(campaign.sizes(detector, 2.0))[:, None]
     first = first_firings(detector, t, u, y)[1]["first"]
@@ -205,7 +206,7 @@ def test_a_sentence_states_what_a_process_fault_isolates() -> None:
 def test_gains_are_those_of_the_designs() -> None:
     task = {"detector": VALID, "level": 0.05, "onset": 0.3, "duration": 0.5, "seeds": [0], "gains": "K22"}
     found = engine_sensitivity.sensitivity_work(task)
-    gains = engine_detector(VALID, 0.05, "K22").plant.structure.modules.gains
+    gains = steady_detector(VALID, 0.05, "K22").plant.structure.modules.gains
     assert gains == {"fuel": 1.16, "p_receiver": 445.0, "p_charge": 319.98}
     assert found["detected"].shape == (3, engine_sensitivity.SIZES.size, 1) and not found["beyond"].any()
     assert found["detected"][:, -1].all()  # 5 noise bounds

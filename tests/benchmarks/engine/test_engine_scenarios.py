@@ -26,7 +26,15 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
-from fusion_sfdia.models.marine_engine.published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
+from fusion_sfdia.models.marine_engine.published import (
+    SIGNATURES,
+    THREE_FAULTS,
+    TWO_FAULTS,
+    Offset,
+    PrintedTable,
+    minimum_fault,
+    signatures,
+)
 from fusion_sfdia.registry import scenario
 
 
@@ -126,16 +134,17 @@ def test_a_module_that_alarms_by_itself_has_no_smallest_fault() -> None:
 
 
 def test_matrices_differ_from_the_printed_in_three_entries() -> None:
-    found: dict[str, set[tuple[str, str]]] = {}
+    found: dict[PrintedTable, set[tuple[str, str]]] = {}
     for task in engine_signatures.signature_tasks({}, 1):
         arrays: Arrays = engine_signatures.signature_work(task)
-        lines, faults = list(signatures(task["table"])), list(engine_signatures.FAULTS)
-        found[task["table"]] = {(lines[i], faults[j]) for i, j in np.argwhere(arrays["ours"] != arrays["printed"])}
+        table = PrintedTable(*task["table"])
+        lines, faults = list(signatures(table)), list(engine_signatures.FAULTS)
+        found[table] = {(lines[i], faults[j]) for i, j in np.argwhere(arrays["ours"] != arrays["printed"])}
     turbine, speed = {("E(3,3)", "f1(4)")}, {("E(2,1)", "f3(2)"), ("E(2,2)", "f3(2)")}
     assert found == {name: set() for name in SIGNATURES} | {
-        "K24 Table I": speed,
-        "K24 Table II": turbine,
-        "K22 Table 1": turbine,
+        PrintedTable("K24", "Table I"): speed,
+        PrintedTable("K24", "Table II"): turbine,
+        PrintedTable("K22", "Table 1"): turbine,
     }
     rows = smallest("engine/signatures").summary.rows
     assert sum(r.value for r in rows if r.metric == "entries_equal") == 230 - 4

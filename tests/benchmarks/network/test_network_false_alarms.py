@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks.network.false_alarms import counts, one_shock
-from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, CONSECUTIVE, SINGLE, Counted, verdict
+from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, CONSECUTIVE, SINGLE, Counted, claim_kept
 from fusion_sfdia.benchmarks.network.support.residuals import draw_of, groups, owners
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.results import Row
@@ -64,10 +64,10 @@ def test_a_claim_is_kept_broken_or_undecided() -> None:
 
     three = Counted(CONSECUTIVE, "chebyshev", "all", "lit", "gaussian", 5.0, q=3)
     assert three.condition == "3 consecutive, alpha 5, lit, gaussian"
-    assert three.claim == pytest.approx(5.0**-6) and verdict(counted(1e-4, 2e-4), three.claim) == "no"
+    assert three.claim == pytest.approx(5.0**-6) and claim_kept(counted(1e-4, 2e-4), three.claim) == "no"
     single = Counted(SINGLE, "chebyshev", "theta, 4 sharers", "lit", "gaussian", 2.0)
-    assert single.claim == 0.25 and verdict(counted(0.1, 0.3), single.claim) == "undecided"
-    assert verdict(counted(0.1, 0.3), 0.3) == "yes"
+    assert single.claim == 0.25 and claim_kept(counted(0.1, 0.3), single.claim) == "undecided"
+    assert claim_kept(counted(0.1, 0.3), 0.3) == "yes"
     assert Counted(SINGLE, "chebyshev", "all", "lit", "gaussian", rule="cantelli", level=0.01).claim == 0.01
 
 

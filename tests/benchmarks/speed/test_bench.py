@@ -18,7 +18,7 @@ from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.filters import ekf, ukf
 from fusion_sfdia.filters.gaussian import condition, dense
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
-from fusion_sfdia.models.marine_engine.plant import MODULES
+from fusion_sfdia.models.marine_engine.modules import MODULES
 
 SHORT = 1e-3  # s
 

@@ -10,6 +10,7 @@ from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.power_network import equations
+from fusion_sfdia.models.power_network.area_model import area_model
 from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch
@@ -61,7 +62,7 @@ def test_references_that_follow_the_loads_are_an_equilibrium(discretisation: str
 
 def test_the_matrices_are_those_of_the_paper() -> None:
     H, R, D, T_t, T_g = load_network().constants[3]
-    area = MODEL.area_model("4")
+    area = area_model(MODEL, "4")
     total = 2 + 3 + 2  # ties to 3, 5, 13
     assert area.A == pytest.approx(
         np.array(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fusion_sfdia.models.power_network.area_model import area_model
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile, network_conditions
 from fusion_sfdia.models.power_network.parameters import LoadStep, load_steps
@@ -50,7 +51,7 @@ def test_events_act_from_their_time_until_their_end() -> None:
 
 def test_a_fault_is_in_the_truth_and_not_in_what_is_known() -> None:
     now = network_conditions(MODEL, [AreaFault("governor", "4", 1000.0, onset=5.0)], [Switch(8.0, unplug=("4",))])(9.0)
-    assert now.true.area_model("4").A[3, 3] == -1e-3 and now.known.area_model("4").A[3, 3] == -10
+    assert area_model(now.true, "4").A[3, 3] == -1e-3 and area_model(now.known, "4").A[3, 3] == -10
     assert np.array_equal(now.true.side_slope, now.known.side_slope)
 
 
