@@ -57,7 +57,7 @@ METRICS = (
 
 
 def load_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Each way to change the load with each detector; all sensors' faults on the same noise."""
+    """Each kind of load change with each detector; the faults of all sensors with the same noise."""
     require_settings(settings)
     for name, known in (("drives", DRIVES), ("allowed", ALLOWED)):
         if unknown := [d for d in settings[name] if d not in known]:
@@ -83,9 +83,9 @@ def load_detector(task: Task) -> AdaptiveThreshold:
 
 
 def load_work(task: Task) -> Arrays:
-    """First firings (11, B, N) of the healthy runs and with each sensor faulty; before the onset all are the healthy ones.
+    """First firings (11, B, N) of the healthy runs and with each sensor faulty; until the onset the runs are the same.
 
-    thresholds (B, N): their mean over the bound of the noise in the healthy runs from the onset on. diverged (11, B). signal
+    thresholds (B, N): their mean over the noise bound in the healthy runs from the onset on. diverged (11, B). signal
     (K, N) without noise and u (K, 1), every tenth sample. trace: of the first run with the sensor SHOWN faulty.
     """
     detector = load_detector(task)
@@ -112,7 +112,7 @@ def load_work(task: Task) -> Arrays:
 
 
 def condition(drive: str, allowed: str) -> str:
-    """The condition of a row: how the load changes, and what the detector is made for."""
+    """The condition of a row: the kind of load change, and the operation that the detector covers."""
     return f"{drive}, detector {allowed}"
 
 
@@ -186,7 +186,7 @@ def _run_figure(settings: Settings, drive: str, allowed: str, arrays: Arrays) ->
 def _silence(settings: Settings, rows: list[Row]) -> str:
     moved = [condition(d, a) for d in settings["drives"] if d != "constant" for a in settings["allowed"]]
     found = [f"{r.condition} {r.value:.0%}" for r in pick(rows, fault="none", metric="alarm_at_end", condition=moved)]
-    return f"Healthy runs with an alarm under a load step: {'; '.join(found)}."
+    return f"Healthy runs with an alarm during a load change: {'; '.join(found)}."
 
 
 def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
@@ -195,7 +195,7 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
         found = {m: pick(rows, condition=r.condition, metric=m) for m in METRICS}
         percent = {m: span(100 * x.value for x in values) for m, values in found.items()}
         remarks.append(
-            f"{r.condition}: healthy runs with an alarm {r.value:.0%}; by faulty sensor, missed by its own module "
+            f"{r.condition}: healthy runs with an alarm {r.value:.0%}; with a faulty sensor, missed by its own module "
             f"{percent['missed_detection_rate']} % and by all other agents {percent['missed_detection_rate_other_agents']} %, "
             f"isolated {percent['isolated_at_end']} %, exactly {percent['exact_isolation_at_end']} %, with "
             f"{span(x.value for x in found['isolated_sensors_at_end'] if x.fault != 'none')} sensors isolated on average."
@@ -204,10 +204,10 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
     for allowed in settings["allowed"]:
         mean = pick(rows, metric="threshold_noise_bounds", condition=condition(drive, allowed))
         values = "; ".join(f"{r.quantity} {r.value:.3g}" for r in mean)
-        remarks.append(f"Mean thresholds over the bound of the noise, {DRIVES[drive]}, detector {allowed}: {values}.")
+        remarks.append(f"Mean thresholds over the noise bound, {DRIVES[drive]}, detector {allowed}: {values}.")
     remarks.append(
         f"Faults of {settings['size']:g} thresholds are {span(r.value for r in pick(rows, metric='fault_percent'))} % of the "
-        "nominal values, by sensor: no noise within its bounds hides them from the sensor's own module at full load."
+        "nominal values, by sensor: no noise within its bounds can mask them for the sensor's own module at full load."
     )
     return remarks
 
@@ -215,8 +215,8 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
 SCENARIO = Scenario(
     name="engine/load",
     title="A load step, healthy and with each sensor faulty",
-    about="Load from 100 to 80 % by a PI governor and in one step of the fuel setting, beside constant load: false alarms of a "
-    "detector made for full load and of one made for the load change, and what they detect and isolate with a fault of each "
+    about="Load from 100 to 80 % by a PI governor and in one step of the fuel setting, and constant load: false alarms of a "
+    "detector designed for full load and of one designed for load changes; detection and isolation of a fault of each "
     "sensor.",
     settings={
         "detector": VALID,

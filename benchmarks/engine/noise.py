@@ -51,14 +51,14 @@ CHUNK = 100  # runs in one task
 
 
 def noise_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One task a noise level and CHUNK runs, both faults on the same noise."""
+    """One task per noise level and CHUNK runs, both faults with the same noise."""
     require_settings(settings)
     common = {k: settings[k] for k in ("detector", "onset", "duration")}
     return [common | {"level": level, "seeds": block} for level in settings["levels"] for block in seed_blocks(seeds, CHUNK)]
 
 
 def noise_work(task: Task) -> Arrays:
-    """First firings (2, B, N), by fault: the runs are one until the onset."""
+    """First firings (2, B, N), by fault; until the onset the runs are the same."""
     detector = steady_detector(task["detector"], task["level"])
     t, u, signal = truth(task["duration"])
     faults = [Fault(s, "bias", task["onset"], magnitude=size, relative=True) for s, size in FAULTS.items()]
@@ -73,7 +73,7 @@ def noise_work(task: Task) -> Arrays:
 
 
 def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Missed-detection rates and delays by fault, group of modules and noise level, beside Table VI."""
+    """Missed-detection rates and delays by fault, group of modules and noise level, compared with Table VI."""
     levels = [level for level in settings["levels"] if any(t["level"] == level for t, _ in results)]
     name = settings["detector"]
     rows: list[Row] = []
@@ -156,7 +156,7 @@ def _remarks(levels: list[float], found: Found, rows: list[Row]) -> list[str]:
         )
     return [
         f"Alarms before the onset: {sum(r.value for r in early):.0f} in {sum(r.n for r in early)} runs.",
-        f"Missed by the own module, and by all other agents. {'. '.join(by_sensor)}.",
+        f"Missed-detection rates of the own module and of all other agents. {'. '.join(by_sensor)}.",
         f"Own modules that detect the fault do so within {span(late)} s.",
         "Means over the levels by fault, P^U "
         f"{listed(pick(rows, metric='isolation_performance_percent'), 'fault')} %; P^E "
@@ -167,9 +167,9 @@ def _remarks(levels: list[float], found: Found, rows: list[Row]) -> list[str]:
 
 SCENARIO = Scenario(
     name="engine/noise",
-    title="Missed detections and delays as the noise grows",
+    title="Missed detections and delays by noise level",
     about="A bias of 7 % on the fuel sensor and one of 65 % on the torque sensor, each alone from 20 s on, at noise of 1 to "
-    "10 % of the nominal values: missed by the sensor's own module, missed by all other agents, and how late.",
+    "10 % of the nominal values: missed detections by the sensor's own module and by all other agents, and detection delays.",
     settings={"detector": VALID, "levels": (0.02, 0.04, 0.06, 0.08, 0.10), "onset": 20.0, "duration": 40.0},
     seeds=4,
     full_seeds=100,

@@ -1,6 +1,6 @@
 """engine/process: process faults and attacks on single measurements: detection, and false isolation of sensors.
 
-Both are future work of K24. The detector knows sensor faults only: under a process fault an alarm should isolate no sensor.
+Both are future work in K24. The detector assumes sensor faults only; under a process fault it should isolate no sensor.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ PROCESS, ATTACK = "process", "attack"
 
 
 def process_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """All process faults at full load, and all attacks with each way to change the load, on the same noise."""
+    """All process faults at full load, and all attacks with each kind of load change, with the same noise."""
     require_settings(settings)
     if unknown := [d for d in settings["drives"] if d not in DRIVES]:
         raise ValueError(f"setting drives has {', '.join(unknown)}; known: {', '.join(DRIVES)}")
@@ -86,7 +86,7 @@ def process_work(task: Task) -> Arrays:
 
 
 def _drawn(severities: list[float]) -> int:
-    """The process fault of which a single run is drawn: the first kind at the largest severity."""
+    """The process fault whose single run is drawn: the first kind at the largest severity."""
     return int(np.argmax(severities))
 
 
@@ -175,7 +175,8 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
                 remarks.append(
                     f"{kind} ({ATTACKS[kind]}), {DRIVES[drive]}: detected in most runs on {len(found)} of {len(missed)} sensors"
                     f"{which if 0 < len(found) < len(missed) else ''}; the attacked sensor is isolated in "
-                    f"{span(100 * r.value for r in right)} % of the runs, exactly in {span(100 * r.value for r in exact)} %."
+                    f"{span(100 * r.value for r in right)} % of the runs, exact isolation in "
+                    f"{span(100 * r.value for r in exact)} %."
                 )
         every = pick(rows, fault="replay", quantity=ALL, condition=drive, metric="missed_detection_rate")
         remarks += [f"All sensors replayed at once, {DRIVES[drive]}: detected in {1 - r.value:.0%} of the runs." for r in every]
@@ -185,8 +186,8 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
 SCENARIO = Scenario(
     name="engine/process",
     title="Process faults and attacks on measurements",
-    about="Fouling, a lost injector, a heavy propeller; offset, scaling, changed sign and replay of single measurements, at "
-    "full load and as the load falls: what is detected, and which sensors are isolated.",
+    about="Process faults: fouling, a lost injector, a heavy propeller. Attacks: offset, scaling, sign change and replay of "
+    "single measurements, at full load and during a load decrease. Results: detection, and isolated sensors.",
     settings={
         "detector": VALID,
         "noise": USUAL_NOISE,

@@ -1,4 +1,4 @@
-"""engine/sensitivity: thresholds and smallest detected faults, by noise and observer gains (future work of V22)."""
+"""engine/sensitivity: thresholds and smallest detected faults by noise and observer gains (named as future work in V22)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ SIZES = np.round(np.geomspace(0.01, 5.0, 28), 4)  # of the faults tried, in nois
 
 
 def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Each noise level with each set of gains; the published and the calibrated thresholds with the published gains alone."""
+    """Each noise level with each set of gains; published and calibrated thresholds with the published gains only."""
     require_settings(settings)
     if unknown := [g for g in settings["gains"] if g not in GAIN_SETS]:
         raise ValueError(f"setting gains has {', '.join(unknown)}; known: {', '.join(GAIN_SETS)}")
@@ -64,7 +64,7 @@ def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
 def sensitivity_work(task: Task) -> Arrays:
     """Of the healthy runs: samples beyond their thresholds (B, N) and mean thresholds (B, N), sensor units, after the onset.
 
-    detected (3, sizes, B) bool: whether its own module, silent without it, noticed a bias of SIZES on an observer's sensor.
+    detected (3, sizes, B) bool: whether an observer's module, silent otherwise, fired with a bias of SIZES on its sensor.
     """
     detector = steady_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
     t, u, signal = truth(task["duration"])
@@ -154,7 +154,7 @@ def _figure(settings: Settings, rows: list[Row]) -> Figure:
         "gains",
         "Thresholds and smallest detected faults by observer gain and noise",
         "Lines: mean threshold of the module, the smallest fault detectable without noise (19). Markers: mean over runs of the "
-        "smallest bias that its own module noticed. Both over the bound of the noise.",
+        "smallest bias that its own module detected. Both over the noise bound.",
         draw,
         "Thresholds of the three observers over their gains at several noise levels, with the smallest faults detected",
     )
@@ -167,25 +167,25 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
         for gains in settings["gains"]:
             found = [_of(rows, name, level, gains, "threshold_noise_bounds") for level in settings["levels"]]
             parts.append(f"{gains} {span(found)}")
-        remarks.append(f"Threshold of {name} over the bound of its noise, by gains: {'; '.join(parts)}.")
+        remarks.append(f"Threshold of {name} over its noise bound, by gains: {'; '.join(parts)}.")
     alarms = pick(rows, metric="runs_with_false_alarm")
     runs = {d: sum(r.n for r in pick(alarms, detector=d)) for d in dict.fromkeys(r.detector for r in alarms)}
     remarks.append(
         "Healthy runs with a sample beyond a threshold: "
         + "; ".join(f"{d} {sum(r.value for r in pick(alarms, detector=d)):.0f} of {n}" for d, n in runs.items())
-        + ". The published constants belong to the published gains; with others they would have to be derived anew."
+        + ". The published constants are for the published gains and would have to be derived again for others."
     )
     usual = pick(rows, metric="smallest_detected_percent", condition=condition(USUAL_NOISE, K24), detector=VALID)
     if usual:
-        remarks.append(f"Smallest fault detected, % of nominal, of a grid in steps of a quarter: {listed(usual, 'quantity')}.")
+        remarks.append(f"Smallest fault detected, % of nominal, on a grid in steps of a quarter: {listed(usual, 'quantity')}.")
     return remarks
 
 
 SCENARIO = Scenario(
     name="engine/sensitivity",
     title="Thresholds by noise and observer gains",
-    about="Thresholds of the three observers, the smallest biases they notice and false alarms, for the gains of the two "
-    "papers and for a hundredth to ten times those of K24, at several noise levels.",
+    about="Thresholds of the three observers, the smallest biases they detect, and their false alarms, for the gains of the "
+    "two papers and for a hundredth to ten times those of K24, at several noise levels.",
     settings={"levels": (0.01, 0.03, 0.05), "gains": tuple(GAIN_SETS), "onset": 4.0, "duration": 8.0},
     seeds=2,
     full_seeds=100,

@@ -1,4 +1,4 @@
-"""engine/signatures: fault signature matrices from the model's equations beside the printed ones.
+"""engine/signatures: fault signature matrices derived from the model's equations, compared with the printed ones.
 
 Kougiatsos 2024 (K24), Tables I to IV, and Kougiatsos 2022 (K22), Tables 1 to 3.
 """
@@ -63,7 +63,7 @@ def ours(table: PrintedTable) -> dict[str, dict[str, str]]:
 
 
 def signature_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One task a table."""
+    """One task per table."""
     return [{"table": list(table)} for table in SIGNATURES]
 
 
@@ -76,7 +76,7 @@ def signature_work(task: Task) -> Arrays:
 
 
 def signature_summary(settings: Settings, results: Results) -> Summary:
-    """Entries equal and differing, and the tables as printed, ours in front."""
+    """Numbers of equal and differing entries, and the tables with our entries first."""
     rows: list[Row] = []
     tables, differing = [], {}
     found = [(PrintedTable(*task["table"]), arrays) for task, arrays in results]
@@ -97,16 +97,17 @@ def signature_summary(settings: Settings, results: Results) -> Summary:
         sum(r.value for r in rows if r.metric == "entries_equal"),
     )
     remarks = [
-        f"Of {total} entries {equal:.0f} are as printed. Differing (ours for theirs): {'; '.join(entries) or 'none'}.",
+        f"Of {total} entries {equal:.0f} are as printed. Differences (derived instead of printed): "
+        f"{'; '.join(entries) or 'none'}.",
         *(f"{reason}." for reason in reasons),
-        "The printed tables have columns for some sensors; the others count as 0. A 1 says that a fault must show. K24 has it "
-        "where an observer corrects with its own sensor, K22 for all local sensors of an observer; the equations define which "
-        "sensors are read, not which of the two conventions is meant.",
+        "The printed tables have columns for some sensors; the others count as 0. A 1 means that a fault must show. K24 has a "
+        "1 where an observer corrects with its own sensor, K22 for all local sensors of an observer. The equations define "
+        "which sensors are read, not which of these conventions applies.",
     ]
     figure = Figure(
         "matrix",
         "Fault signature matrices",
-        "Local and global matrices of K24 as derived; where the printed entry differs it stands in brackets, on orange.",
+        "Local and global matrices of K24 as derived; a printed entry that differs is in brackets, on orange.",
         partial(draw, [(table, arrays) for table, arrays in found if table.paper == "K24"]),
         "Matrix of ten modules and four agents by ten sensor faults with entries 0, 1 or *",
     )
@@ -122,7 +123,7 @@ def _table(table: PrintedTable, arrays: Arrays) -> Table:
     extra = [f for j, f in enumerate(faults) if f not in next(iter(printed.values())) and arrays["ours"][:, j].any()]
     columns = [*next(iter(printed.values())), *extra]
     return Table(
-        f"{table.name}: ours, the printed entry in brackets where it differs",
+        f"{table.name}: derived entries, with the printed entry in brackets where it differs",
         ("", *columns),
         tuple((line, *(_entry(arrays, i, faults.index(f)) for f in columns)) for i, line in enumerate(printed)),
         f"not printed: {', '.join(extra)}" if extra else "",
@@ -159,8 +160,9 @@ def draw(found: list[tuple[PrintedTable, Arrays]]) -> Drawing:
 SCENARIO = Scenario(
     name=NAME,
     title="Fault signature matrices of the marine engine",
-    about="Which module reads which sensor, derived from the argument names of the model's equations, beside the matrices that "
-    "Kougiatsos 2024 (Tables I to IV) and Kougiatsos 2022 (Tables 1 to 3) print: 1 a fault must show, * it may, 0 it cannot.",
+    about="Which module reads which sensor, derived from the argument names of the model's equations, compared with the "
+    "matrices in Kougiatsos 2024 (Tables I to IV) and Kougiatsos 2022 (Tables 1 to 3). 1: a fault must show; *: it may; 0: it "
+    "cannot.",
     settings={},
     seeds=1,
     full_seeds=1,

@@ -27,11 +27,12 @@ def two_summary(settings: Settings, results: Results) -> Summary:
     remarks = [
         *beside.differences,
         f"From the printed detection times our diagnosis sets isolate {beside.logic_alone['isolated_sensors']:.0f} of 10 "
-        "sensors at the end; the paper isolates 3, because its last alarm, of M(4,3), changes nothing, where ours allow "
-        f"S(4){{3}} a fault of its own. Simulated: {listed(pick(of_runs, metric='isolated_sensors'))} sensors.",
-        "With the constants of (10) as printed, xi_d of 2 and 1 1/s beside rho_d of 465 and 320 1/s, M(3,1) and M(4,1) get "
-        "thresholds of hundreds of noise bounds, which no offset of 50 kPa crosses, so those of Fig. 3 must have been others: "
-        f"M(3,1) fires in {shares(rows, detector=DETECTORS[1], quantity='M(3,1)', metric='fired_share')} of the runs.",
+        "sensors at the end; the paper isolates 3, because its last alarm, of M(4,3), changes nothing, whereas our sets allow "
+        f"a fault of S(4){{3}}. Simulated: {listed(pick(of_runs, metric='isolated_sensors'))} sensors.",
+        "With the constants of (10) as printed, xi_d of 2 and 1 1/s with rho_d of 465 and 320 1/s, M(3,1) and M(4,1) get "
+        "thresholds of hundreds of noise bounds, which no offset of 50 kPa crosses, so Fig. 3 must have been made with other "
+        f"constants: M(3,1) fires in {shares(rows, detector=DETECTORS[1], quantity='M(3,1)', metric='fired_share')} of the "
+        "runs.",
         f"Runs with an alarm before the first fault: {shares(of_runs, metric='false_alarm_share')}.",
     ]
     highlights = [

@@ -1,4 +1,4 @@
-"""What is published of the marine engine: scenarios, detection times, indicators, fault sizes, signature matrices.
+"""Published results of the marine engine: scenarios, detection times, indicators, fault sizes, signature matrices.
 
 K24: Kougiatsos and Reppa 2024, sec. VII, Fig. 4 and 5, Tables I to VI. K22: Kougiatsos, Negenborn and Reppa 2022, sec. 5,
 Fig. 3, Tables 1 to 3. Sources name figure, table or section and no page: our text of the papers has no pages.
@@ -41,7 +41,7 @@ class Experiment(NamedTuple):
 
 THREE_FAULTS = Experiment(
     (Offset("S(2){3}", 20.0, -3.8e4), Offset("S(3){1}", 45.0, 5e4), Offset("S(4){2}", 70.0, 8.0)),  # N m, Pa, K
-    100.0,  # s, not stated: the axes of Fig. 4 were not at hand. Ours, chosen by P^E, see tests/test_diagnosis_metrics.py
+    100.0,  # s, not stated; the axes of Fig. 4 were not available. Our choice by P^E, see tests/test_diagnosis_metrics.py
     0.05,
     {"M(2,3)": 20.0, "M(3,1)": 45.06, "M(3,3)": 69.9, "M(4,2)": 70.01},
     f"{K24}, Fig. 4 and sec. VII, one run",
@@ -67,7 +67,7 @@ _TABLE_V = {
 
 
 def minimum_fault(module: str) -> Published:
-    """Table V: smallest detectable fault of the module's sensor at 5 % noise, percent, as we read it of its nominal value."""
+    """Table V: smallest detectable fault of the module's sensor at 5 % noise, percent, we take it of the nominal value."""
     return Published(_TABLE_V[module], f"{K24}, Table V")
 
 

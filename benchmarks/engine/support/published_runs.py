@@ -1,4 +1,4 @@
-"""Summaries of engine runs beside one published run with several sensor faults: rows, tables, figures, first sentences."""
+"""Summaries of engine runs compared with one published run with several sensor faults: rows, tables, figures, sentences."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PUBLISHED_TIMELINE = "the paper's own timeline"  # condition of rows of the deci
 
 
 class Beside(NamedTuple):
-    """Rows of our runs by detector and of the published timeline, and what shows them."""
+    """Rows of our runs by detector and of the published timeline, with their figures, table and sentences."""
 
     by_detector: dict[str, list[Row]]
     of_timeline: list[Row]

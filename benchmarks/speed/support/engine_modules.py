@@ -1,6 +1,6 @@
-"""What the bounds of a step of the engine's modules cost: all ten at once over a batch of runs, and set inversion by codac.
+"""Cost of the bounds in a step of the engine's modules: all ten over a batch of runs, and set inversion by codac.
 
-Set inversion as Kougiatsos 2024 (11) has it: the z with 0 in z - phi(z, box), a call for each algebraic variable and step.
+Set inversion as in Kougiatsos 2024 (11): the z with 0 in z - phi(z, box), a call for each algebraic variable and step.
 A call builds codac's function too, with the step's readings in it as constants.
 """
 

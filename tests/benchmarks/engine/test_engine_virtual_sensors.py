@@ -73,8 +73,8 @@ def test_what_is_kept_of_a_run() -> None:
         sampled = 100 * np.abs(size[:, late, column] / fault.magnitude - 1).mean(axis=-1)
         # every KEPT-th sample of an estimate that changes seldom, by less than a tenth of itself
         np.testing.assert_allclose(found["mape"][:, i], sampled, rtol=0.1, atol=0.01)
-        told = np.isfinite(low[..., column])
-        assert np.all(((low <= fault.magnitude) & (fault.magnitude <= high))[..., column][told]) and told[:, late].all()
+        known = np.isfinite(low[..., column])
+        assert np.all(((low <= fault.magnitude) & (fault.magnitude <= high))[..., column][known]) and known[:, late].all()
         last = (high - low)[:, -1, column] / fault.magnitude
         np.testing.assert_allclose(found["width"][:, i], last, rtol=1e-3)  # of two numbers in single precision
     assert np.all(found["square"] < found["square_faulty"])

@@ -1,4 +1,4 @@
-"""network/scale: each size has its rows, memory is what the arrays hold, and two processes where there is a cluster."""
+"""network/scale: rows of each size, memory as the sum of the arrays, and two processes if a cluster is installed."""
 
 from __future__ import annotations
 

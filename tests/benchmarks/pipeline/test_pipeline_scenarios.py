@@ -39,7 +39,7 @@ def cells(
 
 
 def test_the_papers_filters_have_the_process_noise_that_it_prints() -> None:
-    """Sec. V: 10 % lower than the sensors'; ours have the plant's own, and so has every bank on other plants."""
+    """Sec. V: 10 % lower than the sensors' noise; our detectors, and all banks on other plants, have the plant's own."""
     plant = gas_pipeline(snr="high")
     printed = as_printed(plant)
     np.testing.assert_allclose(printed.process_cov, 0.81 * plant.sensor_cov, rtol=1e-12)

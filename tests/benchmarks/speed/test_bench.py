@@ -40,7 +40,7 @@ def test_filterpy_on_the_pipeline_estimates_what_ours_does(kind: str, compiled: 
         x, P, _ = ukf.predict(points, x, P, lambda s: np.array([model.step(p) for p in s]), Q)
         joint = ukf.joint(points, x, P, lambda s: s, R)
     ours = condition(joint, np.where(np.arange(27) == 4, np.nan, y)).x
-    # weights of 1e6 magnify the rounding of 8.4 MPa beside 500 Pa: eps 1e6 (8.4e6 / 500) = 4e-6 sigma, 50 operations of it
+    # weights of 1e6 magnify the rounding of 8.4 MPa relative to 500 Pa: eps 1e6 (8.4e6 / 500) = 4e-6 sigma, 50 operations of it
     tolerance = 50 * 4e-6 if kind == "ukf" else 1e-9
     np.testing.assert_allclose(theirs() / plant.state_scale, ours / plant.state_scale, rtol=0, atol=tolerance)
     np.testing.assert_array_equal(theirs(), theirs())  # each call repeats the same step

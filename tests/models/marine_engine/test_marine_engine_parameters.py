@@ -46,7 +46,7 @@ def test_units_are_converted() -> None:
 
 def test_what_follows_from_the_file() -> None:
     c = engine_parameters()
-    # worked out by hand to these digits
+    # computed by hand to these digits
     assert c.compression == pytest.approx(12.536, abs=5e-4)
     assert c.expansion_end == pytest.approx(0.8888, abs=5e-5)
     assert c.fuel_nominal == pytest.approx(2.835e-3, rel=1e-12)

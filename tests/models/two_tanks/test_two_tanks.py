@@ -1,4 +1,4 @@
-"""The two tanks: what can be checked by hand."""
+"""The two tanks, checked by hand."""
 
 from __future__ import annotations
 
