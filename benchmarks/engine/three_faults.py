@@ -77,8 +77,8 @@ def three_summary(settings: Settings, results: Results) -> Summary:
         "the torque, as in K22 (6). With K24 (30) as printed, at nominal speed, M(2,1) and M(2,2) do not detect the torque's "
         f"fault, and the pattern except M(3,3) occurs in {pattern(quantity='all but M(3,3)', condition=PRINTED)} of the runs.",
         "Runs with an alarm before the first fault: "
-        f"{shares(of_runs, metric='false_alarm_share')}. The published constants of M(3,1) and M(4,1) are smaller than "
-        "bounds of the noise (rho below 1, rho_d below the gain).",
+        f"{shares(of_runs, metric='false_alarm_share')}. The published constants of M(3,1) and M(4,1) do not bound "
+        "the effect of the noise (rho below 1, rho_d below the gain).",
         "The more modules fire, the more sensors are isolated, and latched decisions are never reset. All faulty sensors "
         f"are isolated at the end in {shares(of_runs, metric='faults_isolated_share')} of the runs, among "
         f"{listed(pick(of_runs, metric='isolated_sensors'))} sensors.",

@@ -140,15 +140,15 @@ def remarks(rows: list[Row], settings: Settings) -> list[str]:
     fastest = "; ".join(f"{n} {r:.2g} 1/s, {np.log(1 / REMAINS) / r:.3g} s" for n, r in rates.items())
     of = partial(value_of, rows)
     inverted = [
-        f"Final intervals of {settings['inversion_seeds']} short runs, by corners and by set inversion: {', '.join(widths)} "
-        "of the fault wide."
+        f"Widths of the final intervals over the fault in {settings['inversion_seeds']} short runs, by corners and by set "
+        f"inversion: {', '.join(widths)}."
     ]
     return [
         "V22 prints no intersection over time, but draws an interval that narrows. With it the last interval of M(2,3) is "
         f"{of('fault_interval_percent', 'M(2,3)', INTERSECTED)} % of the fault wide, without it "
         f"{of('fault_interval_percent', 'M(2,3)', PRINTED)} %.",
         "By the middle of its interval, where V22 has the adaptive observer, M(3,1) has an error of "
-        f"{of('fault_mape_percent', 'M(3,1)', GUARANTEED)} %, by the observer "
+        f"{of('fault_mape_percent', 'M(3,1)', GUARANTEED)} %, that of the observer is "
         f"{of('fault_mape_percent', 'M(3,1)', INTERSECTED)} % (paper {MAPE[1]:g} %). Only the interval is guaranteed, "
         f"{of('fault_interval_percent', 'M(3,1)', GUARANTEED)} % of the fault wide at the end.",
         f"Adaptive observers approach the fault at the rate Gamma (1 + Omega)^2, to {1 - REMAINS:.0%} of it within: {fastest}. "

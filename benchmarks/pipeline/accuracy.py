@@ -81,7 +81,7 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
                 for d in PAPER
                 for f, g in zip(FAULTS, groups, strict=True)
             }
-            bars(axis, groups, bar_series(of, DETECTORS, groups, theirs), ylabel="runs with correct result")
+            bars(axis, groups, bar_series(of, DETECTORS, groups, theirs), ylabel="accuracy")
             axis.set_ylim(0, 1.05)
         legend_above(figure)
         return figure

@@ -29,7 +29,7 @@ NAMES = ("fusing-enkf", *OURS)
 
 @cache
 def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
-    """The plant that generates the readings: 81 nodes, or parameters changed as by ageing or weather; amounts are our choice."""
+    """The plant that generates the readings: 81 nodes, or changed parameters, as by ageing or weather; sizes are our choice."""
     nominal = pipeline_parameters()
     single = {
         "roughness +25 %": {"roughness": 1.25 * nominal.roughness},

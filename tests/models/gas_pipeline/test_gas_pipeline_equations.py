@@ -164,7 +164,7 @@ def test_colebrook_white(m: float, roughness: float) -> None:
     assert slope == pytest.approx(-2 * root**-3 * -by_m / by_root, rel=1e-10)
 
 
-def test_reversed_flow_is_no_number() -> None:
+def test_reversed_flow_gives_nan() -> None:
     with np.errstate(invalid="ignore", divide="ignore"):
         assert np.isnan(equations.friction_factor(np.float64(-10.0), C))
 

@@ -25,7 +25,7 @@ EPS = np.finfo(float).eps
 
 
 def test_power_balances() -> None:
-    """What the areas' inertia takes up is what is made less what is used: the ties only carry it."""
+    """The power into the areas' inertia is generation less consumption: the ties only carry power."""
     taken = 2 * MODEL.constants[:, 0] * rates(MODEL, X, REFERENCE, LOAD)[:, 1]
     made = X[:, 2] - MODEL.constants[:, 2] * X[:, 1] - LOAD
     largest = np.abs(MODEL.stiffness * X[:, 0]).max() + np.abs(taken).max()
@@ -107,7 +107,7 @@ def test_the_plant_has_the_sensors_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize(("noise", "variance"), [("lit", [1e-4] * 4), ("small", [1e-5, 1e-5, 1e-4, 1e-4])])
-def test_the_two_readings_of_the_process_noise(noise: str, variance: list[float]) -> None:
+def test_the_two_interpretations_of_the_process_noise(noise: str, variance: list[float]) -> None:
     assert power_network(noise=noise).process_cov[:4].tolist() == variance
     assert power_network(noise=noise, dt=0.5).process_cov[:4].tolist() == [v / 2 for v in variance]
 
@@ -168,7 +168,7 @@ def test_faults_and_switches_make_another_truth() -> None:
     assert not different[:42].any() and different[42:].all()  # row k is the reading at k + 1 s
 
 
-def test_plants_that_cannot_be() -> None:
+def test_impossible_plants_are_refused() -> None:
     for settings, message in (
         ({"areas": 1}, "at least 2"),
         ({"faults": [AreaFault("governor", "16", 1.0)]}, "unknown node '16'"),
