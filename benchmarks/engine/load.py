@@ -11,22 +11,7 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.benchmarks.engine.support.campaign import (
-    DRIVES,
-    USUAL_NOISE,
-    VALID,
-    diagnosis_rows,
-    first_firings,
-    fork,
-    logic,
-    moving_detector,
-    noise,
-    require_settings,
-    response,
-    sizes,
-    steady_detector,
-    truth,
-)
+from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import drive_figure, run_figure, share_matrix
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, share
@@ -58,8 +43,8 @@ METRICS = (
 
 def load_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each kind of load change with each detector; the faults of all sensors with the same noise."""
-    require_settings(settings)
-    for name, known in (("drives", DRIVES), ("allowed", ALLOWED)):
+    campaign.require_settings(settings)
+    for name, known in (("drives", campaign.DRIVES), ("allowed", ALLOWED)):
         if unknown := [d for d in settings[name] if d not in known]:
             raise ValueError(f"setting {name} has {', '.join(unknown)}; known: {', '.join(known)}")
     if not 0 < settings["change"] <= settings["onset"]:
@@ -78,8 +63,8 @@ def load_tasks(settings: Settings, seeds: int) -> list[Task]:
 def load_detector(task: Task) -> AdaptiveThreshold:
     """The detector of a task."""
     if task["allowed"] == "steady":
-        return steady_detector(task["detector"], task["noise"])
-    return moving_detector(task["detector"], task["noise"], task["duration"], task["change"])
+        return campaign.steady_detector(task["detector"], task["noise"])
+    return campaign.moving_detector(task["detector"], task["noise"], task["duration"], task["change"])
 
 
 def load_work(task: Task) -> Arrays:
@@ -89,15 +74,17 @@ def load_work(task: Task) -> Arrays:
     (K, N) without noise and u (K, 1), every tenth sample. trace: of the first run with the sensor SHOWN faulty.
     """
     detector = load_detector(task)
-    t, u, signal = truth(task["duration"], task["drive"], task["change"])
+    t, u, signal = campaign.truth(task["duration"], task["drive"], task["change"])
     onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
     biases = np.zeros((len(CASES), 1, len(SENSORS)))
-    biases[1:, 0] = np.diag(sizes(steady_detector(task["detector"], task["noise"]), task["size"]))
-    draws = noise(detector.plant, t.size, task["seeds"])
-    state, before = first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)), shown=(0,))
+    biases[1:, 0] = np.diag(campaign.sizes(campaign.steady_detector(task["detector"], task["noise"]), task["size"]))
+    draws = campaign.noise(detector.plant, t.size, task["seeds"])
+    state, before = campaign.first_firings(
+        detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)), shown=(0,)
+    )
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
     shown = CASES.index(SHOWN), 0
-    _, found = first_firings(detector, t[onset:], u[onset:], after, fork(state, len(CASES)), shown)
+    _, found = campaign.first_firings(detector, t[onset:], u[onset:], after, campaign.fork(state, len(CASES)), shown)
     first = np.minimum(before["first"], found["first"])
     thresholds = found["threshold"][0] / np.array([s.noise_bound for s in detector.plant.sensors])
     return {
@@ -133,11 +120,11 @@ def load_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
             rows.append(one("threshold_noise_bounds", mean))
         for i, case in enumerate(CASES):
             at = partial(row, "engine/load", settings["detector"], case, "all", condition=condition(drive, allowed))
-            rows += [at("diverged", share(diverged[i])), *diagnosis_rows(at, first[i], None if i == 0 else i - 1)]
+            rows += [at("diverged", share(diverged[i])), *campaign.diagnosis_rows(at, first[i], None if i == 0 else i - 1)]
             if i:
                 size = 100 * parts[0]["size"][i, i - 1] / parts[0]["signal"][0, i - 1]
                 others = [j for j, n in enumerate(NAMES) if n[:3] != NAMES[i - 1][:3]]
-                own, propagated = (response(first[i], settings["onset"], group) for group in ([i - 1], others))
+                own, propagated = (campaign.response(first[i], settings["onset"], group) for group in ([i - 1], others))
                 rows += [
                     at("fault_percent", Estimate(float(size), math.nan, math.nan, first.shape[1])),
                     at("missed_detection_rate", own.missed),
@@ -158,7 +145,7 @@ def _matrix_figure(allowed: str, firsts: dict[tuple[str, str], Array]) -> Figure
         figure, axes = panels([f"{drive}: {what}" for drive in chosen for what in ("fired", "isolated")], width=8.5)
         for k, fired in enumerate(chosen.values()):
             share_matrix(axes[2 * k], fired.mean(axis=1), CASES, NAMES, ylabel="faulty sensor")
-            share_matrix(axes[2 * k + 1], logic().isolated(fired).mean(axis=1), CASES, tuple(SENSORS))
+            share_matrix(axes[2 * k + 1], campaign.logic().isolated(fired).mean(axis=1), CASES, tuple(SENSORS))
         return figure
 
     return Figure(
@@ -174,7 +161,7 @@ def _matrix_figure(allowed: str, firsts: dict[tuple[str, str], Array]) -> Figure
 def _run_figure(settings: Settings, drive: str, allowed: str, arrays: Arrays) -> Figure:
     return run_figure(
         f"run-{drive}-{allowed}",
-        f"{DRIVES[drive]}, then a fault of {SHOWN}: detector for {ALLOWED[allowed]}",
+        f"{campaign.DRIVES[drive]}, then a fault of {SHOWN}: detector for {ALLOWED[allowed]}",
         arrays["trace"],
         arrays["first"][CASES.index(SHOWN), 0],
         settings,
@@ -204,7 +191,7 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
     for allowed in settings["allowed"]:
         mean = pick(rows, metric="threshold_noise_bounds", condition=condition(drive, allowed))
         values = "; ".join(f"{r.quantity} {r.value:.3g}" for r in mean)
-        remarks.append(f"Mean thresholds over the noise bound, {DRIVES[drive]}, detector {allowed}: {values}.")
+        remarks.append(f"Mean thresholds over the noise bound, {campaign.DRIVES[drive]}, detector {allowed}: {values}.")
     remarks.append(
         f"Faults of {settings['size']:g} thresholds are {span(r.value for r in pick(rows, metric='fault_percent'))} % of the "
         "nominal values, by sensor: no noise within its bounds can mask them for the sensor's own module at full load."
@@ -219,9 +206,9 @@ SCENARIO = Scenario(
     "detector designed for full load and of one designed for load changes; detection and isolation of a fault of each "
     "sensor.",
     settings={
-        "detector": VALID,
-        "noise": USUAL_NOISE,
-        "drives": tuple(DRIVES),
+        "detector": campaign.VALID,
+        "noise": campaign.USUAL_NOISE,
+        "drives": tuple(campaign.DRIVES),
         "allowed": tuple(ALLOWED),
         "size": 2.0,
         "change": 5.0,

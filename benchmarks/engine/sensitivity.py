@@ -10,16 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine.support.campaign import (
-    USUAL_NOISE,
-    VALID,
-    first_firings,
-    fork,
-    noise,
-    require_settings,
-    steady_detector,
-    truth,
-)
+from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
@@ -48,7 +39,7 @@ SIZES = np.round(np.geomspace(0.01, 5.0, 28), 4)  # of the faults tried, in nois
 
 def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each noise level with each set of gains; published and calibrated thresholds with the published gains only."""
-    require_settings(settings)
+    campaign.require_settings(settings)
     if unknown := [g for g in settings["gains"] if g not in GAIN_SETS]:
         raise ValueError(f"setting gains has {', '.join(unknown)}; known: {', '.join(GAIN_SETS)}")
     common = {k: settings[k] for k in ("onset", "duration")}
@@ -56,7 +47,7 @@ def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
         common | {"detector": detector, "level": level, "gains": gains, "seeds": block}
         for level in settings["levels"]
         for gains in settings["gains"]
-        for detector in (DETECTORS if gains in DESIGNS else (VALID,))
+        for detector in (DETECTORS if gains in DESIGNS else (campaign.VALID,))
         for block in seed_blocks(seeds, CHUNK)
     ]
 
@@ -66,18 +57,18 @@ def sensitivity_work(task: Task) -> Arrays:
 
     detected (3, sizes, B) bool: whether an observer's module, silent otherwise, fired with a bias of SIZES on its sensor.
     """
-    detector = steady_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
-    t, u, signal = truth(task["duration"])
+    detector = campaign.steady_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
+    t, u, signal = campaign.truth(task["duration"])
     bound = np.array([s.noise_bound for s in detector.plant.sensors])
     own = [NAMES.index(name) for name in OBSERVERS]
     biases = np.zeros((1 + len(own) * SIZES.size, 1, bound.size))  # the first is none
     for i, sensor in enumerate(own):
         biases[1 + i * SIZES.size : 1 + (i + 1) * SIZES.size, 0, sensor] = SIZES * bound[sensor]
     onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
-    draws = noise(detector.plant, t.size, task["seeds"])
-    state, before = first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
+    draws = campaign.noise(detector.plant, t.size, task["seeds"])
+    state, before = campaign.first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
-    _, found = first_firings(detector, t[onset:], u[onset:], after, fork(state, len(biases)))
+    _, found = campaign.first_firings(detector, t[onset:], u[onset:], after, campaign.fork(state, len(biases)))
     fired = np.isfinite(found["first"])
     detected = (fired[1:] & ~fired[0]).reshape(len(own), SIZES.size, -1, bound.size)
     return {
@@ -107,7 +98,7 @@ def sensitivity_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
             sensor = NAMES.index(name)
             ratio = threshold[:, sensor] / parts[0]["bound"][sensor]
             mean = mean_over_runs(ratio, np.ones(ratio.size))
-            stated = minimum_fault(name) if level == USUAL_NOISE and gains == K24 else None
+            stated = minimum_fault(name) if level == campaign.USUAL_NOISE and gains == K24 else None
             seen = smallest_detected(SIZES * 100 * level, detected[i])
             rows += [
                 at("none", name, "threshold_noise_bounds", mean),
@@ -127,7 +118,7 @@ def _scaled(e: Estimate, factor: float) -> Estimate:
     return Estimate(e.value * factor, e.low * factor, e.high * factor, e.n)
 
 
-def _of(rows: list[Row], name: str, level: float, gains: str, metric: str, detector: str = VALID) -> float:
+def _of(rows: list[Row], name: str, level: float, gains: str, metric: str, detector: str = campaign.VALID) -> float:
     found = pick(rows, quantity=name, condition=condition(level, gains), metric=metric, detector=detector)
     return found[0].value if found else math.nan
 
@@ -175,7 +166,9 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
         + "; ".join(f"{d} {sum(r.value for r in pick(alarms, detector=d)):.0f} of {n}" for d, n in runs.items())
         + ". The published constants are for the published gains and would have to be derived again for others."
     )
-    usual = pick(rows, metric="smallest_detected_percent", condition=condition(USUAL_NOISE, K24), detector=VALID)
+    usual = pick(
+        rows, metric="smallest_detected_percent", condition=condition(campaign.USUAL_NOISE, K24), detector=campaign.VALID
+    )
     if usual:
         remarks.append(f"Smallest fault detected, % of nominal, on a grid in steps of a quarter: {listed(usual, 'quantity')}.")
     return remarks
