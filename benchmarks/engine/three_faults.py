@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows, pattern_share, shares, value_of
-from fusion_sfdia.benchmarks.engine.support.published_runs import PUBLISHED_TIMELINE, beside_published
+from fusion_sfdia.benchmarks.engine.support.published_runs import PUBLISHED_TIMELINE, compare_with_published
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, Results, by_detector, row, tasks, timeline, trial
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
@@ -46,18 +46,18 @@ def three_summary(settings: Settings, results: Results) -> Summary:
     found = by_detector([(task, arrays) for task, arrays in results if task["design"] != AT_NOMINAL_SPEED])
     as_printed = by_detector([(task, arrays) for task, arrays in results if task["design"] == AT_NOMINAL_SPEED])
     duration = settings["duration"]
-    beside = beside_published(
+    compared = compare_with_published(
         NAME, FAULT, found, THREE_FAULTS, duration, what="three faults", figure="Fig. 4", published=PUBLISHED
     )
     rows: list[Row] = []
     for detector, arrays in found.items():
-        rows += [*beside.by_detector[detector], *_pattern_rows(detector, arrays)]
+        rows += [*compared.by_detector[detector], *_pattern_rows(detector, arrays)]
     for detector, arrays in as_printed.items():
         lines = timeline(arrays["first"], THREE_FAULTS.faults, duration)
         rows += isolation_rows(NAME, detector, FAULT, lines, published=PUBLISHED, condition=PRINTED)
         rows += _pattern_rows(detector, arrays, PRINTED)
-    rows += beside.of_timeline
-    of_runs, logic_alone = pick(rows, quantity="all", condition=""), beside.logic_alone
+    rows += compared.of_timeline
+    of_runs, logic_alone = pick(rows, quantity="all", condition=""), compared.logic_alone
     pattern = partial(shares, rows, metric="published_pattern_share")
     remarks = [
         f"Decision logic alone: with the printed detection times our diagnosis sets give P^U "
@@ -67,7 +67,7 @@ def three_summary(settings: Settings, results: Results) -> Summary:
         f"length of a run, {duration:g} s here, is not stated: 100 s is our choice, because its P^E is near the published one. "
         f"Our simulated runs: P^U {listed(pick(of_runs, metric='isolation_performance_percent'))}; P^E "
         f"{listed(pick(of_runs, metric='exoneration_performance_percent'))}.",
-        *beside.differences,
+        *compared.differences,
         "A faulty sensor is also read by modules of other variables, as in the printed tables (* in Tables I to III): a "
         "torque reading that is 38 kN m too low changes the speed that M(3,1) computes, and thresholds that only bound the "
         "noise detect it. With wider thresholds Fig. 4 can be reproduced: all ten modules behave as in the figure in "
@@ -93,7 +93,7 @@ def three_summary(settings: Settings, results: Results) -> Summary:
         f"{value_of(of_runs, detector=d, metric='isolated_sensors')}"
         for d in found
     ]
-    return Summary(rows, beside.figures, [beside.table], highlights, remarks)
+    return Summary(rows, compared.figures, [compared.table], highlights, remarks)
 
 
 SCENARIO = Scenario(

@@ -101,10 +101,10 @@ def governor_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> 
             bound("missed_detection_rate", share(~np.isfinite(found["deterministic"])), DETERMINISTIC_MISSES),
             bound("missed_detection_rate_before_the_diagnosers", share(found["deterministic"] >= confirmed)),
         ]
-        beside = [network_model().network.topology.index(a) for a in NEXT_TO_IT]
+        adjacent = [network_model().network.topology.index(a) for a in NEXT_TO_IT]
         near = partial(row, NAME, detector_name(mode), FAULT, f"areas {', '.join(NEXT_TO_IT)}", condition=noise)
         for metric, key in (("angle_rms", "unplugged_angle"), ("angle_rms_unaccommodated", "angle")):
-            level = np.sqrt(np.mean(found[key][:, beside] ** 2, axis=-1))
+            level = np.sqrt(np.mean(found[key][:, adjacent] ** 2, axis=-1))
             rows.append(near(metric, mean_over_runs(level, np.ones(level.size))))
     trace = next(iter(cells.values()))
     figures = [

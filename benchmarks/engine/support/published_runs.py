@@ -21,7 +21,7 @@ from fusion_sfdia.report.content import Figure, Table
 PUBLISHED_TIMELINE = "the paper's own timeline"  # condition of rows of the decision logic on published alarm times
 
 
-class Beside(NamedTuple):
+class PublishedComparison(NamedTuple):
     """Rows of our runs by detector and of the published timeline, with their figures, table and sentences."""
 
     by_detector: dict[str, list[Row]]
@@ -36,7 +36,7 @@ class Beside(NamedTuple):
         return {r.metric: r.value for r in self.of_timeline}
 
 
-def beside_published(
+def compare_with_published(
     scenario: str,
     fault: str,
     found: Mapping[str, Arrays],
@@ -46,7 +46,7 @@ def beside_published(
     what: str,
     figure: str,
     published: tuple[Published | None, Published | None] = (None, None),
-) -> Beside:
+) -> PublishedComparison:
     """Modules and diagnosis sets of each detector's runs, and those of the published alarm times.
 
     found: arrays of `trial` by detector, of runs of `duration` s. what, figure: the faults and the published figure, as text.
@@ -62,4 +62,6 @@ def beside_published(
     printed = isolation_rows(scenario, DETECTORS[0], fault, lines, published=published, condition=PUBLISHED_TIMELINE)
     sentences = [differences(rows, detector, ours, figure) for detector, rows in of.items()]
     every = [r for rows in of.values() for r in rows]
-    return Beside(of, printed, module_figures(found, ours, what), alarms_table(every, ours, list(found)), sentences)
+    return PublishedComparison(
+        of, printed, module_figures(found, ours, what), alarms_table(every, ours, list(found)), sentences
+    )

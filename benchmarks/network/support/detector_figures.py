@@ -131,17 +131,17 @@ def remarks(rows: Rows) -> list[str]:
             for n in ("1 alarm", "3 alarms")
         )
         three.append(f"{fault} {span(r.value for r in triple if r)} s against {span(r.value for r in single if r)} s")
-    beside = []
+    compared = []
     for fault in CASES:
         for noise in PROCESS_VARIANCE:
             found = {t: r.value for t in TESTS if (r := _one(rows, Measured(fault, t, LEVEL, noise))) is not None}
             if found:
                 first = min(found, key=found.__getitem__)
                 one, more = found["residual, 1 alarm"], found["residual, 3 alarms"]
-                beside.append(f"{fault} ({noise}) {one:.3g} and {more:.3g} s, {found[first]:.3g} s by {first}")
+                compared.append(f"{fault} ({noise}) {one:.3g} and {more:.3g} s, {found[first]:.3g} s by {first}")
     return [
         "Mean delay at one false alarm in a thousand steps by the paper's residual with one and with three alarms, and the "
-        f"earliest of all: {'; '.join(beside)}.",
+        f"earliest of all: {'; '.join(compared)}.",
         f"From the earliest to the latest: {_best(rows)}",
         f"Three consecutive alarms against one, at the same false-alarm rate: {'; '.join(three)}. Three alarms cost two more "
         "steps and allow a lower level.",

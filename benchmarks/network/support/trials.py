@@ -135,10 +135,10 @@ class Alarms:
 
     def take(self, t: float, now: Diagnosers) -> Array:
         """Which runs (B,) have their first confirmed alarm now."""
-        beside = np.abs(now.residual_shared) > ALPHA * now.deviation_shared
+        shared_alarm = np.abs(now.residual_shared) > ALPHA * now.deviation_shared
         start = self.areas.network.topology.start[:-1]
         alarm = np.any(np.abs(now.residual) > ALPHA * now.deviation, axis=-1)
-        alarm |= np.logical_or.reduceat(beside, start, axis=-1)
+        alarm |= np.logical_or.reduceat(shared_alarm, start, axis=-1)
         self._in_a_row = np.where(alarm, self._in_a_row + 1, 0)
         both = self._in_a_row[..., None] >= np.array([1, CONFIRMATIONS])
         if t <= self.onset:

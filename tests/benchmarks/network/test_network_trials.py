@@ -44,7 +44,7 @@ def test_runs_of_several_tasks_are_joined_and_one_is_shown() -> None:
     ("name", "change", "message"),
     [
         ("network/governor", {"noises": ("large",)}, "one of noises 'large'"),
-        ("network/governor", {"duration": 60.0}, "area 15 joins at 70 s"),
+        ("network/governor", {"duration": 60.0}, "expected more than 70 s, when area 15 is plugged in"),
         ("network/sign-flip", {"cases": ("two",)}, "one of cases 'two'"),
         ("network/sign-flip", {"controller": "none"}, "controller 'none'"),
         ("network/attacks", {"faults": ("3u",)}, "one of faults '3u'"),
