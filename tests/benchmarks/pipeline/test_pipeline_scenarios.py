@@ -202,7 +202,7 @@ def test_decisions_on_the_pipeline_do_not_change_from_pascal_to_bar(name: str) -
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"steps": 20}, "from 75 samples on"),
+        ({"steps": 20}, "needs at least 75 samples"),
         ({"snr": "loud"}, "known: high, moderate, low"),
         ({"process_noise": "half"}, "known: tenth, nine-tenths"),
         ({"truth": "bogus"}, "known: model, finer"),
