@@ -49,12 +49,8 @@ WHO = ("one component", "one area")
 def exceeded(rates: Rates, *detectors: str) -> str:
     """Quantities whose components exceed the false-alarm rate of (12), where the interval decides."""
     of = {k: r for d in detectors for k, r in chosen(rates, detector=d, metric=SINGLE, rule="").items()}
-    found = [
-        f"{r.value:.2g} for {k.claim:.2g} ({k.quantity}, {k.condition})"
-        for k, r in of.items()
-        if claim_kept(r, k.claim) == "no"
-    ]
-    return "; ".join(found) or "nowhere"
+    over = {k: r for k, r in of.items() if claim_kept(r, k.claim) == "no"}
+    return "; ".join(f"{r.value:.2g} for {k.claim:.2g} ({k.quantity}, {k.condition})" for k, r in over.items()) or "nowhere"
 
 
 def groups_figure(rates: Rates) -> Figure:
