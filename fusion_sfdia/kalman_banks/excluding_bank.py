@@ -31,14 +31,14 @@ class Update(NamedTuple):
     found: LeaveOneOut
 
 
-class Verdict(NamedTuple):
+class TestedSensors(NamedTuple):
     """Of the sensors (..., N): in use before the step, isolated in it, residual, threshold and size of fault; capped (...).
 
     limit: chi-square limit on the readings of sensors that are out, compared with their expected values.
     """
 
     usable: Array
-    named: Array
+    isolated: Array
     residual: Array
     threshold: Array
     size: Array
@@ -66,7 +66,7 @@ class ExcludingBank(BatchDetector):
         return self.max_faults or most_faults(self.plant)
 
     def _conclude(
-        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
+        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, tested: TestedSensors
     ) -> tuple[Exclusion, Decision]:
         """Leave out the isolated sensors and readmit those that are healthy again; without `accommodate` only report them.
 
@@ -78,21 +78,21 @@ class ExcludingBank(BatchDetector):
         variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
         error = y - expected  # of sensors that are out, which do not enter `expected`
         if self.accommodate:
-            exclusion = readmit(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
-            exclusion = exclude(exclusion, verdict.named, error)
-        held = exclusion.out if self.accommodate else verdict.named
-        outside = np.isfinite(y) & ~verdict.usable
+            exclusion = readmit(exclusion, error, variance, tested.limit, -np.log(self.false_alarm / y.shape[-1]))
+            exclusion = exclude(exclusion, tested.isolated, error)
+        held = exclusion.out if self.accommodate else tested.isolated
+        outside = np.isfinite(y) & ~tested.usable
         decision = Decision(
             estimate=x,
             reconstruction=np.where(np.isfinite(y) & ~held, y, expected),
-            residual=np.where(outside, error, np.where(verdict.usable, verdict.residual, np.nan)),
-            threshold=np.where(outside, np.sqrt(verdict.limit * variance), verdict.threshold),
+            residual=np.where(outside, error, np.where(tested.usable, tested.residual, np.nan)),
+            threshold=np.where(outside, np.sqrt(tested.limit * variance), tested.threshold),
             isolated=held,
-            fault_size=np.where(held, exclusion.size if self.accommodate else verdict.size, np.nan),
+            fault_size=np.where(held, exclusion.size if self.accommodate else tested.size, np.nan),
             diverged=prior.lost | broken(x, p),
             guarded=prior.guarded,
             nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
-            capped=verdict.capped,
+            capped=tested.capped,
         )
         return exclusion, decision

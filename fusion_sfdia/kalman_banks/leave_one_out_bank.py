@@ -25,7 +25,7 @@ from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, TestedSensors, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Best,
@@ -93,7 +93,7 @@ class LeaveOneOutBank(ExcludingBank):
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
-        found, named, capped = self._eliminate(everything, exclusion.out)
+        found, isolated, capped = self._eliminate(everything, exclusion.out)
         size, residual = everything.innovation, everything.innovation
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
@@ -104,26 +104,26 @@ class LeaveOneOutBank(ExcludingBank):
             residual = np.where(stronger, best.size, residual)
             threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
             worst = np.argmax(best.statistic, axis=-1)
-            more = ~np.any(named, axis=-1) & (np.max(best.statistic, axis=-1) > window_limit)
+            more = ~np.any(isolated, axis=-1) & (np.max(best.statistic, axis=-1) > window_limit)
             room = np.sum(exclusion.out, axis=-1) < self.most_faults
             capped = capped | (more & ~room)
             chosen = (more & room)[..., None] & _only(worst, y)
             size = np.where(chosen, best.size, size)
             if np.any(chosen) and self.accommodate:
-                joint = est.joint(plant, prior := _freed(prior, onsets, best, worst, chosen), t, u)
-                found, named, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
+                joint = est.joint(plant, prior := _without_fault(prior, onsets, best, worst, chosen), t, u)
+                found, isolated, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
                 capped = capped | again
-            named = named | chosen
+            isolated = isolated | chosen
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
         if self.window > 1:
-            restart = np.any(named, axis=-1) & self.accommodate
+            restart = np.any(isolated, axis=-1) & self.accommodate
             window = advance(onsets, joint.C @ found.inverse, found, restart)
 
         update = Update(x, p, prior, joint, found)
-        verdict = Verdict(usable, named, residual, threshold, size, capped, one_limit)
-        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
+        tested = TestedSensors(usable, isolated, residual, threshold, size, capped, one_limit)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return LeaveOneOutMemory(GaussianState(x, p), exclusion, window), decision
 
     def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array, Array]:
@@ -131,16 +131,16 @@ class LeaveOneOutBank(ExcludingBank):
 
         Return the statistics of the rest, the sensors eliminated (..., N), and whether one above is left (...).
         """
-        named = np.zeros(found.used.shape, bool)
+        isolated = np.zeros(found.used.shape, bool)
         limit, _ = self.limits
         while True:
             chi_square = found.chi_square
             worst = np.argmax(chi_square, axis=-1)
             above = np.max(chi_square, axis=-1) > limit
-            where = above & (np.sum(out | named, axis=-1) < self.most_faults)
+            where = above & (np.sum(out | isolated, axis=-1) < self.most_faults)
             if not np.any(where):
-                return found, named, above
-            named = named | (where[..., None] & _only(worst, named))
+                return found, isolated, above
+            isolated = isolated | (where[..., None] & _only(worst, isolated))
             found = eliminate(found, worst, where)
 
 
@@ -149,7 +149,7 @@ def _only(sensor: Array, like: Array) -> Array:
     return np.asarray(np.arange(like.shape[-1]) == sensor[..., None])
 
 
-def _freed(prior: Prior, onsets: OnsetStatistics, best: Best, sensor: Array, chosen: Array) -> Prior:
+def _without_fault(prior: Prior, onsets: OnsetStatistics, best: Best, sensor: Array, chosen: Array) -> Prior:
     """The prior without what the filter had absorbed of the fault of `sensor` since its onset, with the uncertainty of that."""
     x, p = prior.core
     moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(onsets, best, sensor), 0.0)

@@ -23,7 +23,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import GaussianState, step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
-from fusion_sfdia.kalman_banks.excluding_bank import Update, Verdict
+from fusion_sfdia.kalman_banks.excluding_bank import TestedSensors, Update
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons
@@ -82,18 +82,18 @@ class MovingHorizon(LeaveOneOutBank):
         deviation = 1 / np.sqrt(np.where(known > 0, known, np.inf))
         ratio = np.abs(g) * deviation / self.penalty
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
-        free_x, free_p, named, size, capped = self._solve((present, past), known > 0, ratio, room, x, p)
+        free_x, free_p, isolated, size, capped = self._solve((present, past), known > 0, ratio, room, x, p)
         if self.accommodate:
             x, p = free_x, free_p
-            keep = ~np.any(named, axis=-1)[..., None, None]
+            keep = ~np.any(isolated, axis=-1)[..., None, None]
             past = Horizons(past.effect * keep[..., None], past.g * keep, past.G * keep[..., None])
 
         worst = np.argmax(ratio, axis=-2)[..., None, :]
         alone, deviation = (np.take_along_axis(a, worst, axis=-2)[..., 0, :] for a in (g * deviation**2, deviation))
         threshold = np.where(deviation > 0, self.penalty * deviation, np.inf)
         update = Update(x, p, prior, joint, found)
-        verdict = Verdict(usable, named, alone, threshold, size, capped, self.penalty**2)
-        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
+        tested = TestedSensors(usable, isolated, alone, threshold, size, capped, self.penalty**2)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return MovingHorizonMemory(GaussianState(x, p), exclusion, past), decision
 
     def _solve(
@@ -106,7 +106,7 @@ class MovingHorizon(LeaveOneOutBank):
         """
         x, p = x.copy(), p.copy()
         shape = (*x.shape[:-1], ratio.shape[-1])
-        named, size = np.zeros(shape, bool), np.zeros(shape)
+        isolated, size = np.zeros(shape, bool), np.zeros(shape)
         above = np.any(ratio > 1, axis=(-2, -1))
         capped = above & (room <= 0)
         for run in zip(*np.nonzero(above & (room > 0)), strict=True):
@@ -115,8 +115,8 @@ class MovingHorizon(LeaveOneOutBank):
             f = moving_horizon.sparse_faults(g, G, known[run][j], self.penalty)
             f[worst] = f[worst] or g[worst]  # it enters first; exactly at the threshold f is 0 up to rounding
             fit = moving_horizon.refitted(g, G, np.flatnonzero(f), self.penalty, int(room[run]))
-            named[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
+            isolated[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
             moved = effect[:, fit.sensors]
             x[run] -= moved @ fit.f
             p[run] += moved @ fit.covariance @ moved.T
-        return x, p, named, size, capped
+        return x, p, isolated, size, capped

@@ -73,8 +73,8 @@ class ParticleFilter(BatchDetector):
         _, ahead, moved, stuck, lost = guarded_points(plant, now.t_start, memory.members, u, now.dt)
         cloud = particle.predict(Particles(ahead, memory.log_weights), lambda s: s, plant.process_cov_over(now.dt), rng)
         predicted = readings_of(plant, now.t, cloud.members, over)
-        judged, named, capped = self._eliminated(cloud, predicted, y)
-        used = np.isfinite(y) & ~(named & self.accommodate)
+        tested, isolated, capped = self._eliminated(cloud, predicted, y)
+        used = np.isfinite(y) & ~(isolated & self.accommodate)
         weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)
         x, p = weighed.moments
         expected, _ = particle.weighted_moments(predicted, weighed.weights)
@@ -82,10 +82,10 @@ class ParticleFilter(BatchDetector):
         decision = Decision(
             estimate=x,
             reconstruction=np.where(used, y, expected),
-            residual=judged.residual,
-            threshold=self._alpha * judged.sigma,
-            isolated=named,
-            fault_size=np.where(named, judged.residual, np.nan),
+            residual=tested.residual,
+            threshold=self._alpha * tested.sigma,
+            isolated=isolated,
+            fault_size=np.where(isolated, tested.residual, np.nan),
             diverged=lost | broken(x, p),
             guarded=moved | stuck,
             nis=self._nis(cloud, predicted, np.where(used, y, np.nan)),
@@ -108,16 +108,16 @@ class ParticleFilter(BatchDetector):
         one more (...).
         """
         first = without_each(cloud, predicted, y, self.plant.sensor_cov)
-        judged, named = first, np.zeros(y.shape, bool)
+        current, isolated = first, np.zeros(y.shape, bool)
         while True:
-            ratio = np.nan_to_num(np.abs(judged.residual) / (self._alpha * judged.sigma), nan=0.0)
+            ratio = np.nan_to_num(np.abs(current.residual) / (self._alpha * current.sigma), nan=0.0)
             worst = np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]
             above = worst & (ratio > 1)
-            more = above & (np.sum(named, axis=-1, keepdims=True) < self.most_faults)
+            more = above & (np.sum(isolated, axis=-1, keepdims=True) < self.most_faults)
             if not np.any(more):
-                return first, named, np.any(above, axis=-1)
-            named = named | more
-            judged = without_each(cloud, predicted, np.where(named, np.nan, y), self.plant.sensor_cov)
+                return first, isolated, np.any(above, axis=-1)
+            isolated = isolated | more
+            current = without_each(cloud, predicted, np.where(isolated, np.nan, y), self.plant.sensor_cov)
 
     def _nis(self, cloud: Particles, predicted: Array, y: Array) -> Array:
         """Return d' S^-1 d over the number of readings (...), S the weighted covariance of the predictions with the noise."""

@@ -1,6 +1,6 @@
 """Detector: one central filter whose standardised innovations, or leave-one-out innovations, go through sequential tests.
 
-The textbook tests for weak faults, which accumulate over time (see `memory_rules`), on
+The textbook tests for weak faults, which accumulate over time (see `sequential_rules`), on
 
     innovation       z_i = d_i / sqrt(S_ii)    reading less what the model predicts
     leave-one-out    z_i = u_i / sqrt(w_i)     reading less what the model and all other readings predict (see leave_one_out)
@@ -29,9 +29,9 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, TestedSensors, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
-from fusion_sfdia.kalman_banks.memory_rules import Rule, Shewhart
+from fusion_sfdia.kalman_banks.sequential_rules import SequentialRule, Shewhart
 
 Array = NDArray[Any]
 
@@ -48,7 +48,7 @@ class TestedInnovations(NamedTuple):
 
 
 class SequentialMemory(NamedTuple):
-    """The filter's estimate, the sensors that are left out, and of each rule its memory (..., rows, N), see memory_rules."""
+    """The filter's estimate, the sensors that are left out, and the memory of each rule (..., rows, N)."""
 
     estimate: GaussianState
     exclusion: Exclusion
@@ -67,7 +67,7 @@ class SequentialBank(ExcludingBank):
     accommodate: leave out faulty sensors; without, statistics are those of the undisturbed filter and no memory begins again.
     """
 
-    rules: tuple[Rule, ...] = (Shewhart(),)
+    rules: tuple[SequentialRule, ...] = (Shewhart(),)
     leave_one_out: bool = True
     estimator: Estimator = field(default_factory=Extended)
     false_alarm: float = 1e-3
@@ -91,23 +91,23 @@ class SequentialBank(ExcludingBank):
         prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = self._joint(now, estimate.x, prior, u, usable)
         everything = statistics(joint, y, usable)
-        judged = self._test(joint, everything, y, of_rules)
-        found, named, capped = self._eliminate(joint, everything, judged, y, of_rules, exclusion.out)
+        innovations = self._test(joint, everything, y, of_rules)
+        found, isolated, capped = self._eliminate(joint, everything, innovations, y, of_rules, exclusion.out)
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
-        of_rules = judged.of_rules
-        if self.accommodate and np.any(named):
-            restart = np.any(named, axis=-1)[..., None, None]
+        of_rules = innovations.of_rules
+        if self.accommodate and np.any(isolated):
+            restart = np.any(isolated, axis=-1)[..., None, None]
             fresh = (rule.start(y.shape[:-1], count) for rule in self.rules)
             of_rules = tuple(np.where(restart, new, old) for new, old in zip(fresh, of_rules, strict=True))
 
         limit = (self.threshold_scale * ndtri(self.false_alarm / count / 2)) ** 2
-        signed = np.where(np.signbit(judged.innovation), -judged.ratio, judged.ratio)
-        threshold = judged.deviation * np.sqrt(limit)
+        signed = np.where(np.signbit(innovations.innovation), -innovations.ratio, innovations.ratio)
+        threshold = innovations.deviation * np.sqrt(limit)
         update = Update(x, p, prior, joint, found)
-        verdict = Verdict(usable, named, signed * threshold, threshold, judged.innovation, capped, limit)
-        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
+        tested = TestedSensors(usable, isolated, signed * threshold, threshold, innovations.innovation, capped, limit)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return SequentialMemory(GaussianState(x, p), exclusion, of_rules), decision
 
     def _joint(self, now: TimeStep, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
@@ -129,21 +129,27 @@ class SequentialBank(ExcludingBank):
         return TestedInnovations(innovation, deviation, of_rules, ratio)
 
     def _eliminate(
-        self, joint: Joint, found: LeaveOneOut, judged: TestedInnovations, y: Array, of_rules: tuple[Array, ...], out: Array
+        self,
+        joint: Joint,
+        found: LeaveOneOut,
+        innovations: TestedInnovations,
+        y: Array,
+        of_rules: tuple[Array, ...],
+        out: Array,
     ) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out.
 
         Return the statistics of the rest, the sensors eliminated (..., N), and whether one that exceeds its limit stays because
         of max_faults (...).
         """
-        named = np.zeros(found.used.shape, bool)
+        isolated = np.zeros(found.used.shape, bool)
         while True:
-            worst = np.argmax(judged.ratio, axis=-1)
-            above = np.max(judged.ratio, axis=-1) > 1
-            room = np.sum(out | named, axis=-1) < self.most_faults
-            where = above & room & (self.leave_one_out | ~np.any(named, axis=-1))
+            worst = np.argmax(innovations.ratio, axis=-1)
+            above = np.max(innovations.ratio, axis=-1) > 1
+            room = np.sum(out | isolated, axis=-1) < self.most_faults
+            where = above & room & (self.leave_one_out | ~np.any(isolated, axis=-1))
             if not np.any(where):
-                return found, named, above & ~room
-            named = named | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
+                return found, isolated, above & ~room
+            isolated = isolated | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
             found = eliminate(found, worst, where)
-            judged = self._test(joint, found, y, of_rules)
+            innovations = self._test(joint, found, y, of_rules)

@@ -109,7 +109,7 @@ def test_what_is_refused() -> None:
         AdaptiveThreshold(changed(ENGINE, modules=None))
     with pytest.raises(ValueError, match="observer of fuel has the gain -100"):
         replace(modules, gains={**modules.gains, "fuel": -100.0})
-    with pytest.raises(ValueError, match="margins names nothing"):
+    with pytest.raises(ValueError, match="margins has nothing"):
         AdaptiveThreshold(ENGINE, margins={"nothing": 0.1})
     with pytest.raises(ValueError, match="have no noise bound"):
         sensors = tuple(replace(s, bound=None, sigma=s.noise_sigma) for s in ENGINE.sensors)
@@ -125,13 +125,13 @@ def test_what_is_refused() -> None:
         AdaptiveThreshold(doubled)
     with pytest.raises(ValueError, match="bounds is 'corner'; known: corners, inclusion, sivia"):
         AdaptiveThreshold(ENGINE, bounds="corner")
-    with pytest.raises(ValueError, match="drift names torque"):
+    with pytest.raises(ValueError, match="drift has torque"):
         AdaptiveThreshold(ENGINE, drift={"torque": 0.1})
-    with pytest.raises(ValueError, match="envelope names nothing"):
+    with pytest.raises(ValueError, match="envelope has nothing"):
         AdaptiveThreshold(ENGINE, envelope={"nothing": (0.0, 1.0)})
-    with pytest.raises(ValueError, match="nominal value of torque is 0, no measure of a range; give envelope"):
+    with pytest.raises(ValueError, match="nominal value of torque is 0, which gives no range; give envelope"):
         _ = AdaptiveThreshold(changed(ENGINE, modules=replace(modules, nominal={**modules.nominal, "torque": 0.0}))).ends
-    with pytest.raises(ValueError, match="envelope of torque is no finite range"):
+    with pytest.raises(ValueError, match="envelope of torque is not a finite range"):
         _ = AdaptiveThreshold(ENGINE, envelope={"torque": (5e4, 4e4)}).slopes
 
 

@@ -51,7 +51,7 @@ def test_what_cannot_be_bounded_is_refused() -> None:
     table = {"y": lambda x, c: np.sqrt(x)}
     with pytest.raises(ValueError, match="equation of y has no bounded slope in x over the envelope"):
         prove(table, ("x",), np.array([0.0]), np.array([1.0]), None)
-    with pytest.raises(ValueError, match="envelope of x is no finite range"):
+    with pytest.raises(ValueError, match="envelope of x is not a finite range"):
         prove(table, ("x",), np.array([1.0]), np.array([1.0]), None)
-    with pytest.raises(ValueError, match="envelope of x is no finite range"):
+    with pytest.raises(ValueError, match="envelope of x is not a finite range"):
         prove(table, ("x",), np.array([1.0]), np.array([np.inf]), None)

@@ -169,7 +169,7 @@ def test_refusals_name_the_cure():
         sensors_read({"m": ("flow",)}, {})
     with pytest.raises(ValueError, match="circular: p <- q <- p"):
         sensors_read({"m": ("p",)}, {}, {"p": ("q",), "q": ("p",)})
-    with pytest.raises(ValueError, match="m names c; the sensors are a, b"):
+    with pytest.raises(ValueError, match="m has c; the sensors are a, b"):
         signature_matrix({"m": {"c": "*"}}, ("a", "b"))
     with pytest.raises(ValueError, match=r"entries \['x'\]; expected '0', '1'"):
         signature_matrix({"m": {"a": "x"}}, ("a",))

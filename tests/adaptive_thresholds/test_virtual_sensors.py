@@ -239,13 +239,13 @@ def test_tanks_whose_levels_are_integrals() -> None:
 def test_what_is_refused() -> None:
     with pytest.raises(ValueError, match="inversion is 'newton'; known: corners, sivia"):
         replace(DETECTOR, inversion="newton")
-    with pytest.raises(ValueError, match="learning_rates names torque; the states are fuel, p_receiver, p_charge"):
+    with pytest.raises(ValueError, match="learning_rates has torque; the states are fuel, p_receiver, p_charge"):
         replace(DETECTOR, learning_rates={"torque": 1.0})
     with pytest.raises(ValueError, match=r"learning rates fuel=-1.0; expected positive numbers in 1/s"):
         replace(DETECTOR, learning_rates={"fuel": -1.0})
     with pytest.raises(ValueError, match="does not state its scalar equations"):
         VirtualSensors(changed(ENGINE, modules=None))
-    with pytest.raises(ValueError, match="envelope names nothing"):
+    with pytest.raises(ValueError, match="envelope has nothing"):
         VirtualSensors(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="no state of VirtualSensors"):
         DETECTOR.fault_interval(DETECTOR.init()._replace(memory=()))

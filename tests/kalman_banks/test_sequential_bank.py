@@ -11,10 +11,10 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.estimators import Ensemble, Unscented
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+from fusion_sfdia.kalman_banks.sequential_rules import Cusum, Ewma, SequentialRule, Shewhart, SumOfSquares
 
-MEMORIES: list[Rule] = [SumOfSquares(15), Cusum(1.0), Ewma(0.2)]
+MEMORIES: list[SequentialRule] = [SumOfSquares(15), Cusum(1.0), Ewma(0.2)]
 
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
@@ -37,7 +37,7 @@ def test_without_memory_and_accommodation_it_is_the_one_sample_test(leave_one_ou
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
 @pytest.mark.parametrize("rule", [SumOfSquares(15), Ewma(0.2)], ids=["window", "ewma"])
-def test_the_false_alarm_rate_of_a_sensor_is_its_share(rule: Rule, leave_one_out: bool) -> None:
+def test_the_false_alarm_rate_of_a_sensor_is_its_share(rule: SequentialRule, leave_one_out: bool) -> None:
     """On a linear Gaussian plant, of each sensor by itself: exactly, as innovations are white and Gaussian there."""
     plant, share, runs = chain(4), 0.02, 400
     t, _, y, u = readings(plant, 120, runs, seed=1)
@@ -51,7 +51,7 @@ def test_the_false_alarm_rate_of_a_sensor_is_its_share(rule: Rule, leave_one_out
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
 @pytest.mark.parametrize("rule", MEMORIES, ids=lambda rule: type(rule).__name__)
-def test_alarms_begin_at_most_at_the_stated_rate(rule: Rule, leave_one_out: bool) -> None:
+def test_alarms_begin_at_most_at_the_stated_rate(rule: SequentialRule, leave_one_out: bool) -> None:
     plant = chain(6)
     t, _, y, u = readings(plant, 300, 60, seed=2)
     bank = SequentialBank(plant, (Shewhart(), rule), leave_one_out, false_alarm=0.01)
@@ -63,7 +63,7 @@ def test_alarms_begin_at_most_at_the_stated_rate(rule: Rule, leave_one_out: bool
 
 @pytest.mark.parametrize("plant", [chain(12), tanks()], ids=["chain", "tanks"])
 @pytest.mark.parametrize("rule", MEMORIES, ids=lambda rule: type(rule).__name__)
-def test_memory_finds_the_weak_bias_that_one_sample_lets_in(rule: Rule, plant) -> None:  # type: ignore[no-untyped-def]
+def test_memory_finds_the_weak_bias_that_one_sample_lets_in(rule: SequentialRule, plant) -> None:  # type: ignore[no-untyped-def]
     t, _, y, u = readings(plant, 120, 40, seed=3)
     y = y.copy()
     y[60:, :, 1] += 3.0 * plant.sensor_sigma[1]

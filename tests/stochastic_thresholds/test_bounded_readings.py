@@ -52,7 +52,7 @@ def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:
 
 def test_a_bound_has_no_probability_to_be_asked_for() -> None:
     assert false_alarm_of("bound", 1.0) == 0.0
-    with pytest.raises(ValueError, match="has no false alarms to allow for"):
+    with pytest.raises(ValueError, match="has no false alarms; leave"):
         alpha_for("bound", 0.01)
-    with pytest.raises(ValueError, match="has no false alarms to allow for"):
+    with pytest.raises(ValueError, match="has no false alarms; leave"):
         Chebyshev(chain(6), rule="bound", false_alarm=0.01)

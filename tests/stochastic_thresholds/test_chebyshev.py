@@ -261,8 +261,8 @@ def test_confirmations_wait() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"alpha": 1.0}, "must exceed 1"),
-        ({"alpha": np.nan}, "must exceed 1"),
+        ({"alpha": 1.0}, "expected a finite number above 1"),
+        ({"alpha": np.nan}, "expected a finite number above 1"),
         ({"alpha": (2.0, 3.0)}, "expected one number or one for each of 4 sensors"),
         ({"false_alarm": 0.0}, "strictly between 0 and 1"),
         ({"false_alarm": 1.5}, "strictly between 0 and 1"),

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fusion_sfdia.stochastic_thresholds.confirmation import Consecutive, Cusum, WindowGlr, run
+from fusion_sfdia.stochastic_thresholds.confirmation import ConfirmationCusum, Consecutive, WindowGlr, run
 from fusion_sfdia.stochastic_thresholds.threshold_rules import conformal_alpha
 
-TESTS = [Consecutive(2.0, q=3), Cusum(5.0), WindowGlr(4.0, window=5)]
+TESTS = [Consecutive(2.0, q=3), ConfirmationCusum(5.0), WindowGlr(4.0, window=5)]
 
 
 def test_against_plain_loops() -> None:
@@ -27,7 +27,7 @@ def test_against_plain_loops() -> None:
 
 
 @pytest.mark.parametrize("test", TESTS, ids=lambda t: type(t).__name__)
-def test_streams_are_independent_and_gaps_change_nothing(test: Cusum) -> None:
+def test_streams_are_independent_and_gaps_change_nothing(test: ConfirmationCusum) -> None:
     z = np.random.default_rng(1).standard_normal((40, 2, 4))
     together = run(test, z)
     np.testing.assert_array_equal(together[:, 1, 2], run(test, z[:, 1, 2]))
@@ -88,8 +88,8 @@ def test_three_alarms_in_a_row_may_be_likelier_than_their_bound_at_alpha_10() ->
     [
         (lambda: Consecutive(2.0, q=0), "q is 0; expected a whole number of at least 1"),
         (lambda: Consecutive(0.0), "level is 0"),
-        (lambda: Cusum(1.0, drift=-0.1), "drift is -0.1"),
-        (lambda: Cusum(np.inf), "level is inf"),
+        (lambda: ConfirmationCusum(1.0, drift=-0.1), "drift is -0.1"),
+        (lambda: ConfirmationCusum(np.inf), "level is inf"),
         (lambda: WindowGlr(1.0, window=1.5), "window is 1.5"),
     ],
 )
@@ -102,7 +102,7 @@ def test_the_usual_settings_on_streams_that_are_checked_by_hand() -> None:
     """Three in a row: the least of the last three. Sums over up to eight samples: 8 / sqrt(8) at most, of ones."""
     np.testing.assert_array_equal(run(Consecutive(2.0), [4.0, -3.0, 5.0, 1.0]), [0.0, 0.0, 3.0, 1.0])
     np.testing.assert_allclose(run(WindowGlr(4.0), np.ones(10)), np.sqrt(np.minimum(np.arange(1, 11), 8)), rtol=1e-12)
-    np.testing.assert_array_equal(run(Cusum(5.0), [1.5, 0.0, -1.5]), [1.0, 0.5, 1.0])
-    np.testing.assert_array_equal(run(Cusum(5.0, drift=0.0), [1.0, 2.0]), [1.0, 3.0])
+    np.testing.assert_array_equal(run(ConfirmationCusum(5.0), [1.5, 0.0, -1.5]), [1.0, 0.5, 1.0])
+    np.testing.assert_array_equal(run(ConfirmationCusum(5.0, drift=0.0), [1.0, 2.0]), [1.0, 3.0])
     with pytest.raises(ValueError, match="z is"):
-        run(Cusum(5.0), "one")
+        run(ConfirmationCusum(5.0), "one")

@@ -93,13 +93,13 @@ def test_each_hypothesis_is_the_diagnoser_that_knows_its_fault(mode: str, missin
             at = AREAS.network.topology
             sides = np.arange(at.start[AREA], at.start[AREA + 1])
             knows = knowing[name]
-            mixed = {k: np.array(getattr(knows, k)) for k in ("held_shared", "doubt_shared")}
+            mixed = {k: np.array(getattr(knows, k)) for k in ("held_shared", "error_bound_shared")}
             for k, a in mixed.items():
                 a[:, sides] = getattr(detection, k)[:, sides]
             ahead = predict(areas, knows._replace(**mixed), *as_known(fault, reference, load), LAM, mode)
             knowing[name] = knows = take(ahead, own, shared)
             open_there = ~AREAS.network.closed[there]
-            for k in ("held", "doubt", "residual", "deviation"):
+            for k in ("held", "error_bound", "residual", "deviation"):
                 expected = np.concatenate([getattr(knows, k)[:, AREA], getattr(knows, f"{k}_shared")[:, there]], axis=-1)
                 expected[:, 4:][:, open_there] = found_open = getattr(state, k)[:, place, 4:][:, open_there]
                 assert np.all(np.isfinite(found_open))
@@ -199,7 +199,7 @@ def test_nothing_happens_before_the_start_or_without_a_reading() -> None:
         ({"faults": {"x": lambda x, u, e: x.astype(str)}}, "expected 4 finite numbers"),
         ({"faults": {NONE: nothing}}, "more than once"),
         ({"area": "16"}, "unknown node '16'"),
-        ({"alpha": 0.9}, "must exceed 1"),
+        ({"alpha": 0.9}, "expected a finite number above 1"),
         ({"rule": "conformal"}, "conformal"),
         ({"lam": 1.0}, "lam is 1.0"),
         ({"mode": "printed"}, "known: corrected, paper"),

@@ -126,5 +126,5 @@ def test_what_cannot_be_shared_out(client: Any) -> None:
     start = initial_state(AREAS, (BATCH,))
     with pytest.raises(ValueError, match="mode is 'papr'"):
         PartitionedNetwork(client, AREAS, start, SOURCE, ALPHA, LAM, "papr")
-    with pytest.raises(ValueError, match="no worker to put a part on"):
+    with pytest.raises(ValueError, match="no worker for a part"):
         PartitionedNetwork(client, AREAS, start, SOURCE, ALPHA, LAM, workers=[])

@@ -28,7 +28,7 @@ OVERSHOOT = 1.166  # 2 * .583: mean excess of a Gaussian random walk over both l
 LEAST = 0.1
 
 
-class Rule(Protocol):
+class SequentialRule(Protocol):
     """A sequential test: its initial memory, that after z (..., N), the statistic and its limit (..., N)."""
 
     def start(self, batch: tuple[int, ...], sensors: int) -> Array: ...

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares, cusum_limit
+from fusion_sfdia.kalman_banks.sequential_rules import Cusum, Ewma, SequentialRule, Shewhart, SumOfSquares, cusum_limit
 
-RULES: list[Rule] = [Shewhart(), SumOfSquares(5), Cusum(1.0), Ewma(0.2)]
+RULES: list[SequentialRule] = [Shewhart(), SumOfSquares(5), Cusum(1.0), Ewma(0.2)]
 every_rule = pytest.mark.parametrize("rule", RULES, ids=lambda rule: type(rule).__name__)
 
 
-def literal(rule: Rule, z: np.ndarray) -> float:
+def literal(rule: SequentialRule, z: np.ndarray) -> float:
     """The statistic of one sensor after the numbers z, as the textbook writes it."""
     if isinstance(rule, Shewhart):
         return abs(float(z[-1]))
@@ -34,7 +34,7 @@ def literal(rule: Rule, z: np.ndarray) -> float:
 
 
 @every_rule
-def test_a_recursion_is_the_textbook_s_loop_and_rests_where_nothing_is_read(rule: Rule) -> None:
+def test_a_recursion_is_the_textbook_s_loop_and_rests_where_nothing_is_read(rule: SequentialRule) -> None:
     rng = np.random.default_rng(0)
     z = rng.standard_normal((40, 3, 2)) + 0.5
     z[rng.random(z.shape) < 0.3] = np.nan
@@ -50,7 +50,7 @@ def test_a_recursion_is_the_textbook_s_loop_and_rests_where_nothing_is_read(rule
                 assert rule.statistic(memory)[run, sensor] == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def alarms(rule: Rule, share: float, steps: int, runs: int) -> np.ndarray:
+def alarms(rule: SequentialRule, share: float, steps: int, runs: int) -> np.ndarray:
     rng = np.random.default_rng(1)
     memory = rule.start((runs,), 1)
     found = np.empty((steps, runs), bool)
@@ -61,7 +61,7 @@ def alarms(rule: Rule, share: float, steps: int, runs: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("rule", [Shewhart(), SumOfSquares(5), Ewma(0.2)], ids=lambda rule: type(rule).__name__)
-def test_limits_that_claim_to_be_exact_are_so_at_every_step(rule: Rule) -> None:
+def test_limits_that_claim_to_be_exact_are_so_at_every_step(rule: SequentialRule) -> None:
     found = alarms(rule, 0.02, 12, 40_000)
     # runs are independent: the rate of each step is binomial; 12 steps, four standard errors
     assert np.all(np.abs(found.mean(axis=1) - 0.02) < 4 * np.sqrt(0.02 * 0.98 / 40_000))
@@ -99,7 +99,7 @@ def test_the_limit_of_a_cumulative_sum_against_a_published_run_length() -> None:
 
 
 @every_rule
-def test_a_limit_is_positive_and_grows_with_what_is_asked(rule: Rule) -> None:
+def test_a_limit_is_positive_and_grows_with_what_is_asked(rule: SequentialRule) -> None:
     memory = rule.advance(rule.start((2,), 3), np.zeros((2, 3)))
     limits = [rule.limit(memory, share) for share in (0.9, 1e-2, 1e-4, 1e-8)]
     assert np.all(limits[0] > 0) and all(np.all(b > a) for a, b in pairwise(limits))
