@@ -66,16 +66,18 @@ class MonitoringMemory(NamedTuple):
 class AdaptiveThreshold(BatchDetector):
     """Monitoring modules of a plant whose `modules` state its equations; hypotheses are the sensors.
 
-    envelope: the range of healthy readings. A number is half its width as a share of the nominal values. {variable: (least,
+    envelope: the range of healthy readings. A number: half of its width as a share of the nominal values. {variable: (least,
     most)} in SI is for variables that change with the load; include twice the noise bound on either side. Default: twice the
     largest noise bound plus 5 %. A varying load needs an envelope as wide as its transients; otherwise an alarm does not prove
-    a fault. drift: {state: share of its nominal value by which it moves at most in one plant.dt}. Default: the values of the
-    plant's modules, for a steady load. Give it for a load that varies, even within the envelope (for loads of the engine within
-    3 % marine_engine.receiver_drift). For other states the model and the readings bound the drift. bounds: of algebraic
-    variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set inversion, K24 (11); or
-    "codac", set inversion by that library. The alternatives are wider and slow. margins: {variable: share of its nominal value}
-    added to its threshold. latch: the decision of a module that has fired stays, (16). agents: whether an agent exonerates its
-    own sensors while none of its modules fires, (17), (18).
+    a fault.
+    drift: {state: share of its nominal value by which it moves at most in one plant.dt}. Default: the values of the plant's
+    modules, for a steady load. Give it for a load that varies, even within the envelope (for loads of the engine within 3 %
+    marine_engine.receiver_drift). For other states the model and the readings bound the drift.
+    bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
+    inversion, K24 (11); or "codac", set inversion by that library. The alternatives are wider and slow.
+    margins: {variable: share of its nominal value} added to its threshold. latch: the decision of a module that has fired
+    stays, (16).
+    agents: whether an agent exonerates its own sensors while none of its modules fires, (17), (18).
 
     isolated: the members of all diagnoses, which may be most sensors; no sensor where no set of faults explains the modules
     that fire. The reconstruction keeps the readings of isolated sensors. The fault size is the residual; for an observer it is

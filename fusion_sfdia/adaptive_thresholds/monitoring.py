@@ -146,9 +146,9 @@ def decide(
     """Return residual, threshold, reconstruction, whether each module fires or has fired (B, N), and whether a prediction of
     the run is not finite (B,).
 
-    y: readings (B, N) in sensor units. x, state_bound (B, S), lower, upper (B, E - S): the predictions in SI. extra (E,): added
-    to the radius of a prediction. variable (N,): of each sensor. scale (N,): sensor units of one SI unit. fired (B, N): before
-    this step. factor: multiplies the threshold.
+    y: readings (B, N) in sensor units. x, state_bound (B, S), lower, upper (B, E - S): the predictions in SI.
+    extra (E,): added to the radius of a prediction. variable (N,): of each sensor.
+    scale (N,): sensor units of one SI unit. fired (B, N): before this step. factor: multiplies the threshold.
     """
     size, count = y.shape
     states = x.shape[1]

@@ -70,10 +70,11 @@ class VirtualSensors(BatchDetector):
     offset fits. reconstruction: the readings without the faults; the value of the equation where a reading is missing or no
     constant offset fits.
 
-    envelope, drift: as of AdaptiveThreshold. learning_rates: {state: Gamma, 1/s} for states whose fault an adaptive observer
-    (12) estimates, with the gain of their module. Its estimate is not guaranteed; the interval is. intersect: False for the
-    interval of each instant alone, as (14) and (17) are printed. inversion: "corners", or "sivia" for set inversion (15) of the
-    algebraic equations of isolated sensors, which is slow.
+    envelope, drift: as of AdaptiveThreshold.
+    learning_rates: {state: Gamma, 1/s} for states whose fault an adaptive observer (12) estimates, with the gain of their
+    module. Its estimate is not guaranteed; the interval is.
+    intersect: False for the interval of each instant alone, as (14) and (17) are printed.
+    inversion: "corners", or "sivia" for set inversion (15) of the algebraic equations of isolated sensors, which is slow.
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None

@@ -1,11 +1,11 @@
 """Detector: moving-horizon estimation of the state with sparse sensor faults (L1), see `moving_horizon`.
 
-The sums of a horizon depend on where it begins, so that sliding it sample by sample would cost as many recursions as it has
+The sums of a horizon depend on its beginning, so a window that slides sample by sample would need as many recursions as it has
 samples. Instead a horizon begins every L // 2 samples and ends after twice as many: there is always one of up to half the
-length and one that is longer. A third horizon is the present reading alone, which finds large faults immediately. The three
-problems share the false-alarm budget. The one with the largest |g_i| / s_i is solved where this exceeds lambda. Sensors with
-a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`. The state is
-that of the moving-horizon problem with these faults free, and all horizons begin again.
+length and one that is longer. A third horizon is the present reading alone, which detects large faults immediately. The three
+problems share the false-alarm probability. The problem with the largest |g_i| / s_i is solved where this exceeds lambda.
+Sensors with a fault in its solution are left out, replaced and readmitted by a likelihood ratio, as in `leave_one_out_bank`.
+The state is then that of the moving-horizon problem with these faults free, and all horizons restart.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons
 
 Array = NDArray[Any]
-HORIZONS = 2  # beside that of the present reading
+HORIZONS = 2  # besides the horizon of the present reading
 
 
 class MovingHorizonMemory(NamedTuple):
@@ -44,7 +44,7 @@ class MovingHorizonMemory(NamedTuple):
 class MovingHorizon(LeaveOneOutBank):
     """Moving-horizon estimation with an L1 penalty on faults, on one central filter; settings as of LeaveOneOutBank.
 
-    window: the most samples in a horizon. false_alarm: shared equally by sensors and horizons (Bonferroni).
+    window: largest number of samples in a horizon. false_alarm: shared equally by sensors and horizons (Bonferroni).
     """
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class MovingHorizon(LeaveOneOutBank):
 
     @property
     def penalty(self) -> float:
-        """lambda: what |g_i| / s_i of a healthy sensor exceeds, in a horizon, with its share of false_alarm."""
+        """lambda: |g_i| / s_i of a healthy sensor exceeds it, in a horizon, with its share of false_alarm."""
         share = self.false_alarm / len(self.plant.sensors) / (1 + HORIZONS)
         return float(-self.threshold_scale * ndtri(share / 2))
 
@@ -101,7 +101,7 @@ class MovingHorizon(LeaveOneOutBank):
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Solve, in each run with a ratio above 1 and room for a fault, the horizon with the largest.
 
-        Return estimate and covariance with the faults found free, the sensors isolated (..., N), the sizes of their
+        Return estimate and covariance with the detected faults free, the sensors isolated (..., N), the sizes of their
         faults (..., N), and whether more would be isolated without max_faults (...).
         """
         x, p = x.copy(), p.copy()
@@ -113,7 +113,7 @@ class MovingHorizon(LeaveOneOutBank):
             j, worst = divmod(int(np.argmax(ratio[run])), ratio.shape[-1])
             effect, g, G = (a[run][max(j - 1, 0)] for a in problems[min(j, 1)])
             f = moving_horizon.sparse_faults(g, G, known[run][j], self.penalty)
-            f[worst] = f[worst] or g[worst]  # it enters first; exactly at the threshold f is 0 up to rounding
+            f[worst] = f[worst] or g[worst]  # the first to enter; exactly at the threshold its f is 0 up to rounding
             fit = moving_horizon.refitted(g, G, np.flatnonzero(f), self.penalty, int(room[run]))
             isolated[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
             moved = effect[:, fit.sensors]

@@ -1,17 +1,19 @@
-"""Detector: one central filter whose standardised innovations, or leave-one-out innovations, go through sequential tests.
+"""Detector: one central filter with sequential tests of its standardised innovations or leave-one-out innovations.
 
-The textbook tests for weak faults, which accumulate over time (see `sequential_rules`), on
+The textbook tests for weak faults, which accumulate evidence over time (see `sequential_rules`), on
 
-    innovation       z_i = d_i / sqrt(S_ii)    reading less what the model predicts
-    leave-one-out    z_i = u_i / sqrt(w_i)     reading less what the model and all other readings predict (see leave_one_out)
+    innovation       z_i = d_i / sqrt(S_ii)    reading less the prediction of the model
+    leave-one-out    z_i = u_i / sqrt(w_i)     reading less the prediction from the model and all other readings (leave_one_out)
 
-Both are N(0, 1) when healthy; innovations are white in time for a true model, and so are leave-one-out innovations, each a
-linear form of the innovation of one step. Tests may be combined, such as a cumulative sum for small faults and a limit on the
-present sample for large ones (Lucas 1982); they then share the budget. The sensor with the largest ratio of statistic to limit
-is isolated. Leave-one-out statistics of the rest follow without it, until none exceeds its limit. An innovation does not depend
-on the other readings of its step, so that only the sensor with the largest ratio is isolated in a step. As in
-`leave_one_out_bank` an isolated sensor is left out, replaced and readmitted by a likelihood ratio, and the memories of all
-sensors begin again, because the filter has spread the fault over them.
+Both are N(0, 1) when healthy. For a correct model innovations are white in time, and so are leave-one-out innovations, which
+are linear forms of the innovation of one step. Tests may be combined, such as a cumulative sum for small faults and a limit on
+the present sample for large ones (Lucas 1982); they then share the false-alarm probability.
+
+The sensor with the largest ratio of statistic to limit is isolated. The leave-one-out statistics of the other sensors are then
+updated without it, until none exceeds its limit. An innovation does not depend on the other readings of its step, so with
+innovations only the sensor with the largest ratio is isolated in a step. As in `leave_one_out_bank` an isolated sensor is left
+out, replaced and readmitted by a likelihood ratio. The memories of all sensors restart, because the filter has distributed the
+fault over them.
 """
 
 from __future__ import annotations
@@ -37,8 +39,8 @@ Array = NDArray[Any]
 
 
 class TestedInnovations(NamedTuple):
-    """Innovations with their standard deviations (..., N), the memory of each rule with them (..., rows, N), and the
-    largest ratio of a statistic to its limit (..., N).
+    """Innovations with their standard deviations (..., N), the memory of each rule after them (..., rows, N), and the largest
+    ratio of a statistic to its limit (..., N).
     """
 
     innovation: Array
@@ -59,12 +61,11 @@ class SequentialMemory(NamedTuple):
 class SequentialBank(ExcludingBank):
     """Sequential tests of every sensor on one central filter (extended or unscented with redraw).
 
-    rules: the tests of z; an alarm of any is an alarm. leave_one_out: z from the other readings, too; otherwise from the model
-    alone.
-    false_alarm: probability that a healthy set of sensors begins an alarm in one step, shared equally by the sensors
-    and rules (Bonferroni); a bound for a true model as far as the limits of the rules are exact.
-    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be out.
-    accommodate: leave out faulty sensors; without, statistics are those of the undisturbed filter and no memory begins again.
+    rules: the tests of z; an alarm of any rule is an alarm. leave_one_out: z from the model and the other readings; otherwise
+    from the model alone. false_alarm: probability that an alarm begins in one step with healthy sensors, shared equally by the
+    sensors and rules (Bonferroni). It is a bound for a correct model, if the limits of the rules are exact. max_faults: sensors
+    that may be excluded at once (None: what the plant's redundancy allows). accommodate: leave out isolated sensors; without it
+    the statistics are those of the filter on all sensors, and no memory restarts.
     """
 
     rules: tuple[SequentialRule, ...] = (Shewhart(),)
@@ -137,10 +138,11 @@ class SequentialBank(ExcludingBank):
         of_rules: tuple[Array, ...],
         out: Array,
     ) -> tuple[LeaveOneOut, Array, Array]:
-        """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out.
+        """Eliminate the worst sensor above its limit; with leave-one-out statistics until none is above it or too many are
+        excluded.
 
-        Return the statistics of the rest, the sensors eliminated (..., N), and whether one that exceeds its limit stays because
-        of max_faults (...).
+        Return the statistics of the other sensors, the eliminated sensors (..., N), and whether a sensor above its limit stays
+        because of max_faults (...).
         """
         isolated = np.zeros(found.used.shape, bool)
         while True:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
 from fusion_sfdia.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
 from fusion_sfdia.stochastic_thresholds.bounded_readings import BoundedReadings
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
-from fusion_sfdia.stochastic_thresholds.present_readings import PredictedReadings, PresentReadings, Taken
+from fusion_sfdia.stochastic_thresholds.present_readings import Diagnoser, PredictedReadings, PresentReadings
 from fusion_sfdia.stochastic_thresholds.threshold_rules import (
     BOUND,
     CONFORMAL,
@@ -45,20 +45,6 @@ CUBATURE = SigmaPoints(alpha=1.0, beta=0.0)
 PAPER_ALPHA, PAPER_LAMBDA = 2.0, 0.3  # B18, sec. VIII
 AT_ONCE = 32  # runs whose alarms are explained together
 READMISSION = 1e-3  # probability with which a sensor that is still faulty is readmitted: exp(-level) of the evidence
-
-
-class Diagnoser(Protocol):
-    """Predicts and takes readings: AreaDiagnosers (memory: Diagnosers) or PresentReadings (memory: PresentMemory)."""
-
-    def start(self, batch: tuple[int, ...], seed: int) -> Any: ...
-    def predict(self, memory: Any, now: TimeStep, u: Array) -> PredictedReadings: ...
-    def take(self, predicted: PredictedReadings, y: Array) -> Taken: ...
-    def without_faults(
-        self, memory: Any, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
-    ) -> PredictedReadings: ...
-    def effects(
-        self, memory: Any, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
-    ) -> tuple[Array, Array]: ...
 
 
 class ChebyshevMemory(NamedTuple):
@@ -78,16 +64,18 @@ class ChebyshevMemory(NamedTuple):
 class Chebyshev(BatchDetector):
     """Stochastic thresholds; hypotheses are the sensors.
 
-    lam: filter parameter, 0 <= lam < 1, the share of a residual in the next one; thresholds are tightest with 0. mode:
-    "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`. alpha: thresholds in standard deviations,
-    one number or one for each sensor. false_alarm, instead of alpha: the largest probability of a false alarm of a diagnoser in
-    a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with the rule "bound", whose thresholds are the
-    largest effect of bounded noise (bounded_readings, one diagnoser for the whole plant). The rule "conformal" needs alpha from
-    `fit_thresholds`. moments: E and Var of f(x) - f(y) for a plant without areas. Unscented(): sigma points, such as the
-    cubature rule, whose sums do not cancel. Extended(): the tangent, exact for linear physics. MonteCarlo(): random draws.
-    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated. max_faults:
-    sensors that may be left out at once (None: what the plant's redundancy allows); no further sensor is isolated where more
-    would be left out. accommodate: leave out isolated sensors; without it no sensor is isolated.
+    lam: filter parameter, 0 <= lam < 1, the share of a residual in the next one; thresholds are tightest with 0.
+    mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
+    alpha: thresholds in standard deviations, one number or one for each sensor. false_alarm, instead of alpha: the largest
+    probability of a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with
+    the rule "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole
+    plant). The rule "conformal" needs alpha from `fit_thresholds`.
+    moments: E and Var of f(x) - f(y) for a plant without areas. Unscented(): sigma points, such as the cubature rule, whose
+    sums do not cancel. Extended(): the tangent, exact for linear physics. MonteCarlo(): random draws.
+    confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
+    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows); no further sensor is isolated
+    where more would be left out.
+    accommodate: leave out isolated sensors; without it no sensor is isolated.
 
     residual and threshold: as of (13), y - y_hat; its mean is subtracted from the estimate, not from the thresholds.
     Raises ValueError for settings that are inconsistent.

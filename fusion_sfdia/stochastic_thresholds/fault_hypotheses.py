@@ -63,9 +63,10 @@ class Isolation(NamedTuple):
 class FaultHypotheses:
     """The hypotheses of one area.
 
-    faults: by name phi(x (..., n), u (...), e (...)) -> (..., n), the term that a fault adds to the next state. areas: of the
-    present network; after a switch `replace` them, the state remains valid. lam, mode: as in the detection. alpha: thresholds
-    in standard deviations. rule: bounds the false alarms under alpha. confirmations: p. patience: steps until the time-out.
+    faults: by name phi(x (..., n), u (...), e (...)) -> (..., n), the term that a fault adds to the next state.
+    areas: of the present network; after a switch `replace` them, the state remains valid.
+    lam, mode: as in the detection. alpha: thresholds in standard deviations. rule: bounds the false alarms under alpha.
+    confirmations: p. patience: steps until the time-out.
     Raises ValueError for inconsistent settings, and for a fault function that does not give (..., n) finite numbers.
     """
 

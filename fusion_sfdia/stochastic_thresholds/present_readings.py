@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,20 @@ class Taken(NamedTuple):
     memory: Any
     estimate: Array
     covariance: Array | None
+
+
+class Diagnoser(Protocol):
+    """Predicts and takes readings: AreaDiagnosers (memory: Diagnosers) or PresentReadings (memory: PresentMemory)."""
+
+    def start(self, batch: tuple[int, ...], seed: int) -> Any: ...
+    def predict(self, memory: Any, now: TimeStep, u: Array) -> PredictedReadings: ...
+    def take(self, predicted: PredictedReadings, y: Array) -> Taken: ...
+    def without_faults(
+        self, memory: Any, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
+    ) -> PredictedReadings: ...
+    def effects(
+        self, memory: Any, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
+    ) -> tuple[Array, Array]: ...
 
 
 class _Inner(NamedTuple):

@@ -167,7 +167,7 @@ def test_what_is_computed_stands_for_what_it_reads():
 def test_refusals_name_the_cure():
     with pytest.raises(ValueError, match="flow has no sensor; add it"):
         sensors_read({"m": ("flow",)}, {})
-    with pytest.raises(ValueError, match="circular: p <- q <- p"):
+    with pytest.raises(ValueError, match="has a cycle: p <- q <- p"):
         sensors_read({"m": ("p",)}, {}, {"p": ("q",), "q": ("p",)})
     with pytest.raises(ValueError, match="m has c; the sensors are a, b"):
         signature_matrix({"m": {"c": "*"}}, ("a", "b"))

@@ -224,8 +224,8 @@ def test_adding_in_place_binds_anew() -> None:
     ("lo", "hi", "message"),
     [
         ([0.0, 3.0], [1.0, 2.0], r"lower bound 3.0 above upper bound 2.0 \(1 of 2\): swap them"),
-        (np.nan, 1.0, "NaN: give a missing value its physical range"),
-        (np.inf, np.inf, "lower bound must be below inf"),
+        (np.nan, 1.0, "NaN; give a missing value its physical range"),
+        (np.inf, np.inf, "expected lower bound below inf"),
     ],
 )
 def test_wrong_bounds_are_refused(lo: Any, hi: Any, message: str) -> None:

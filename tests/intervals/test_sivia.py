@@ -154,18 +154,18 @@ def test_no_solution_is_an_answer() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"tolerance": 0.0}, "tolerance 0.0: give a positive width"),
-        ({"tolerance": [0.1, 0.1, 0.1]}, "for each of the 2 variables"),
+        ({"tolerance": 0.0}, "tolerance is 0.0; expected a positive width"),
+        ({"tolerance": [0.1, 0.1, 0.1]}, "for each of 2 variables"),
         ({"tolerance": np.nan}, "positive width"),
-        ({"budget": 0}, "budget 0"),
-        ({"box": Interval(-3.0, 3.0)}, "last axis holds the variables"),
+        ({"budget": 0}, "budget is 0"),
+        ({"box": Interval(-3.0, 3.0)}, "variables on the last axis"),
         ({"box": Interval([-3.0] * 3, [3.0] * 3)}, "does not run on 3"),
         ({"box": Interval([-np.inf, 0.0], [3.0, 3.0])}, "empty or infinite"),
         ({"box": Interval.empty((2,))}, "empty or infinite"),
         ({"target": [Interval(0.0, 1.0)] * 2}, "2 targets for 1 results"),
         ({"parameters": [np.nan]}, "does not|NaN"),
         ({"function": lambda x, y: x + np.array([1.0, 2.0]) * y}, "pass it as an argument"),
-        ({"function": lambda x, y: x if x > 0 else y}, "does not use greater"),
+        ({"function": lambda x, y: x if x > 0 else y}, "greater is not available"),
         ({"function": record(ring, 2), "box": Interval([0.0] * 3, [1.0] * 3)}, "2 arguments, the box and its parameters 3"),
     ],
 )

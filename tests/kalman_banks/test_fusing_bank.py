@@ -162,9 +162,9 @@ def test_a_bank_without_thresholds_warns_that_it_never_alarms_unless_set_so() ->
 
 def test_bad_settings_are_named() -> None:
     plant = chain(4)
-    with pytest.raises(ValueError, match="beta must be 4 positive numbers"):
+    with pytest.raises(ValueError, match=r"beta has shape \(2,\) with minimum 0.5; expected 4 positive numbers"):
         FusingBank(plant, beta=(0.5, 0.5))
-    with pytest.raises(ValueError, match="must sum to 1"):
+    with pytest.raises(ValueError, match="expected information distribution factors that sum to 1"):
         FusingBank(plant, beta=(0.5, 0.5, 0.5, 0.5))
     with pytest.raises(ValueError, match="leaving one out takes at least 2"):
         FusingBank(chain(1))

@@ -190,7 +190,7 @@ def test_a_run_without_a_batch_and_one_that_breaks_down_alone() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"size": 1}, "1 particles; a covariance needs at least 2"),
+        ({"size": 1}, "1 particles; expected at least 2"),
         ({"false_alarm": 0.0}, "strictly between 0 and 1"),
         ({"max_faults": 4}, "plant 'two-tanks' has 4 sensors"),
     ],

@@ -266,7 +266,7 @@ def test_confirmations_wait() -> None:
         ({"alpha": (2.0, 3.0)}, "expected one number or one for each of 4 sensors"),
         ({"false_alarm": 0.0}, "strictly between 0 and 1"),
         ({"false_alarm": 1.5}, "strictly between 0 and 1"),
-        ({"alpha": 2.0, "false_alarm": 0.1}, "each follows from the other: give one"),
+        ({"alpha": 2.0, "false_alarm": 0.1}, "each determines the other: give one"),
         ({"lam": 1.0}, "lam is 1.0; expected at least 0 and less than 1"),
         ({"lam": -0.1}, "lam is -0.1"),
         ({"mode": "printed"}, "mode is 'printed'; known: corrected, paper"),

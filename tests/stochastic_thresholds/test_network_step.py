@@ -124,5 +124,5 @@ def test_wrong_shapes_are_named() -> None:
     with pytest.raises(ValueError, match="mode is 'papr'; known: corrected, paper"):
         network_step(areas, state, given, ALPHA, LAM, mode="papr")
     for wrong in (state, initial_state(areas, (1,))):
-        with pytest.raises(ValueError, match="needed no more"):
+        with pytest.raises(ValueError, match="not needed any more"):
             network_step(areas, state, given, ALPHA, LAM, out=wrong)
