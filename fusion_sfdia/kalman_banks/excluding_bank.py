@@ -31,7 +31,7 @@ class Update(NamedTuple):
     found: LeaveOneOut
 
 
-class TestedSensors(NamedTuple):
+class SensorTests(NamedTuple):
     """Test results of the sensors (..., N).
 
     usable: in use before the step. isolated: in this step. residual, threshold; size: of the fault. capped (...): another
@@ -67,7 +67,7 @@ class ExcludingBank(BatchDetector):
         return self.max_faults or most_faults(self.plant)
 
     def _conclude(
-        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, tested: TestedSensors
+        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, tested: SensorTests
     ) -> tuple[Exclusion, Decision]:
         """Exclude the isolated sensors and readmit those that are healthy again; without `accommodate` only report them.
 

@@ -49,13 +49,16 @@ class Mixed(NamedTuple):
 class FusingBank(BatchDetector):
     """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
 
-    plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum
-    to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
-    gives the same numbers at the cost of one filter (equal beta only: unequal beta always runs literally).
+    plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum to 1;
+    None for 1/N each.
+    literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing` gives the same numbers at the cost
+    of one filter (equal beta only: unequal beta always runs literally).
     thresholds: (N,) on the square root of the state variance (19) of each sensor, in sensor units. The paper gives no values:
     set them with `fit` or `fit_thresholds`. Without them no alarm is raised, and `init` warns; (inf,) * N states that this is
-    intended. residual_scale: (n,), divides the states in the residual (20), which would otherwise add different units; None for
-    the plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
+    intended.
+    residual_scale: (n,), divides the states in the residual (20), which would otherwise add different units; None for the
+    plant's state_scale.
+    accommodate: treat the isolated sensor as missing in that step.
     """
 
     estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))

@@ -27,7 +27,7 @@ from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, TestedSensors, Update
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Best,
@@ -55,12 +55,13 @@ class LeaveOneOutMemory(NamedTuple):
 class LeaveOneOutBank(ExcludingBank):
     """Leave-one-out bank on one central filter (extended or unscented with redraw).
 
-    window: samples over which a fault may have begun; 1 for the one-sample chi-square alone. false_alarm: probability that an
-    alarm begins in one step with healthy sensors. With accommodation an alarm lasts until its sensor is readmitted, otherwise
-    until its samples have left the window. The sensors share it equally; with a window, one half is for the one-sample test and
-    one half for the onsets. By Bonferroni it is a bound, for a correct model. max_faults: sensors that may be excluded at once
-    (None: what the plant's redundancy allows). accommodate: leave out isolated sensors; without it the statistics are those of
-    the filter on all sensors, for sweeps over the threshold.
+    window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
+    false_alarm: probability that an alarm begins in one step with healthy sensors. With accommodation an alarm lasts until its
+    sensor is readmitted, otherwise until its samples have left the window. The sensors share it equally; with a window, one
+    half is for the one-sample test and one half for the onsets. By Bonferroni it is a bound, for a correct model.
+    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows).
+    accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, for sweeps over
+    the threshold.
     """
 
     estimator: Estimator = field(default_factory=Extended)
@@ -124,7 +125,7 @@ class LeaveOneOutBank(ExcludingBank):
             window = advance(onsets, joint.C @ found.inverse, found, restart)
 
         update = Update(x, p, prior, joint, found)
-        tested = TestedSensors(usable, isolated, residual, threshold, size, capped, one_limit)
+        tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return LeaveOneOutMemory(GaussianState(x, p), exclusion, window), decision
 

@@ -23,7 +23,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import GaussianState, step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
-from fusion_sfdia.kalman_banks.excluding_bank import TestedSensors, Update
+from fusion_sfdia.kalman_banks.excluding_bank import SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons
@@ -92,7 +92,7 @@ class MovingHorizon(LeaveOneOutBank):
         alone, deviation = (np.take_along_axis(a, worst, axis=-2)[..., 0, :] for a in (g * deviation**2, deviation))
         threshold = np.where(deviation > 0, self.penalty * deviation, np.inf)
         update = Update(x, p, prior, joint, found)
-        tested = TestedSensors(usable, isolated, alone, threshold, size, capped, self.penalty**2)
+        tested = SensorTests(usable, isolated, alone, threshold, size, capped, self.penalty**2)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return MovingHorizonMemory(GaussianState(x, p), exclusion, past), decision
 

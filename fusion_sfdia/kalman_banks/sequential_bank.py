@@ -31,7 +31,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, TestedSensors, Update
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.sequential_rules import SequentialRule, Shewhart
 
@@ -61,11 +61,13 @@ class SequentialMemory(NamedTuple):
 class SequentialBank(ExcludingBank):
     """Sequential tests of every sensor on one central filter (extended or unscented with redraw).
 
-    rules: the tests of z; an alarm of any rule is an alarm. leave_one_out: z from the model and the other readings; otherwise
-    from the model alone. false_alarm: probability that an alarm begins in one step with healthy sensors, shared equally by the
-    sensors and rules (Bonferroni). It is a bound for a correct model, if the limits of the rules are exact. max_faults: sensors
-    that may be excluded at once (None: what the plant's redundancy allows). accommodate: leave out isolated sensors; without it
-    the statistics are those of the filter on all sensors, and no memory restarts.
+    rules: the tests of z; an alarm of any rule is an alarm.
+    leave_one_out: z from the model and the other readings; otherwise from the model alone.
+    false_alarm: probability that an alarm begins in one step with healthy sensors, shared equally by the sensors and rules
+    (Bonferroni). It is a bound for a correct model, if the limits of the rules are exact.
+    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows).
+    accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, and no memory
+    restarts.
     """
 
     rules: tuple[SequentialRule, ...] = (Shewhart(),)
@@ -107,7 +109,7 @@ class SequentialBank(ExcludingBank):
         signed = np.where(np.signbit(innovations.innovation), -innovations.ratio, innovations.ratio)
         threshold = innovations.deviation * np.sqrt(limit)
         update = Update(x, p, prior, joint, found)
-        tested = TestedSensors(usable, isolated, signed * threshold, threshold, innovations.innovation, capped, limit)
+        tested = SensorTests(usable, isolated, signed * threshold, threshold, innovations.innovation, capped, limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return SequentialMemory(GaussianState(x, p), exclusion, of_rules), decision
 

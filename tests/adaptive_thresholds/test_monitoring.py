@@ -68,7 +68,7 @@ def test_without_a_reading_the_observer_runs_open_loop_within_the_envelope() -> 
     assert step([np.nan, 5.0], frozen)[:2] == pytest.approx([10.5 + DT * h, 0.4 + DT * max(most - h, h - least)], rel=1e-12)
 
 
-def test_what_is_not_proved_and_what_rounds_widens_bounds() -> None:
+def test_unproved_slopes_and_rounding_widen_bounds() -> None:
     loose = SETTINGS._replace(unproved=np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]]), rounding=1e-3)
     slack = 0.1 * 0.7 + 1e-3 * 5.15  # half the width of x in [10.1, 10.3], and of the larger end
     assert step([10.0, 5.0], loose)[2:] == pytest.approx([5.05 - slack, 5.15 + slack], rel=1e-12)
@@ -85,7 +85,7 @@ def test_boxes_checked_by_hand() -> None:
     np.testing.assert_array_equal(high, [[0.0, 55.0, 1e9]])
 
 
-def test_a_verdict_checked_by_hand() -> None:
+def test_decisions_checked_by_hand() -> None:
     """Sensors of the state in kilo-units, of the other variable, and of the state again; the last has fired before."""
     y = np.array([[0.012, 5.0, np.nan], [0.0104, np.nan, 10.0]])
     x, state_bound, lower, upper = (

@@ -30,7 +30,7 @@ def assert_same(one: Paving, problem: int, many: Paving) -> None:
 
 @pytest.mark.parametrize("contract", [False, True])
 def test_the_ring(contract: bool) -> None:
-    """Its area lies between both pavings, and so does each sample."""
+    """Its area is between those of both pavings, and so is each sample."""
     box = Interval([-3.0, -3.0], [3.0, 3.0])
     paving = sivia(ring, Interval(1.0, 4.0), box, 0.05, contract=contract)
     assert paving.complete
@@ -47,7 +47,7 @@ def test_the_ring(contract: bool) -> None:
 
 
 def test_the_ring_by_bisection_has_the_areas_of_the_dyadic_grid() -> None:
-    """Boxes of side 6/128: counted by hand over the grid, a box is inside when its nearest and farthest corners are."""
+    """Boxes of side 6/128: counted over the grid: a box is inside when its nearest and farthest corners are."""
     paving = sivia(ring, Interval(1.0, 4.0), Interval([-3.0, -3.0], [3.0, 3.0]), 0.05, contract=False)
     edge = np.linspace(-3, 3, 129)
     near = np.maximum(np.maximum(edge[:-1], -edge[1:]), 0) ** 2
@@ -113,7 +113,7 @@ def test_parameters_within_bounds() -> None:
     np.testing.assert_allclose([paving.hull.lo[0], paving.hull.hi[0]], [0.8, 2.0], atol=1e-3)
     np.testing.assert_allclose([paving.inner.lo.min(), paving.inner.hi.max()], [1.0, 1.6], atol=1e-3)
     assert paving.hull.contains([[0.8], [2.0]]).all()
-    assert paving.inner.lo.min() >= 1 - 1e-12  # rounding goes the safe way
+    assert paving.inner.lo.min() >= 1 - 1e-12  # outward rounding
     assert paving.inner.hi.max() <= 1.6
 
 
@@ -138,7 +138,7 @@ def test_a_budget_is_kept_and_its_end_is_reported(contract: bool) -> None:
         assert paving.inner_volume <= RING_AREA <= paving.outer_volume
 
 
-def test_no_solution_is_an_answer() -> None:
+def test_an_empty_result_proves_that_there_is_no_solution() -> None:
     for contract in (False, True):
         paving = sivia(ring, Interval([-2.0, 1.0], [-1.0, 4.0]), Interval([-3.0, -3.0], [3.0, 3.0]), 0.5, contract=contract)
         np.testing.assert_array_equal(paving.is_empty, [True, False])
@@ -169,7 +169,7 @@ def test_no_solution_is_an_answer() -> None:
         ({"function": record(ring, 2), "box": Interval([0.0] * 3, [1.0] * 3)}, "2 arguments, the box and its parameters 3"),
     ],
 )
-def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
+def test_bad_input_is_rejected(change: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"function": ring, "target": Interval(1.0, 4.0), "box": Interval([-3.0, -3.0], [3.0, 3.0])}
     with pytest.raises(ValueError, match=message):
         sivia(**(given | {"tolerance": 0.1} | change))

@@ -1,4 +1,4 @@
-"""How a step of a bank that leaves sensors out ends: each field of its Decision from literal arrays, and its settings."""
+"""The end of a step of a bank that excludes sensors: each field of its Decision from literal arrays, and its settings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toy_plants import chain
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters import ekf
 from fusion_sfdia.filters.estimators import Prior, Unscented
-from fusion_sfdia.kalman_banks.excluding_bank import TestedSensors, Update
+from fusion_sfdia.kalman_banks.excluding_bank import SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
@@ -27,14 +27,14 @@ VARIANCE = np.diag(H @ P @ H.T) + PLANT.sensor_cov
 READINGS = EXPECTED + np.array([0.1, 2.0, 40.0, 0.3, np.nan])
 ISOLATED = np.array([False, False, True, False, False])
 NOTHING = np.zeros(N, bool)
-TESTED = TestedSensors(
+TESTED = SensorTests(
     usable=np.array([True, False, True, True, False]), isolated=ISOLATED, residual=np.arange(10.0, 15.0),
     threshold=np.arange(20.0, 25.0), size=np.arange(30.0, 35.0), capped=np.array(True), limit=LIMIT,
 )  # fmt: skip
 
 
 def conclude(
-    exclusion: Exclusion, y: Array = READINGS, tested: TestedSensors = TESTED, p: Array = P, lost: bool = False, **settings: Any
+    exclusion: Exclusion, y: Array = READINGS, tested: SensorTests = TESTED, p: Array = P, lost: bool = False, **settings: Any
 ) -> Any:
     bank = LeaveOneOutBank(PLANT, false_alarm=FALSE_ALARM, **settings)
     joint = ekf.joint(X, p, lambda s: s @ H.T, H, PLANT.sensor_cov)
@@ -48,7 +48,7 @@ def out(*sensors: int, size: float = 5.0, evidence: float = 0.0, quiet: float = 
     return Exclusion(held, *(np.where(held, value, 0.0) for value in (size, 1.0, evidence, quiet)))
 
 
-def test_sensors_that_are_out_are_replaced_and_compared_with_their_expected_readings() -> None:
+def test_excluded_sensors_are_replaced_and_compared_with_their_expected_readings() -> None:
     """Sensors 1 and 4 are out, 4 is missing; 2 is isolated now, with its error as the first estimate of its fault."""
     after, decision = conclude(out(1, 4, size=-100.0))
     assert after.out.tolist() == decision.isolated.tolist() == [False, True, True, False, True]

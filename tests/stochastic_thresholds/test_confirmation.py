@@ -1,4 +1,4 @@
-"""Alarms from streams: against plain loops, what they promise, and what they do not."""
+"""Alarms from streams: against plain loops, and which false-alarm bounds hold."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_streams_are_independent_and_gaps_change_nothing(test: ConfirmationCusum
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_shift_is_found_sooner_by_sums_than_by_three_in_a_row() -> None:
+def test_sums_detect_a_shift_earlier_than_three_in_a_row() -> None:
     rng, K, runs, onset = np.random.default_rng(2), 400, 300, 200
     healthy = rng.standard_normal((K, runs))
     shifted = rng.standard_normal((K, runs)) + np.where(np.arange(K) >= onset, 1.5, 0.0)[:, None]
@@ -57,7 +57,7 @@ def test_a_shift_is_found_sooner_by_sums_than_by_three_in_a_row() -> None:
 
 
 def test_consecutive_alarms_are_not_independent() -> None:
-    """The proof of B18's Proposition 5 takes them to be; with a memory they are not, though one alarm's bound holds."""
+    """The proof of B18's Proposition 5 assumes it; with a memory they are dependent, though the bound of one alarm holds."""
     rng, alpha, lam, K = np.random.default_rng(3), 5.0, 0.3, 100_000
     p = 1 / alpha**2 / 50
     shock = rng.choice([-1.0, 0.0, 1.0], K, p=[p / 2, 1 - p, p / 2]) / np.sqrt(p)
@@ -93,7 +93,7 @@ def test_three_alarms_in_a_row_may_be_likelier_than_their_bound_at_alpha_10() ->
         (lambda: WindowGlr(1.0, window=1.5), "window is 1.5"),
     ],
 )
-def test_settings_that_mean_nothing(make: object, message: str) -> None:
+def test_invalid_settings_are_rejected(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 

@@ -47,7 +47,7 @@ def test_an_area_uses_only_its_own_data_and_what_neighbours_send() -> None:
         assert np.isnan(dirty.estimate).any()
 
 
-def test_of_a_drive_one_number_crosses_the_border() -> None:
+def test_of_a_drive_only_one_number_is_sent() -> None:
     rng, i = np.random.default_rng(2), AT.index("5")
     j = int(AT.neighbour[AREAS.network.sides(i)][0])
     whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in initial_state(AREAS, (1,))))
@@ -78,7 +78,7 @@ def test_a_copy_starts_from_its_first_reading_and_an_open_tie_has_none() -> None
     np.testing.assert_array_equal(second.deviation_shared[0] < 1.0, unplugged.network.closed)
 
 
-def test_what_diagnosers_keep_after_readings_of_some_sensors() -> None:
+def test_the_memory_of_diagnosers_after_readings_of_some_sensors() -> None:
     """Estimate 1, deviation 2, error bound 3: a reading of 5 replaces the estimate, a missing one keeps it."""
     own, shared = (np.ones(a.shape) for a in initial_state(AREAS, (1,))[:2])
     y, y_shared = np.where(own.cumsum().reshape(own.shape) % 2, 5.0, np.nan), np.full(shared.shape, np.nan)

@@ -1,4 +1,4 @@
-"""Diagnosers that share variables: their laws on the power network, and that nothing else crosses a border."""
+"""Diagnosers that share variables: their statistics on the power network, and which data areas exchange."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def test_as_printed_the_deviation_of_shared_states_is_too_small() -> None:
 def test_each_deviation_is_that_of_its_own_receivers_noise(missing: bool) -> None:
     """Without memory s^2 is the variance of the receiver's reading, of w, and of every reading by its share of the estimate.
 
-    Noises are unlike in all copies, shares are found by moving each reading by 1: estimates are linear in them. What is missing
-    is held with an error of a standard deviation of up to `error_bound`, which adds its share of that to s.
+    Noises are unlike in all copies, shares are found by moving each reading by 1: estimates are linear in them. A missing reading
+    is replaced by an estimate with the bound `error_bound`, whose share is added to s.
     """
     rng = np.random.default_rng(6)
     noise, shared_noise = rng.uniform(1e-4, 1e-1, AREAS.noise.shape), rng.uniform(1e-4, 1e-1, 34)
@@ -116,7 +116,7 @@ def test_each_deviation_is_that_of_its_own_receivers_noise(missing: bool) -> Non
     assert np.all(np.abs(deviation - expected) <= rounding(size / np.sqrt(own_noise.min()), 100))
 
 
-def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
+def test_weights_minimise_the_variance_and_do_not_depend_on_the_receiver() -> None:
     rng = np.random.default_rng(0)
     unlike = replace(
         AREAS, noise=AREAS.noise * rng.uniform(0.2, 5, AREAS.noise.shape), shared_noise=rng.uniform(1e-6, 1e-4, 34)

@@ -1,4 +1,4 @@
-"""The compiled step of a whole network: the numbers of the arrays' way to rounding, and the same bits in any batch."""
+"""The compiled step of a whole network: the numbers of the array code to rounding, and the same bits in any batch."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def anything(areas: Areas, batch: int, seed: int = 0) -> tuple[Diagnosers, Netwo
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("network", NETWORKS)
-def test_the_compiled_step_is_that_of_the_arrays(network: str, mode: str) -> None:
+def test_the_compiled_step_equals_array_code(network: str, mode: str) -> None:
     areas = NETWORKS[network]
     state, given = anything(areas, 3)
     inputs = given.reference, given.load, LAM, mode
@@ -103,7 +103,7 @@ def test_batches_have_any_leading_axes_and_are_broadcast() -> None:
         consensus.predict(NETWORKS["dense"], state, given.reference, given.load, LAM, "corrected")
 
 
-def test_diagnosers_that_know_nothing_start_from_their_first_readings() -> None:
+def test_diagnosers_without_information_start_from_their_first_readings() -> None:
     areas = NETWORKS["paper"]
     _, given = anything(areas, 1)
     now, alarm = network_step(areas, initial_state(areas, (1,)), given, ALPHA, LAM)
@@ -113,7 +113,7 @@ def test_diagnosers_that_know_nothing_start_from_their_first_readings() -> None:
     np.testing.assert_array_equal(now.error_bound[~read] > 1e50, True)
 
 
-def test_wrong_shapes_are_named() -> None:
+def test_wrong_shapes_are_rejected() -> None:
     areas = NETWORKS["paper"]
     state, given = anything(areas, 2)
     for name, array in given._asdict().items():

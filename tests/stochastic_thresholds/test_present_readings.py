@@ -1,4 +1,4 @@
-"""The diagnoser of present readings: gains, and what is left of a fault that was removed."""
+"""The diagnoser of present readings: gains, and the removal of the effect of a fault."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fusion_sfdia.stochastic_thresholds.present_readings import PresentReadings
 
 
 @pytest.mark.parametrize("kind", [PresentReadings, BoundedReadings])
-def test_a_fault_taken_out_leaves_its_doubt_and_runs_without_one_as_they_were(kind: type[PresentReadings]) -> None:
-    """Each reading is a state: a fault f of the last reading of sensor 1 has put F[:, 1] f into what is expected."""
+def test_a_removed_fault_leaves_its_uncertainty_and_other_runs_do_not_change(kind: type[PresentReadings]) -> None:
+    """Each reading is a state: a fault f of the last reading of sensor 1 adds F[:, 1] f to the expected readings."""
     plant, lam, size, uncertainty = bounded_chain(), 0.3, np.zeros((3, 6)), np.zeros((3, 6))
     one, u = kind(plant, lam, Extended()), np.zeros((3, len(plant.inputs)))
     F = plant.step_jacobian_at(0.0, plant.x0, u[0], plant.dt)

@@ -1,4 +1,4 @@
-"""Networks that change between two steps: what changes, what keeps its bits, what starts again, and what is refused."""
+"""Networks that change between two steps: changed numbers, unchanged bits, restarted copies, and rejected changes."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_only_the_neighbours_change(
 
 
 @pytest.mark.parametrize(("before", "switch", "unplugged", "touched"), [UNPLUG, PLUG_IN], ids=["4 leaves", "15 joins"])
-def test_a_replugged_detector_is_silent_and_goes_on_without_a_gap(
+def test_a_replugged_detector_continues_without_alarms(
     before: tuple[str, ...], switch: Switch, unplugged: tuple[str, ...], touched: set[str]
 ) -> None:
     data, detector = closed_loop(before, switch), Chebyshev(plant(*before), alpha=8.0)
@@ -106,7 +106,7 @@ def test_a_copy_that_joins_starts_from_its_first_reading() -> None:
     assert np.all(np.isfinite(d.threshold[0][:, joins])) and np.all(np.abs(d.residual[0][:, joins]) < 0.5)
 
 
-def test_a_sensor_held_faulty_is_forgotten_with_its_tie() -> None:
+def test_an_isolated_sensor_is_reset_with_its_tie() -> None:
     t, y, u = closed_loop((), UNPLUG[1])
     y, i = y.copy(), plant().sensor_index("theta_4@3")
     y[10:AT, :, i] += 0.3
@@ -117,7 +117,7 @@ def test_a_sensor_held_faulty_is_forgotten_with_its_tie() -> None:
     assert not after(changed, moved, (t, y, u))[1].alarm.any()
 
 
-def test_there_and_back_is_as_before_but_for_the_ties_that_were_open() -> None:
+def test_unplugging_and_replugging_changes_only_the_ties_that_were_open() -> None:
     data, detector = closed_loop((), UNPLUG[1]), Chebyshev(plant(), alpha=8.0)
     state = until(detector, data)
     again, restored = replug(*replug(detector, state, plant("4")), plant())
@@ -167,7 +167,7 @@ def test_a_change_that_fails_leaves_all_as_it_was() -> None:
     assert np.all(np.isfinite(after(detector, state, data)[1].estimate))
 
 
-def test_one_diagnoser_takes_another_model() -> None:
+def test_a_single_diagnoser_continues_with_another_model() -> None:
     slow = chain(4)
     numerics = replace(slow.numerics, step_jacobian=lambda t, x, u, dt: 0.5 * np.eye(4))
     fast = replace(slow, step=lambda t, x, u, dt: 0.5 * x, numerics=numerics)
