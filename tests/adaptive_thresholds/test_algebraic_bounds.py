@@ -15,7 +15,7 @@ BOUND_OF_VARIABLE = DETECTOR._bound
 
 
 def test_inclusion_and_set_inversion_enclose_the_corners() -> None:
-    """Inclusion is the widest; set inversion lies within it, to its tolerance, where an equation does not contain its own variable."""
+    """Inclusion is the widest; set inversion is within it, to its tolerance, for explicit equations."""
     recording = healthy(300, 5)
     y = recording.y[:3].copy()
     y[2, 0, 0] = np.nan

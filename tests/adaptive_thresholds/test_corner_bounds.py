@@ -1,4 +1,4 @@
-"""Slopes proved over an envelope: exact where known, few boxes where they vanish, proved once in a process; unbounded slopes are rejected."""
+"""Slopes proved over an envelope: exact where known, few boxes where they vanish, proved once; unbounded slopes."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ def test_an_alarm_of_the_window_removes_the_effect_of_the_fault_from_the_estimat
 
 
 def test_after_an_alarm_the_window_starts_again() -> None:
-    """The filter continues without the sensor, and earlier onsets are dropped: later onsets are as in a run that starts there."""
+    """The filter continues without the sensor and drops earlier onsets: later ones are as in a run that starts there."""
     runs = 16
     t, y, u = data(runs, 0.1, 6.0)
     bank = LeaveOneOutBank(PLANT, window=WINDOW, false_alarm=FALSE_ALARM)

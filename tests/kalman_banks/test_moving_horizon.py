@@ -204,7 +204,7 @@ def test_the_penalty_is_the_share_of_a_sensor_in_one_of_three_horizons() -> None
 
 @pytest.mark.parametrize("largest", [0, 1, 2])
 def test_the_horizon_with_the_largest_ratio_is_the_one_solved(largest: int) -> None:
-    """Of the present reading, of a short and of a long horizon; G = 1 for uncoupled sensors, so that f = g and E f is subtracted from x."""
+    """Of the present reading, of a short and a long horizon; G = 1, sensors uncoupled: f = g, x loses E f."""
     g = np.full((3, N), 0.5)
     g[largest, 3], g[(largest + 1) % 3, 1] = 20.0, 10.0
     effect = np.broadcast_to(np.arange(1.0, 4.0)[:, None, None], (3, n, N))

@@ -86,8 +86,8 @@ def test_as_printed_the_deviation_of_shared_states_is_too_small() -> None:
 def test_each_deviation_is_that_of_its_own_receivers_noise(missing: bool) -> None:
     """Without memory s^2 is the variance of the receiver's reading, of w, and of every reading by its share of the estimate.
 
-    Noises are unlike in all copies, shares are found by moving each reading by 1: estimates are linear in them. A missing reading
-    is replaced by an estimate with the bound `error_bound`, whose share is added to s.
+    Noises are unlike in all copies, shares are found by moving each reading by 1: estimates are linear in them. A missing
+    reading is replaced by an estimate with the bound `error_bound`, whose share is added to s.
     """
     rng = np.random.default_rng(6)
     noise, shared_noise = rng.uniform(1e-4, 1e-1, AREAS.noise.shape), rng.uniform(1e-4, 1e-1, 34)
