@@ -1,9 +1,9 @@
 """Fault signature matrices: which residuals each sensor fault affects, derived from the sensors that each residual reads.
 
 Rows are residuals (monitoring modules or agents), columns are sensor faults. An entry is 0 where the residual does not depend
-on the sensor, 1 where the residual must exceed its threshold and * where it may (Kougiatsos 2024, sec. V and Tables I-IV). With
-* the fault may be too small for the threshold, masked, delayed, or attenuated by its propagation through other agents. A set of
-faults is a bit mask; bit j is the j-th sensor.
+on the sensor, 1 where the residual must exceed its threshold and * where it may (Kougiatsos 2024, sec. V and Tables I-IV). An
+entry * is for a fault that may be too small for the threshold, masked, delayed, or attenuated by its propagation through other
+agents. A set of faults is a bit mask; bit j is the j-th sensor.
 """
 
 from __future__ import annotations

@@ -36,8 +36,8 @@ def mix(x: Array, p: Array, scale: Array) -> tuple[Array, Array]:
 def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Array, Array]:
     """Return x_m, P_m of the N leave-one-out filters with a common prior, N = number of sensors, in closed form.
 
-    Each reading in use enters N - 1 of the N filters, so sum_i P_i^-1 = N P^-1 + (N - 1) H' R^-1 H: one central filter with R N
-    / (N - 1), its covariance divided by N. A missing reading leaves N unchanged: its filter runs on the other readings.
+    Each reading in use enters N - 1 of the N filters, so sum_i P_i^-1 = N P^-1 + (N - 1) H' R^-1 H: one central filter with
+    R N / (N - 1), its covariance divided by N. A missing reading leaves N unchanged: its filter runs on the other readings.
     sensor_cov: R as its diagonal (N,). Holds where S = H P H' + R and C = P H' (not for sigma points that lack Q).
     """
     count = sensor_cov.size

@@ -16,8 +16,8 @@ probability 1 / `duration`. Sensor i is isolated where its mode is more probable
 single faults have modes: the combinations of several sensors would be too many. The residual of a sensor is sqrt(2 log(1 +
 E_i)) standard deviations of its leave-one-out innovation, where E_i = (mu_i / mu_0) / (p / N) are the odds relative to those of
 a beginning fault, and the threshold is E_i = N / p. This is not a false-alarm rate. A fault that may have begun at any time has
-prior odds of about p duration / N, so Markov's inequality gives a bound of only about p duration per step, and this for modes
-that are not merged.
+prior odds of about p duration / N, so Markov's inequality gives a bound of only about p duration per step, valid if modes were
+not merged.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ network) and z_j of each neighbour. With the residual e = y - x_hat and the filt
     (17)     W_j = (1 / v_j) / sum_S (1 / v)                       do not depend on the receiving area
     (14, 15) thresholds alpha s:  s+ = lam s + sd(chi),  s_i+ = lam sum_j W_j s_j + sd(chi_i)
 
-The right-hand sides of (14) and (15) use the threshold of the present step, as in (32), not of the next step as printed. Then s
->= sd(e) by the triangle inequality of standard deviations, for any correlation of the chi of different times: e is a sum of
+The right-hand sides of (14) and (15) use the threshold of the present step, as in (32), not of the next step as printed. Then
+s >= sd(e) by the triangle inequality of standard deviations, for any correlation of the chi of different times: e is a sum of
 lam^k chi, whose deviation is at most the sum of lam^k sd(chi). So 1 / alpha^2 bounds the false alarms of a component, provided
 that sd(chi) is correct. This needs noise that is white within one chi: chi contains the noise of readings at two instants,
 whose variances are added below. For noise that changes its sign at each reading both terms have the same sign. Then sd(chi) is
@@ -26,13 +26,13 @@ y_i+ = z_i+ + r_i+, using sum_j W_j = 1 and a z_i = sum_j W_j a (y_j - r_j):
 
 since w and the error of the drive are the same in all areas of S, and r_i+, the noise of the receiver, has weight 1. As
 printed, (15) has sum_j W_j^2 (a^2 sigma_j^2 + Var[drive] + sigma_w^2 + sigma_j^2), as if each area had its own w and its own
-drive and r_i+ were averaged: about 1/|S| of the correct variance. Only the first term depends on W. It is smallest for W_j ~ 1
-/ sigma_j^2, that is (17) with v_j = sigma_j^2 ("corrected"); as printed v_j = a^2 sigma_j^2 + Var[drive] + sigma_w^2 +
-sigma_j^2 ("paper").
+drive and r_i+ were averaged: about 1/|S| of the correct variance. Only the first term depends on W. It is smallest for
+W_j ~ 1 / sigma_j^2, that is (17) with v_j = sigma_j^2 ("corrected"); as printed
+v_j = a^2 sigma_j^2 + Var[drive] + sigma_w^2 + sigma_j^2 ("paper").
 
 A missing reading is replaced by the estimate, e and s by 0, and its noise by `error_bound`, a bound of the standard deviation
-of x - x_hat. This error correlates with the other terms, so error bounds are added instead of variances: sd(chi) <=
-sqrt(variance of the readings) + sum of |coefficient| error_bound.
+of x - x_hat. This error correlates with the other terms, so error bounds are added instead of variances:
+sd(chi) <= sqrt(variance of the readings) + sum of |coefficient| error_bound.
 
 Layout, as in network.py: own readings (B, N, 4); sides (2E,), those of area i from start[i] to start[i + 1], each with the
 reading of z of `neighbour[side]`; slope (2E,), 0 where the tie is open. The copies of z_i are own[i, 0] and the copies at

@@ -35,14 +35,14 @@ def healthy(steps: int, runs: int) -> Recording:
 
 def watch(detector: VirtualSensors, recording: Recording, y: Array) -> tuple[State, Decision, Interval]:
     """The last state, the decisions and the faults' intervals (K, B, N)."""
-    state, told, low, high = detector.init((y.shape[1],)), [], [], []
+    state, decided, low, high = detector.init((y.shape[1],)), [], [], []
     for k, t in enumerate(recording.t):
         state, decision = detector.step(state, float(t), y[k], recording.u[k])
         found = detector.fault_interval(state)
-        told.append(decision)
+        decided.append(decision)
         low.append(found.lo)
         high.append(found.hi)
-    stacked = {f.name: np.stack([getattr(d, f.name) for d in told]) for f in fields(Decision) if f.name != "covariance"}
+    stacked = {f.name: np.stack([getattr(d, f.name) for d in decided]) for f in fields(Decision) if f.name != "covariance"}
     return state, Decision(**stacked), Interval.unchecked(np.stack(low), np.stack(high))
 
 
