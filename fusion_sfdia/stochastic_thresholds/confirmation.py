@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, whole
 
 Array = NDArray[Any]
-State = tuple[Array, ...]
+ConfirmationState = tuple[Array, ...]
 
 
 class Confirmation(Protocol):
@@ -30,8 +30,8 @@ class Confirmation(Protocol):
 
     @property
     def level(self) -> float: ...
-    def start(self, shape: tuple[int, ...]) -> State: ...
-    def step(self, state: State, z: Array) -> tuple[State, Array]: ...
+    def start(self, shape: tuple[int, ...]) -> ConfirmationState: ...
+    def step(self, state: ConfirmationState, z: Array) -> tuple[ConfirmationState, Array]: ...
 
 
 def run(test: Confirmation, z: Array) -> Array:
@@ -54,10 +54,10 @@ class Consecutive:
         _require_level(self.level)
         whole("q", self.q, least=1)
 
-    def start(self, shape: tuple[int, ...]) -> State:
+    def start(self, shape: tuple[int, ...]) -> ConfirmationState:
         return (np.zeros((*shape, self.q)),)
 
-    def step(self, state: State, z: Array) -> tuple[State, Array]:
+    def step(self, state: ConfirmationState, z: Array) -> tuple[ConfirmationState, Array]:
         (last,) = state
         moved = np.concatenate([last[..., 1:], np.abs(z)[..., None]], axis=-1)
         seen = np.isfinite(z)
@@ -77,10 +77,10 @@ class ConfirmationCusum:
         if not 0 <= number("drift", self.drift) < np.inf:
             raise ValueError(f"drift is {self.drift}; expected at least 0, half the shift in standard deviations")
 
-    def start(self, shape: tuple[int, ...]) -> State:
+    def start(self, shape: tuple[int, ...]) -> ConfirmationState:
         return np.zeros(shape), np.zeros(shape)
 
-    def step(self, state: State, z: Array) -> tuple[State, Array]:
+    def step(self, state: ConfirmationState, z: Array) -> tuple[ConfirmationState, Array]:
         seen = np.isfinite(z)
         value = np.where(seen, z, 0.0)
         up, down = (np.where(seen, np.maximum(s + v - self.drift, 0.0), s) for s, v in zip(state, (value, -value), strict=True))
@@ -101,10 +101,10 @@ class WindowGlr:
         _require_level(self.level)
         whole("window", self.window, least=1)
 
-    def start(self, shape: tuple[int, ...]) -> State:
+    def start(self, shape: tuple[int, ...]) -> ConfirmationState:
         return (np.zeros((*shape, self.window)),)
 
-    def step(self, state: State, z: Array) -> tuple[State, Array]:
+    def step(self, state: ConfirmationState, z: Array) -> tuple[ConfirmationState, Array]:
         (sums,) = state  # sums of the last 1, 2, ... window samples
         seen = np.isfinite(z)
         value = np.where(seen, z, 0.0)[..., None]
