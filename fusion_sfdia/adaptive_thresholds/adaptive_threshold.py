@@ -37,7 +37,7 @@ from fusion_sfdia.adaptive_thresholds.algebraic_bounds import METHODS, enclosed
 from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes, prove
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, module_logic
 from fusion_sfdia.adaptive_thresholds.monitored_plant import envelope_ends, modules_of, require_one_bounded_sensor_each
-from fusion_sfdia.adaptive_thresholds.monitoring import ModuleConstants, decide, monitor, quantities_of
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, decide, monitor, quantities_of
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
@@ -165,13 +165,13 @@ class AdaptiveThreshold(BatchDetector):
         return module_logic(self.plant, self._modules, agents=self.agents)
 
     @cached_property
-    def _constants(self) -> ModuleConstants:
+    def _settings(self) -> Settings:
         m, slopes = self._modules, self.slopes
         middle, shares = np.mean(self.ends, axis=0), m.drift if self.drift is None else self.drift
         widest = 2 * self.half_width / np.abs(self.nominal)
         drift = np.array([shares.get(v, widest[e]) * abs(m.nominal[v]) for e, v in enumerate(m.states)]) / self.plant.dt
         rates, gains = np.asarray(m.rates, float), np.array([m.gains[v] for v in m.states])
-        return ModuleConstants(middle, self.half_width, self._bound, rates, gains, slopes.signs, slopes.unproved, drift)
+        return Settings(middle, self.half_width, self._bound, rates, gains, slopes.signs, slopes.unproved, drift)
 
     @cached_property
     def _monitor(self) -> Callable[..., Any]:
@@ -200,9 +200,9 @@ class AdaptiveThreshold(BatchDetector):
         extra, variable, scale = self._layers
         y, u = np.array(y, order="C"), np.array(u, order="C")  # one memory layout, for compiled code
         reading = (y / scale).take(self._sensor, axis=-1)
-        x, error, lower, upper = self._monitor(x, error, before, reading, u, now.dt, self._constants)
+        x, error, lower, upper = self._monitor(x, error, before, reading, u, now.dt, self._settings)
         if self.bounds != "corners":
-            lower, upper = enclosed(self.bounds, self._modules, reading, u, self._constants)
+            lower, upper = enclosed(self.bounds, self._modules, reading, u, self._settings)
         elapsed = elapsed + now.dt
         radius = self._published(error, elapsed) if self.observer_bounds else error
         if not self.latch:

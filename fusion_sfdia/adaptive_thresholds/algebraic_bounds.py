@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.monitoring import ModuleConstants, box, into_envelope, quantities_of
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, into_envelope, quantities_of
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.intervals.codac_adapter import codac_sivia
 from fusion_sfdia.intervals.expression import Expression, record
@@ -25,11 +25,11 @@ from fusion_sfdia.intervals.sivia import sivia
 Array = NDArray[Any]
 
 METHODS = ("corners", "inclusion", "sivia", "codac")
-INITIAL = 5.0  # the initial box of a variable is its nominal value divided and multiplied by this; ours
-TOLERANCE = 0.01  # of set inversion, in noise bounds; ours
+INITIAL = 5.0  # the initial box of a variable is its nominal value divided and multiplied by this; chosen here, not published
+TOLERANCE = 0.01  # of set inversion, in noise bounds; chosen here, not published
 
 
-def enclosed(method: str, m: Modules, reading: Array, u: Array, s: ModuleConstants) -> tuple[Array, Array]:
+def enclosed(method: str, m: Modules, reading: Array, u: Array, s: Settings) -> tuple[Array, Array]:
     """Return lower and upper bounds (B, E - S) of the algebraic variables.
 
     reading (B, E): NaN where missing. u: inputs (B, V - E). Where an equation has no value, such as a root of negative
@@ -47,7 +47,7 @@ def enclosed(method: str, m: Modules, reading: Array, u: Array, s: ModuleConstan
     return both.lo - slack, both.hi + slack
 
 
-def enclosure(method: str, m: Modules, variable: str, low: Array, high: Array, s: ModuleConstants) -> Interval:
+def enclosure(method: str, m: Modules, variable: str, low: Array, high: Array, s: Settings) -> Interval:
     """Enclosure (B,) of a variable over boxes low..high (B, V)."""
     names = quantities_of(m.equations[variable])
     over = {v: Interval(low[:, j], high[:, j]) for j, v in enumerate(m.variables)}

@@ -24,7 +24,7 @@ Array = NDArray[Any]
 ROUNDING = 1e-12  # relative widening of bounds: some thousand times the rounding of a hundred operations
 
 
-class ModuleConstants(NamedTuple):
+class Settings(NamedTuple):
     """Constants of E variables, the S states first, and V - E inputs.
 
     nominal, half_width: middle and half-width of the envelope (E,). bound: noise bounds (E,). rates, gains: (S,), 1/s. signs,
@@ -49,7 +49,7 @@ def quantities_of(equation: Callable[..., Any]) -> list[str]:
 
 
 def monitor(
-    m: Modules, x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: ModuleConstants
+    m: Modules, x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Settings
 ) -> tuple[Array, Array, Array, Array]:
     """Return estimates of the states and bounds of their errors (B, S) after a step, and bounds of the others (B, E - S).
 
@@ -97,7 +97,7 @@ def monitor(
     return ahead, bound, lower, upper
 
 
-def box(low: Array, high: Array, u: Array, s: ModuleConstants) -> tuple[Array, Array]:
+def box(low: Array, high: Array, u: Array, s: Settings) -> tuple[Array, Array]:
     """Return the ends (B, V) of the box of true values from least and largest reading; the envelope where one is missing."""
     missing = np.isnan(low) | np.isnan(high)
     low, high = (
@@ -107,7 +107,7 @@ def box(low: Array, high: Array, u: Array, s: ModuleConstants) -> tuple[Array, A
     return np.concatenate([low, u], axis=1), np.concatenate([high, u], axis=1)
 
 
-def into_envelope(low: Array, high: Array, s: ModuleConstants) -> tuple[Array, Array]:
+def into_envelope(low: Array, high: Array, s: Settings) -> tuple[Array, Array]:
     """Return the ends (B, V) of boxes moved into the envelope, in which equations have values."""
     free = np.full(low.shape[1] - len(s.nominal), np.inf)
     least, most = np.append(s.nominal - s.half_width, -free), np.append(s.nominal + s.half_width, free)
@@ -119,7 +119,7 @@ def _value(function: Callable[..., Any], at: Array, c: Any) -> Array:
 
 
 def _corners(
-    function: Callable[..., Any], columns: list[int], e: int, low: Array, high: Array, c: Any, s: ModuleConstants
+    function: Callable[..., Any], columns: list[int], e: int, low: Array, high: Array, c: Any, s: Settings
 ) -> tuple[Array, Array]:
     """Lower and upper bound (B,) of an equation over boxes (B, V)."""
     low, high, sign = low[:, columns], high[:, columns], s.signs[e, columns]

@@ -15,7 +15,7 @@ faulty, too; the reading then counts as missing.
 As printed, (16) adds d where it must be subtracted; the middle is the same. V22 states no intersection over time, but shows an
 interval that narrows (its Fig. 4(d)), which intervals of single instants do not.
 
-If several modules fire at once, the isolated sensor is the one without which the fewest modules fire (ours; V22 does not treat
+If several modules fire at once, the isolated sensor is the one without which the fewest modules fire (V22 does not treat
 this case): the other modules may fire only because they read it. Everything computed from its readings is reset: observers
 restart from the envelope, and intervals that depend on it restart. If a fault first exceeds the threshold of another sensor's
 module, that sensor is isolated falsely: intervals are guaranteed only where every faulty sensor is isolated.
@@ -35,7 +35,7 @@ from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, Rates,
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.algebraic_bounds import enclosure
 from fusion_sfdia.adaptive_thresholds.fault_memory import FaultMemory
-from fusion_sfdia.adaptive_thresholds.monitoring import ModuleConstants, box, monitor, quantities_of
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, monitor, quantities_of
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.modules import Modules
@@ -114,8 +114,8 @@ class VirtualSensors(BatchDetector):
         return self.thresholds._modules
 
     @property
-    def _constants(self) -> ModuleConstants:
-        return self.thresholds._constants
+    def _settings(self) -> Settings:
+        return self.thresholds._settings
 
     @cached_property
     def _depends_on(self) -> Array:
@@ -125,7 +125,7 @@ class VirtualSensors(BatchDetector):
         return np.linalg.matrix_power(reads.astype(float), len(reads)) > 0
 
     def _start(self, batch: tuple[int, ...], seed: int) -> FaultMemory:
-        s = self._constants
+        s = self._settings
         return FaultMemory.new(batch, s.nominal, s.half_width, len(s.gains))
 
     def _judge(self, memory: FaultMemory, now: TimeStep, y: Array, u: Array) -> tuple[FaultMemory, Decision]:
@@ -138,7 +138,7 @@ class VirtualSensors(BatchDetector):
             m, bounds = self._isolate(m, bounds, fresh, reading, u, now.dt)
         m = self._after(m, bounds, reading, u, now.dt)
         middle, radius = (bounds.low + bounds.high) / 2, (bounds.high - bounds.low) / 2
-        residual, threshold = reading - middle, self.threshold_scale * (radius + self._constants.bound)
+        residual, threshold = reading - middle, self.threshold_scale * (radius + self._settings.bound)
         size = np.where(np.isfinite(m.size), m.size, residual)
         usable = np.isfinite(reading) & ~(m.isolated & np.isnan(m.size))
         healthy = np.where(usable, reading - np.where(m.isolated, size, 0.0), middle)
@@ -160,7 +160,7 @@ class VirtualSensors(BatchDetector):
 
     def _step_modules(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
         """A step of the modules on reconstructed readings, without correction of the observers of isolated sensors."""
-        s, states = self._constants, len(self._constants.gains)
+        s, states = self._settings, len(self._settings.gains)
         (before, _), (healthy, bound) = (m.reconstructed(a, s.bound) for a in (m.before, reading))
         gains = np.where(m.isolated[:, :states], 0.0, s.gains)
         x, error, lower, upper = self._monitor(m, before, healthy, bound, gains, u, dt)
@@ -174,7 +174,7 @@ class VirtualSensors(BatchDetector):
         self, m: FaultMemory, before: Array, healthy: Array, bound: Array, gains: Array, u: Array, dt: float
     ) -> list[Array]:
         """As `monitor`: compiled code run by run, since bounds and gains differ between runs; otherwise array code."""
-        modules, s = self._modules, self._constants
+        modules, s = self._modules, self._settings
         given = m.x, m.error, before, healthy, u
         if modules.monitor is None:
             of_all = s._replace(bound=bound, gains=gains)
@@ -189,7 +189,7 @@ class VirtualSensors(BatchDetector):
         self, m: FaultMemory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array
     ) -> tuple[Array, Array]:
         """The bounds (B, E - S), for isolated sensors by set inversion where it finds a solution."""
-        s, states = self._constants, len(self._constants.gains)
+        s, states = self._settings, len(self._settings.gains)
         low, high = box(healthy, healthy, u, s._replace(bound=bound))
         lower, upper = lower.copy(), upper.copy()
         for e, variable in enumerate(self._modules.equations):
@@ -206,7 +206,7 @@ class VirtualSensors(BatchDetector):
         self, m: FaultMemory, bounds: ModuleBounds, fresh: Array, reading: Array, u: Array, dt: float
     ) -> tuple[FaultMemory, ModuleBounds]:
         """Isolate one of the sensors whose modules fire (B, E) in each run: the one without which the fewest modules fire."""
-        s, best = self._constants, m
+        s, best = self._settings, m
         fewest = np.full(len(fresh), np.iinfo(int).max)
         for e in np.flatnonzero(fresh.any(axis=0)):
             tried = m.without(int(e), self._depends_on[:, e], s.nominal, s.half_width)
@@ -218,7 +218,7 @@ class VirtualSensors(BatchDetector):
 
     def _after(self, m: FaultMemory, bounds: ModuleBounds, reading: Array, u: Array, dt: float) -> FaultMemory:
         """The memory after the step: observers, and the faults' intervals and estimates."""
-        low, high = m.interval(reading, bounds.low, bounds.high, self._constants.bound, self.intersect)
+        low, high = m.interval(reading, bounds.low, bounds.high, self._settings.bound, self.intersect)
         with np.errstate(invalid="ignore"):
             size = np.where(np.isfinite(high - low), (low + high) / 2, np.nan)
         adaptive = self._adapted(m, reading, u, dt) if self.learning_rates else Estimates(m.state, m.omega, m.fault)
@@ -229,7 +229,7 @@ class VirtualSensors(BatchDetector):
 
     def _adapted(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> Estimates:
         """The adaptive observers after the step, with the mean of the reconstructed readings before and after it as input."""
-        modules, s = self._modules, self._constants
+        modules, s = self._modules, self._settings
         new = [a.copy() for a in (m.state, m.omega, m.fault)]
         middle = (m.reconstructed(m.before, s.bound)[0] + m.reconstructed(reading, s.bound)[0]) / 2
         at = np.concatenate([np.where(np.isnan(middle), s.nominal, middle), u], axis=-1)

@@ -24,7 +24,7 @@ from fusion_sfdia.stochastic_thresholds.present_readings import PredictedReading
 Array = NDArray[Any]
 
 ROUNDING = 1e-12  # relative widening of bounds: far more than the rounding of a step
-WITHIN = 3.0  # standard deviations, the bound of a noise without a stated bound; ours
+WITHIN = 3.0  # standard deviations, the bound of a noise without a stated bound; chosen here, not published
 
 
 @dataclass(frozen=True)

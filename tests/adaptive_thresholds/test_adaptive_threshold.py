@@ -37,7 +37,7 @@ def test_corners_enclose_the_engine_over_the_envelope() -> None:
     rng = np.random.default_rng(1)
     m = ENGINE.structure.modules
     assert m is not None
-    settings = DETECTOR._constants
+    settings = DETECTOR._settings
     centre = DETECTOR.nominal + (settings.half_width - settings.bound) * rng.uniform(-1, 1, (100, 10))
     u = np.ones((100, 1))
     _, _, lower, upper = DETECTOR._monitor(centre[:, :3], np.zeros((100, 3)), centre, centre, u, 0.01, settings)

@@ -26,7 +26,7 @@ def test_inclusion_and_set_inversion_enclose_the_corners() -> None:
         ends[bounds] = np.stack([middle - radius, middle + radius])[..., [1, 2, 3, 5, 6, 8, 9]] / BOUND[[1, 2, 3, 5, 6, 8, 9]]
     known = ~np.isnan(ends["corners"][0])
     # the slack of corners is that of the whole envelope: at most this much where a slope has no sign
-    slack = (DETECTOR._constants.unproved[3:, :10] @ BOUND_OF_VARIABLE / BOUND_OF_VARIABLE[3:]) + 1e-9
+    slack = (DETECTOR._settings.unproved[3:, :10] @ BOUND_OF_VARIABLE / BOUND_OF_VARIABLE[3:]) + 1e-9
     for bounds in ("inclusion", "sivia"):
         assert np.all((ends[bounds][0] <= ends["corners"][0] + slack)[known])
         assert np.all((ends[bounds][1] >= ends["corners"][1] - slack)[known])

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.monitoring import ModuleConstants, box, decide, into_envelope, monitor
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, decide, into_envelope, monitor
 from fusion_sfdia.core.modules import Modules
 
 Array = NDArray[Any]
 DT = 0.1
 EQUATIONS = {"x": lambda x, z, v, c: 3 * z - v - c * x, "z": lambda x: 0.5 * x}
-SETTINGS = ModuleConstants(
+SETTINGS = Settings(
     nominal=np.array([10.0, 5.0]), half_width=np.array([100.0, 50.0]), bound=np.array([0.1, 0.2]), rates=np.array([0.2]),
     gains=np.array([0.5]), signs=np.array([[-1.0, 1.0, -1.0], [1.0, 0.0, 0.0]]), unproved=np.zeros((2, 3)), rounding=0.0,
 )  # fmt: skip
@@ -31,7 +31,7 @@ def modules(equations: dict[str, Any]) -> Modules:
     )  # fmt: skip
 
 
-def step(before: list[float], settings: ModuleConstants = SETTINGS, x: float = 10.5) -> list[float]:
+def step(before: list[float], settings: Settings = SETTINGS, x: float = 10.5) -> list[float]:
     equations = {"x": EQUATIONS["x"], "z": z_alone}
     reading, u = np.array([[10.2, 5.1]]), np.array([[1.0]])
     m = modules(equations)
@@ -114,7 +114,7 @@ def test_a_slope_without_a_sign_is_evaluated_in_the_middle() -> None:
 
 def test_bounds_exceed_rounding() -> None:
     """Of a point, 0.5 * 10.2, by 1e-12 of it unless another share is stated."""
-    assert ModuleConstants._field_defaults["rounding"] == 1e-12
+    assert Settings._field_defaults["rounding"] == 1e-12
     point = SETTINGS._replace(bound=np.zeros(2), rounding=1e-12)
     _, _, lower, upper = step([10.0, 5.0], point)
     assert 0.9e-12 < 1 - lower / 5.1 < 1.1e-12 and 0.9e-12 < upper / 5.1 - 1 < 1.1e-12
