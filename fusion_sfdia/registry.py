@@ -1,4 +1,4 @@
-"""Plants, detectors and scenarios by name: those of this package, those that callers register, those of other packages.
+"""Plants and detectors by name: those of this package, those that callers register, those of other packages.
 
 A plant or detector is registered in its own file, by a call or a decorator, `register_plant` or `register_detector`. Another
 package names its own as entry points, in its pyproject.toml, each under the name by which it is found here:
@@ -19,9 +19,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from fnmatch import fnmatchcase
 from functools import partial
-from importlib import import_module, resources
+from importlib import import_module
 from importlib.metadata import entry_points
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
@@ -32,10 +31,8 @@ from fusion_sfdia.core.references import first_line, is_reference, load, name_of
 if TYPE_CHECKING:
     from fusion_sfdia.core.detector import Detector
     from fusion_sfdia.core.plant import Plant
-    from fusion_sfdia.experiments.scenario import Scenario
 
 OURS = "fusion_sfdia"
-GROUPS = ("pipeline", "engine", "network")  # folders of benchmarks/ whose files are scenarios
 M = TypeVar("M")
 
 
@@ -79,19 +76,6 @@ class NamedDetector(NamedTuple):
         """The package it comes from."""
         return package_of(self.source)
 
-
-def _scenarios() -> dict[str, str]:
-    """{name: "module:attribute"}: a scenario is a file of its group's folder, and its path is its name."""
-    found = {}
-    for group in GROUPS:
-        for file in sorted(resources.files(f"fusion_sfdia.benchmarks.{group}").iterdir(), key=lambda f: f.name):
-            stem, dot, _ = file.name.rpartition(".py")
-            if dot and stem != "__init__":
-                found[f"{group}/{stem.replace('_', '-')}"] = f"fusion_sfdia.benchmarks.{group}.{stem}:SCENARIO"
-    return found | {"comparison": "fusion_sfdia.comparison.scenario:SCENARIO"}
-
-
-SCENARIOS = _scenarios()
 
 _PLANTS: dict[str, NamedPlant] = {}
 _DETECTORS: dict[str, NamedDetector] = {}
@@ -224,21 +208,6 @@ def require_known(what: str, name: str, known: Iterable[str]) -> str:
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise ValueError(f"unknown {what} {name!r}; {hint}known: {', '.join(names) or 'none'}")
     return name
-
-
-def match_scenarios(patterns: Iterable[str]) -> list[str]:
-    """Return the scenarios whose names match names or globs such as pipeline/*, each once, in the order of the registry."""
-    expected: set[str] = set()
-    for pattern in patterns:
-        found = [name for name in SCENARIOS if fnmatchcase(name, pattern)]
-        expected.update(found or [require_known("scenario", pattern, SCENARIOS)])
-    return [name for name in SCENARIOS if name in expected]
-
-
-def scenario(name: str) -> Scenario:
-    """Return a scenario by its name; ValueError for an unknown one."""
-    found: Scenario = load(SCENARIOS[require_known("scenario", name, SCENARIOS)])
-    return found
 
 
 def _own_plants() -> dict[str, NamedPlant]:

@@ -56,7 +56,7 @@ def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: 
 def _run(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.results import as_json
     from fusion_sfdia.experiments.runner import run_scenarios
-    from fusion_sfdia.registry import match_scenarios, scenario
+    from fusion_sfdia.scenarios import match_scenarios, scenario
 
     changes = _settings(chosen.set)
     names = match_scenarios(chosen.scenario)

@@ -16,7 +16,7 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from fusion_sfdia import __version__, registry
+from fusion_sfdia import __version__, scenarios
 from fusion_sfdia.cli import listing
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
@@ -26,7 +26,7 @@ PLANT = gas_pipeline()
 
 @pytest.fixture(autouse=True)
 def toys(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(registry, "SCENARIOS", {"toy/mean": "toy_scenario:TOY"})
+    monkeypatch.setattr(scenarios, "SCENARIOS", {"toy/mean": "toy_scenario:TOY"})
     monkeypatch.chdir(tmp_path)
 
 

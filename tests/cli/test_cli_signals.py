@@ -20,15 +20,15 @@ from fusion_sfdia.cli.main import main
 
 def work(*arguments):
     if arguments[-1]["detector"] == "b":
-        with open("alive", "w") as told:  # open until this process has ended
-            told.write("x")
-            told.flush()
+        with open("alive", "w") as alive:  # open until this process has ended
+            alive.write("x")
+            alive.flush()
             signal.pause()
     return {"mean": np.zeros(2)}
 
 SCENARIO = toy(work=work)
 if __name__ == "__main__":
-    registry.SCENARIOS = {"toy/mean": "program:SCENARIO"}
+    scenarios.SCENARIOS = {"toy/mean": "program:SCENARIO"}
     sys.exit(main(["run", "toy/mean", "--workers", "2", "--out", "out"]))
 """
 PATIENCE = 60  # s, after which the test fails instead of hanging

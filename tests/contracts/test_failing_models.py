@@ -13,7 +13,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.trials import faulted, outcome
 from fusion_sfdia.filters.enkf import EnKFSettings
-from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented, guarded_points
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
+from fusion_sfdia.filters.guarded_steps import guarded_points
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank

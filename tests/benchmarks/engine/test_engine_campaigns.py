@@ -19,7 +19,7 @@ from fusion_sfdia.benchmarks.engine.support.noise_figures import AGENTS, FAULTS,
 from fusion_sfdia.benchmarks.engine.support.trials import BIN, NAMES
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
-from fusion_sfdia.registry import scenario
+from fusion_sfdia.scenarios import scenario
 
 
 def readings(seeds: range, steps: int = 60) -> np.ndarray:

@@ -27,7 +27,7 @@ from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
-from fusion_sfdia.registry import scenario
+from fusion_sfdia.scenarios import scenario
 
 
 def value(rows: list[Row], **expected: str) -> float:
