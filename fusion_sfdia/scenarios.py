@@ -34,7 +34,7 @@ SCENARIOS = _scenarios()
 
 
 def match_scenarios(patterns: Iterable[str]) -> list[str]:
-    """Return the scenarios whose names match names or globs such as pipeline/*, each once, in the order of the registry."""
+    """Return the scenarios whose names match names or globs such as pipeline/*, each once, in the order of SCENARIOS."""
     expected: set[str] = set()
     for pattern in patterns:
         found = [name for name in SCENARIOS if fnmatchcase(name, pattern)]

@@ -1,4 +1,4 @@
-"""The optional groups of a plant: its numerics, what stands for the real plant in simulations, and its structure."""
+"""The optional groups of a plant: its numerics, the truth of simulations, and its structure."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Numerics:
 
 @dataclass(frozen=True)
 class Truth:
-    """What simulations take for the real plant; a detector uses its operation only, where an input is not known.
+    """The truth of simulations, which represents the real plant; a detector uses only its operation, for unknown inputs.
 
     operation(t): the input (m,) that acts from t on where none is given; None for the nominal values of the inputs.
     feedback(t, y, u): the input (..., m) that acts from t on in closed loop, by controllers that read y (..., N) at t and
@@ -55,7 +55,7 @@ class Truth:
     finer(): a high-fidelity model with the same sensors and inputs (a finer grid, for example) and the map from its states to
     those of the plant; None where there is none. Simulations take their readings from it unless another truth is given.
     disturbed: whether process noise acts on the real plant, too, and on the healthy recordings to learn from. Otherwise the
-    process noise only stands for what the model neglects.
+    process noise only represents what the model neglects.
     Raises ValueError for an operation, feedback or finer that is no function.
     """
 
@@ -70,7 +70,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Structure:
-    """What is known of the equations one by one, in SI.
+    """The single equations of a plant, in SI.
 
     modules: the scalar equations as monitoring modules; areas: the linear areas, each with its own diagnoser. None where not
     stated; detectors that need them are then not applicable, and one diagnoser reads all sensors.

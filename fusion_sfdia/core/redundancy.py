@@ -40,9 +40,9 @@ def most_faults(plant: Plant) -> int:
 
 
 def require_max_faults(plant: Plant, given: int | None) -> None:
-    """Raise ValueError for a number of faults that is not None, for `most_faults`, nor from 1 to less than the sensors."""
+    """Raise ValueError unless max_faults is None (then it is `most_faults`) or a number from 1 to less than the sensors."""
     if given is not None and not whole("max_faults", given, least=1) < len(plant.sensors):
-        raise ValueError(f"max_faults is {given}; plant {plant.name!r} has {len(plant.sensors)} sensors")
+        raise ValueError(f"max_faults is {given}; plant {plant.name!r} has {len(plant.sensors)} sensors, give fewer")
 
 
 def _seen(F: Array, H: Array) -> list[int]:

@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 
 class EwmaLimitsMemory(NamedTuple):
-    """Of each sensor (..., N) the last reading, NaN where missing, and the last within its limits, at first the centre; the
+    """For each sensor (..., N): the last reading, NaN where missing, and the last within its limits, at first the centre; the
     average z of its level, and the number n of readings in it.
     """
 

@@ -90,6 +90,6 @@ def upper_limit(values: Array, rate: float) -> float:
     if values.size * rate < 1:
         raise ValueError(
             f"{values.size} healthy samples cannot set a limit that one in {1 / rate:.0f} exceeds; give at least that many to "
-            "set limits (every other one is used for that), or ask for a higher rate of false alarms"
+            "set limits (every other one is used for that), or choose a higher false-alarm rate"
         )
     return float(order_statistic(values, rate))

@@ -47,7 +47,7 @@ def sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int
 
 
 class ProcessNoise:
-    """One stream a seed; each step takes the next numbers of every stream."""
+    """Process noise of a plant, one stream a seed; each step takes the next numbers of every stream."""
 
     def __init__(self, plant: Plant, seeds: tuple[int, ...]) -> None:
         self.plant = plant

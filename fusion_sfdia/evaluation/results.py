@@ -23,7 +23,7 @@ NUMBERS = ("value", "low", "high", "published")
 
 @dataclass(frozen=True)
 class Published:
-    """A number as its authors state it, in the unit of the row beside which it stands; source names paper, table and page."""
+    """A number as its authors state it, in the unit of the row that it is compared with; source names paper, table and page."""
 
     value: float
     source: str
@@ -95,7 +95,7 @@ def row_of(
     *,
     condition: str = "",
 ) -> Row:
-    """Return the row of an estimate beside what is published of the same thing, if anything is."""
+    """Return the row of an estimate with the published value of the same quantity, if there is one."""
     value, source = (None, "") if published is None else (published.value, published.source)
     names = (scenario, plant, detector, fault, quantity, metric)
     return Row(*names, *estimate, published=value, source=source, condition=condition)

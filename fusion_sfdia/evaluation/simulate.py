@@ -1,6 +1,6 @@
 """Simulated recordings: a truth model, its noise, and the readings that a detector receives.
 
-On one machine the recording of a seed is the same bits whatever other seeds are simulated with it: each draws from its own
+On one machine the recording of a seed is the same bits whatever other seeds are simulated with it: each seed has its own
 streams, and the plant steps a batch of shape (seeds, 1), so that a matrix product, too, is that of one seed.
 """
 
@@ -20,7 +20,7 @@ from fusion_sfdia.evaluation.noise import ProcessNoise, sensor_noise, square_roo
 
 Array = NDArray[Any]
 
-MOST_STEPS = 10**9  # more is a slip: a step takes at least a microsecond
+MOST_STEPS = 10**9  # more is taken for a mistake: a step takes at least a microsecond
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def _inputs(plant: Plant, before: Array, given: Callable[[float], Array] | Array
 
 
 def _fed_back(source: Plant, t: float, y: Array, u: Array) -> Array:
-    """The input of each run (B, m) from its readings y (B, N); of shape (B, 1, ...) for the plant, as all else."""
+    """The input of each run (B, m) from its readings y (B, N); the plant's feedback gets shapes (B, 1, ...)."""
     feedback = source.truth.feedback
     assert feedback is not None
     found = np.asarray(feedback(t, y[:, None], u[:, None]), dtype=float)

@@ -1,4 +1,4 @@
-"""Finished pieces of work on disk, named by everything that decides their bits, so that a run can be taken up again."""
+"""Finished pieces of work on disk, named by everything that decides their bits, so that a run can be resumed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def part_name(work: Callable[[Task], Arrays], task: Task) -> str:
 
 
 def decisive() -> dict[str, Any]:
-    """Return what decides the bits of any piece of work beside its task: code, libraries, kind of machine."""
+    """Return what decides the bits of any piece of work besides its task: code, libraries, kind of machine."""
     found = versions()
     return {
         "version": fusion_sfdia.__version__,

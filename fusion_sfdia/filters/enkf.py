@@ -142,7 +142,7 @@ def _localised(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R: Arra
 
 
 def rotation(size: int, rng: np.random.Generator, batch: tuple[int, ...] = ()) -> Array:
-    """Random orthogonal matrices (*batch, size, size) that keep the vector of ones: they turn anomalies, not the mean."""
+    """Random orthogonal matrices (*batch, size, size) that keep the vector of ones: they rotate anomalies and keep the mean."""
     q, r = np.linalg.qr(rng.standard_normal((*batch, size - 1, size - 1)))
     q = q * np.sign(np.diagonal(r, axis1=-2, axis2=-1))[..., None, :]
     ones = np.full((size, 1), 1.0)

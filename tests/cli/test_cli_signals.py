@@ -42,9 +42,7 @@ def read(pipe: int, size: int) -> bytes:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-@pytest.mark.parametrize(
-    ("sent", "code", "said"), [(signal.SIGTERM, 130, "the same command goes on"), (signal.SIGKILL, -9, "")]
-)
+@pytest.mark.parametrize(("sent", "code", "said"), [(signal.SIGTERM, 130, "repeat the same command"), (signal.SIGKILL, -9, "")])
 def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, code: int, said: str) -> None:
     (tmp_path / "program.py").write_text(PROGRAM)
     os.mkfifo(tmp_path / "alive")

@@ -109,7 +109,7 @@ def test_thresholds_are_the_order_statistic_of_the_scores() -> None:
     assert np.sum(d.score[20:] > 1) == 1000 - np.ceil(1001 * 0.95)
     with pytest.raises(ValueError, match=r"1000 healthy samples cannot set thresholds that one in 2000 exceeds"):
         detector.fit_thresholds((t, y, u), 5e-4)
-    for bad, message in ((1.0, "false_alarm is 1.0; a probability"), (0.1, "warm_up is -1")):
+    for bad, message in ((1.0, "false_alarm is 1.0; expected a probability"), (0.1, "warm_up is -1")):
         with pytest.raises(ValueError, match=message):
             detector.fit_thresholds((t, y, u), bad, -1)
     with pytest.raises(ValueError, match=r"exceeds 0, so that no scale of the thresholds of CentralFilter has that rate"):
@@ -140,5 +140,7 @@ def test_diagnose_takes_a_detector_by_name() -> None:
         diagnose("kf-chi", recording, plant=PLANT)
     with pytest.raises(ValueError, match=r"unknown plant 'tanks'"):
         fit("kf-chi2", "tanks")
-    with pytest.raises(ValueError, match=r"plant is given beside a detector, which has its own, 'two-tanks'; leave plant out"):
+    with pytest.raises(
+        ValueError, match=r"plant is given together with a detector, which has its own, 'two-tanks'; leave plant out"
+    ):
         diagnose(CentralFilter(tanks()), recording, plant=PLANT)

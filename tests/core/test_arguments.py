@@ -289,7 +289,7 @@ def test_dates_are_not_read_as_seconds(dates: Any, tmp_path: Path) -> None:
         lambda: bank.fit_thresholds((dates, y, u)),
     ):
         with pytest.raises(
-            ValueError, match=r"expected an array of numbers: of dates the seconds since the first, .*timedelta64"
+            ValueError, match=r"expected an array of numbers; pass dates as seconds since the first, .*timedelta64"
         ):
             read()
     for read in (lambda: detector.step(detector.init(), dates[0], y[0], u[0]), lambda: detector.init(t=dates[0])):

@@ -51,9 +51,9 @@ def test_a_sensor_without_noise_is_refused_and_one_figure_gives_the_other() -> N
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"states": (Signal("level_1"), Signal("level_1"))}, "the names level_1 stand more than once"),
-        ({"inputs": (Signal("level_1"),)}, "the names level_1 stand more than once"),
-        ({"algebraic": (Signal("level_2"), Signal("inflow"))}, "the names inflow, level_2 stand more than once"),
+        ({"states": (Signal("level_1"), Signal("level_1"))}, "the names level_1 occur more than once"),
+        ({"inputs": (Signal("level_1"),)}, "the names level_1 occur more than once"),
+        ({"algebraic": (Signal("level_2"), Signal("inflow"))}, "the names inflow, level_2 occur more than once"),
         ({"phi": None}, "algebraic variables and phi go together"),
         ({"algebraic": ()}, "algebraic variables and phi go together"),
     ],
@@ -66,9 +66,9 @@ def test_physics_that_does_not_fit_together_is_refused(change: dict[str, Any], m
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"states": (Signal("a"), Signal("a"), Signal("b"))}, "plant 'chain': the names a stand more than once"),
-        ({"inputs": (Signal("x0"),)}, "plant 'chain': the names x0 stand more than once"),
-        ({"sensors": (Sensor("s", "x0", sigma=1.0),) * 2}, "sensors of plant 'chain': the names s stand more than once"),
+        ({"states": (Signal("a"), Signal("a"), Signal("b"))}, "plant 'chain': the names a occur more than once"),
+        ({"inputs": (Signal("x0"),)}, "plant 'chain': the names x0 occur more than once"),
+        ({"sensors": (Sensor("s", "x0", sigma=1.0),) * 2}, "sensors of plant 'chain': the names s occur more than once"),
         ({"sensors": ()}, "3 states and 0 sensors; give at least one of each"),
         ({"dt": 0.0}, "dt is 0.0 s; it must be positive and finite"),
         ({"dt": NAN}, "dt is nan s; it must be positive and finite"),

@@ -106,7 +106,7 @@ def test_what_is_refused() -> None:
     for arguments, settings, message in (
         ((y[..., :3], 0.1), {}, r"y has shape \(100, 2, 3\)"),
         ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 1500 exceeds"),
-        ((y, 0), {}, "false_alarm is 0; a probability"),
+        ((y, 0), {}, "false_alarm is 0; expected a probability"),
         ((y, 0.1), {"weight": 1.0}, "weight is 1.0; expected the share of the present reading, above 0 and below 1"),
         ((y, 0.1), {"weight": "0.2"}, "weight is '0.2'; expected a number"),
     ):

@@ -170,7 +170,7 @@ def test_what_is_refused() -> None:
             FixedLimits.fit(PLANT, bad, 0.1)
     with pytest.raises(ValueError, match="100 healthy samples cannot set a limit that one in 1000 exceeds"):
         FixedLimits.fit(PLANT, y, 1e-3)
-    with pytest.raises(ValueError, match="false_alarm is 0; a probability"):
+    with pytest.raises(ValueError, match="false_alarm is 0; expected a probability"):
         FixedLimits.fit(PLANT, y, 0)
     for change, message in (
         ({"centre": np.ones(3)}, r"centre has shape \(3,\); expected 4 finite numbers, one a sensor of plant 'two-tanks'"),

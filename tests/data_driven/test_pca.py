@@ -292,7 +292,7 @@ def test_as_many_components_as_are_asked_for() -> None:
 
 @pytest.mark.parametrize("components", [None, 0])
 def test_readings_without_any_noise_are_refused_with_the_cure(components: int | None) -> None:
-    with pytest.raises(ValueError, match=r"beside 0 components the healthy readings .* do not move.*use limits"):
+    with pytest.raises(ValueError, match=r"the healthy readings .* vary in 0 components only.*use limits"):
         PrincipalComponents.fit(PLANT, np.full((500, 2, 6), 3.0), 0.02, components=components)
 
 
@@ -300,7 +300,7 @@ def test_what_is_refused() -> None:
     y = data(100, 2)
     for arguments, settings, message in (
         ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 3000 exceeds"),
-        ((y, 1.5), {}, "false_alarm is 1.5; a probability"),
+        ((y, 1.5), {}, "false_alarm is 1.5; expected a probability"),
         ((y, 0.1), {"components": 6}, "components is 6; expected fewer than the 6 readings of a window"),
         ((y, 0.1), {"components": -1}, "components is -1; expected a whole number of at least 0"),
         ((y, 0.1), {"max_faults": 0}, "max_faults is 0; expected a whole number"),

@@ -166,9 +166,9 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
         diagnose(FusingBank(plant, Extended(), thresholds=(np.inf,) * 4), t, y, u)
     detector, silent, nothing = CentralFilter(plant), y.copy(), np.full_like(y, np.nan)
     silent[:, 1] = np.nan
-    with pytest.warns(DiagnosisWarning, match="no reading at all of l2; fill"):
+    with pytest.warns(DiagnosisWarning, match="no readings of l2; fill"):
         diagnose(detector, t, silent, u)
-    with pytest.warns(DiagnosisWarning, match="no reading at all of l1, l2, q12, q2: .* the model's prediction alone"):
+    with pytest.warns(DiagnosisWarning, match="no readings of l1, l2, q12, q2: .* the model's prediction alone"):
         diagnose(detector, t, nothing, u)
     flooded = y.copy()
     flooded[10:12, 0] = 100.0  # m: pulls the estimate above the 3 m of the tank
@@ -181,7 +181,7 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
     with pytest.warns(DiagnosisWarning) as told:
         found = diagnose(detector, t, y, drained)
     assert [str(w.message) for w in told] == [
-        "inflow: 10 of 30 values cannot be, the first -0.05 m3/s at 55 s; replaced by the plant's usual input: leave such "
+        "inflow: 10 of 30 values are impossible, the first -0.05 m3/s at 55 s; replaced by the plant's usual input: leave such "
         "cells empty, or check units"
     ]
     assert not found.decisions.diverged.any() and not found.events
@@ -190,7 +190,8 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
     with pytest.warns(DiagnosisWarning) as told:
         found = diagnose(detector, t, impossible, u)
     assert [str(w.message) for w in told] == [
-        "q12: 2 of 30 values cannot be, the first 1e+303 m3/s at 25 s; taken as missing: leave such cells empty, or check units"
+        "q12: 2 of 30 values are impossible, the first 1e+303 m3/s at 25 s; taken as missing: leave such cells empty, or check "
+        "units"
     ]
     assert np.argwhere(found.decisions.absurd).tolist() == [[4, 2], [7, 2]] and not found.events
     biased = y + np.array([20.0, -20.0, 20.0, 0.0]) * plant.sensor_sigma * (t > 50)[:, None]
@@ -201,7 +202,7 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
         found = diagnose(LeaveOneOutBank(plant, window=1), t, biased, u)
     assert found.decisions.isolated[10:].sum(axis=-1).max() == 2
     broken = replace(plant, output=lambda t, x, u: plant.output(t, x, u) * (np.nan if t > 50 else 1))
-    with pytest.warns(DiagnosisWarning, match="diverged and does not count in 20 of 30 samples, first at 55 s"):
+    with pytest.warns(DiagnosisWarning, match="diverged and is not valid in 20 of 30 samples, first at 55 s"):
         found = diagnose(CentralFilter(broken), t, y, u)
     assert found.decisions.diverged.sum() == 20 and not found.decisions.isolated[10:].any()
 

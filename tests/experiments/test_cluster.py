@@ -120,7 +120,7 @@ def test_a_scheduler_that_goes_away_is_reported_once_and_the_run_goes_on_elsewhe
         passing.close()
 
     monkeypatch.setattr(on_cluster, "write_part", write_then_close)
-    with pytest.raises(RuntimeError, match=r"scheduler went away.*what was finished is kept.*the same command goes on"):
+    with pytest.raises(RuntimeError, match=r"scheduler disappeared.*finished pieces are kept.*repeat the same command"):
         run_scenarios([TOY], tmp_path / "out", changes=changes, scheduler=passing.scheduler_address)
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]  # no traceback of the connection
     kept = len(parts_of(tmp_path / "out"))

@@ -121,7 +121,7 @@ def test_folders(tmp_path: Path) -> None:
     run(empty)  # the same command: taken up, nothing changes
     assert manifest(empty)["scenarios"][0]["resumed"] == 2
     assert (empty / "metrics.csv").read_bytes() == before
-    with pytest.raises(ValueError, match=r"already used: it holds another run .*--seeds 2.*--force, which takes up .*parts"):
+    with pytest.raises(ValueError, match=r"already used: it holds another run .*--seeds 2.*--force, which reuses .*parts"):
         run(empty, seeds=4)
     assert (empty / "metrics.csv").read_bytes() == before
     run(empty, seeds=4, force=True)
@@ -131,7 +131,7 @@ def test_folders(tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.tex").write_text("mine")
-    with pytest.raises(ValueError, match=r"already used: it holds files that are no run of fusion-sfdia.*--force"):
+    with pytest.raises(ValueError, match=r"already used: it holds files that are not a run of fusion-sfdia.*--force"):
         run(mine)
     assert files(mine) == {"thesis.tex": b"mine"}
     run(mine, force=True)
@@ -303,7 +303,7 @@ def test_parts(tmp_path: Path) -> None:
         ({"changes": {"size": "99999999999999999999"}}, "expected a whole number"),
         ({"changes": {"size": "9" * 5000}}, r"size is '9+\.\.\.; expected"),
         ({"changes": {"levels": ","}}, "setting levels is empty; expected at least one value, such as high"),
-        ({"changes": {"levels": "low,high,low"}}, "expected each value once, 'low' stands twice"),
+        ({"changes": {"levels": "low,high,low"}}, "expected each value once, 'low' occurs twice"),
         ({"changes": {"trap": "a\0b"}}, "expected at most 1000 printable characters"),
         ({"changes": {"rate": "nan"}}, "setting rate is 'nan'; expected a number from 1e-06 to 1000000, such as 0.5"),
         ({"changes": {"figure": "perhaps"}}, "expected true or false"),

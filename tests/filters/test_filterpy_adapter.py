@@ -211,7 +211,7 @@ def broken(kind: str) -> tuple[Any, dict[str, Any]]:
     ("kind", "message"),
     [
         ("fading", "alpha is 1.02.*set alpha = 1"),
-        ("cross", "M is not zero.*fold it"),
+        ("cross", "M is not zero.*include it"),
         ("correlated", "R is not diagonal.*whiten"),
         ("names", "1 sensor and 2 state names; the filter has 2 readings"),
         ("no h", "pass it as h="),
