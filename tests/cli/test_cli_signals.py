@@ -1,4 +1,4 @@
-"""A campaign that is ended from outside: what is finished stays, no worker is left behind."""
+"""A campaign that is ended by a signal: finished parts stay, no worker remains."""
 
 from __future__ import annotations
 
@@ -42,8 +42,10 @@ def read(pipe: int, size: int) -> bytes:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
-@pytest.mark.parametrize(("sent", "code", "said"), [(signal.SIGTERM, 130, "repeat the same command"), (signal.SIGKILL, -9, "")])
-def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, code: int, said: str) -> None:
+@pytest.mark.parametrize(
+    ("sent", "code", "message"), [(signal.SIGTERM, 130, "repeat the same command"), (signal.SIGKILL, -9, "")]
+)
+def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, code: int, message: str) -> None:
     (tmp_path / "program.py").write_text(PROGRAM)
     os.mkfifo(tmp_path / "alive")
     pipe = os.open(tmp_path / "alive", os.O_RDONLY | os.O_NONBLOCK)
@@ -57,5 +59,5 @@ def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, c
     os.close(pipe)
     _, err = command.communicate(timeout=PATIENCE)
     assert command.returncode == code
-    assert said in err and "Traceback" not in err
+    assert message in err and "Traceback" not in err
     assert len(list((tmp_path / "out" / "parts").glob("*.npz"))) == 3

@@ -78,7 +78,7 @@ def test_imports_run_downward(name: str) -> None:
     assert used <= {folder, *FOLDERS[folder]}, f"{name} imports {used - {folder, *FOLDERS[folder]}}, which it must not know"
 
 
-def test_experiments_know_no_plant_and_no_scenario() -> None:
+def test_experiments_import_no_plant_and_no_scenario() -> None:
     for name, path in MODULES.items():
         if name.startswith("experiments."):
             assert not {n for n in imports(path) if re.match(r"fusion_sfdia\.(models|benchmarks)\.", n)}, name

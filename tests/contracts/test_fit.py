@@ -1,4 +1,4 @@
-"""One way to learn, for every registered detector: from healthy readings at a rate of false alarms, by class and by name."""
+"""One way to fit every registered detector: from healthy readings at a rate of false alarms, by class and by name."""
 
 from __future__ import annotations
 

@@ -172,7 +172,7 @@ def test_columns_keep_the_policy_of_read_log() -> None:
         ((np.arange(0.0), np.ones((0, 4)), np.ones((0, 1))), "there are no readings: t is empty"),
     ],
 )
-def test_anything_else_is_named(data: tuple[Array, ...], message: str) -> None:
+def test_anything_else_is_refused(data: tuple[Array, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         as_log(PLANT, *data)
 

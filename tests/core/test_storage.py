@@ -1,4 +1,4 @@
-"""Files that are whole or absent, and detector states that are matched with their detector."""
+"""Files that are complete or absent, and detector states that are matched with their detector."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Limits with a moving average: by hand, at which rate they are crossed, and how soon small biases are found."""
+"""Limits with a moving average: checked by hand, their false-alarm rate, and delays of small biases."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_limits_and_rate_of_gaussian_readings() -> None:
     assert np.mean(judged(detector, fresh).alarm[20:]) <= binom(2000, 0.05).ppf(0.999) / 2000
 
 
-def test_a_small_bias_that_lasts_is_found_where_fixed_limits_are_not_crossed() -> None:
+def test_a_small_lasting_bias_is_detected_where_fixed_limits_are_not_crossed() -> None:
     """1.5 sigma: 4.5 deviations of the average, of 1/3 sigma each; single readings stay within limits of some 4 sigma."""
     plant = chain(6)
     rng = np.random.default_rng(2)

@@ -237,7 +237,7 @@ def test_one_and_several_faults_are_isolated_with_their_sizes() -> None:
         wrong[:, sensors] += [8.0, -9.0][: len(sensors)]
         d = judged(DETECTOR, wrong)
         exact = np.all(d.isolated == np.isin(np.arange(6), sensors), axis=-1)
-        # noise of 0.3: of six readings two causes and two faults are to be told apart, which leaves two
+        # noise of 0.3: of six readings two causes and two faults are to be distinguished, which leaves two
         assert exact.mean() > 0.9
         error = d.fault_size[exact][:, sensors] - [8.0, -9.0][: len(sensors)]
         sensitivity = np.linalg.inv(MODEL.precision[np.ix_(sensors, sensors)])
@@ -256,7 +256,7 @@ def test_none_is_isolated_where_no_reconstruction_explains_the_readings() -> Non
 
 
 def test_what_moves_together_is_learnt_from_an_operation_that_moves() -> None:
-    """A flow 8 sigma wrong while the inflow swings it by 15: its limits hide it, its level tells it."""
+    """A flow 8 sigma wrong while the inflow swings it by 15: its limits hide it, its level shows it."""
     plant = two_tanks(swing=0.2)
     healthy = simulate(plant, 480, range(30), truth="model")
     fresh = simulate(plant, 480, [100])
@@ -269,13 +269,13 @@ def test_what_moves_together_is_learnt_from_an_operation_that_moves() -> None:
     # upper and lower tank, of which the lower one lags; what flows curve by is a small third
     assert np.all(detector.model.variances[:2] > 50) and np.all(detector.model.variances[2:] < 1.2)
     d = run(detector, detector.init(), fresh.t, y, fresh.u)[1]
-    # the flow is told by the level's noise and its own, sqrt(1.25) sigma, and two tanks leave SPE two readings: 8 sigma are
-    # beyond its limit by several sigma. Whether level or flow is wrong, their disagreement does not say.
+    # the flow is known up to the level's noise and its own, sqrt(1.25) sigma, and two tanks leave SPE two readings: 8 sigma are
+    # beyond its limit by several sigma. Whether level or flow is wrong, their disagreement does not show.
     assert np.mean(d.alarm) > 0.99 and np.mean(d.isolated[:, [0, 2]].any(axis=-1)) > 0.95
     assert np.mean(d.isolated[:, 2]) > np.mean(d.isolated[:, 0]) > 0.1 and np.mean(d.isolated[:, [1, 3]]) < 0.05
 
 
-def test_a_small_fault_is_found_however_far_the_operation_moves() -> None:
+def test_a_small_fault_is_detected_however_far_the_operation_moves() -> None:
     """Readings in units of their noise: movement 1000 times as large hides nothing that the sensors' relations show."""
     far = data(2000, 2) + 1000 * np.random.default_rng(1).standard_normal((2000, 2, 2)) @ MIX
     detector = PrincipalComponents.fit(PLANT, far, 0.02)

@@ -1,4 +1,4 @@
-"""Logs: what is written is read back to the bit; what is wrong is named by file, row and column."""
+"""Logs: what is written is read back to the bit; an error names file, row and column."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         (HEADER + '\n1,"1.0,1,1,1', "not a CSV text file"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path, text, message):
+def test_an_error_names_file_row_and_column(tmp_path, text, message):
     path = log(tmp_path, text)
     with pytest.raises(ValueError, match=message) as caught:
         read_log(path, tanks(), nominal_inputs=True)

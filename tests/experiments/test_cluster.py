@@ -1,4 +1,4 @@
-"""Pieces of work on a dask cluster: the bytes of a run on this machine, though a worker is killed on the way."""
+"""Pieces of work on a dask cluster: the bytes of a run on this machine, although a worker is killed meanwhile."""
 
 from __future__ import annotations
 
@@ -157,7 +157,9 @@ def test_a_worker_with_other_code_that_joins_later_is_refused(tmp_path: Path, cl
         assert [done.error for done in work_off([piece])] == [None] and piece.path.exists()
 
 
-def test_what_is_no_cluster_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_a_cluster_are_reported(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(on_cluster, "PATIENCE", 0.2)
     with pytest.raises(ValueError, match="workers and a scheduler's address; expected one of them"):
         run_scenarios([TOY], tmp_path, workers=2, scheduler="tcp://127.0.0.1:1")

@@ -118,7 +118,7 @@ def test_folders(tmp_path: Path) -> None:
     empty.mkdir()
     run(empty)
     before = (empty / "metrics.csv").read_bytes()
-    run(empty)  # the same command: taken up, nothing changes
+    run(empty)  # the same command: resumed, nothing changes
     assert manifest(empty)["scenarios"][0]["resumed"] == 2
     assert (empty / "metrics.csv").read_bytes() == before
     with pytest.raises(ValueError, match=r"already used: it holds another run .*--seeds 2.*--force, which reuses .*parts"):
@@ -342,7 +342,7 @@ def test_rows_come_back_to_the_bit(tmp_path: Path) -> None:
     third = 1 / 3
     rows = [
         Row("s", "p", "d", "none", 'a, "quoted"\nline', "auc", third, third - 1e-17, np.nextafter(third, 1), 50),
-        Row("s", "p", "d", "f", "all", "rmse", float("inf"), published=0.1, source="Nobody 1999, Table I, p. 1"),
+        Row("s", "p", "d", "f", "all", "rmse", float("inf"), published=0.1, source="Author 1999, Table I, p. 1"),
         Row("s", "p", "d", "f", "all", "rmse", float("nan"), condition="noise 5 %, finer grid"),
     ]
     write_rows(tmp_path / "metrics.csv", rows)
@@ -353,7 +353,7 @@ def test_rows_come_back_to_the_bit(tmp_path: Path) -> None:
     objects = json.loads(as_json(rows))
     assert [r["value"] for r in objects] == [third, "inf", None]
     assert [r["condition"] for r in objects] == ["", "", "noise 5 %, finer grid"]
-    assert objects[1]["source"] == "Nobody 1999, Table I, p. 1"
+    assert objects[1]["source"] == "Author 1999, Table I, p. 1"
     (tmp_path / "metrics.csv").write_text(text.replace("50", "many"), encoding="utf-8")
     with pytest.raises(ValueError, match="row 2"):
         read_rows(tmp_path / "metrics.csv")

@@ -29,7 +29,7 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     inflow_doubt = around(np.abs(areas.slope) * now.doubt_shared)
 
     def row(r: int, first: int) -> tuple[Array, Array, Array]:
-        """Row r of the model without the states before `first`: its value, variance and doubt (B, N)."""
+        """Row r of the model without the states before `first`: its value, variance and error bound (B, N)."""
         value = F[:, r, n] * reference + F[:, r, n + 1] * (inflow - load)
         variance, doubt = F[:, r, n + 1] ** 2 * inflow_variance, np.abs(F[:, r, n + 1]) * inflow_doubt
         for c in range(first, n):
@@ -109,7 +109,7 @@ def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     kept = []
     for y, estimate, deviation, doubt in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
         read = np.isfinite(y)
-        known = read & (deviation < UNKNOWN**0.5)  # a copy that knew nothing starts here, its residual 0
+        known = read & (deviation < UNKNOWN**0.5)  # a copy without an estimate starts here, its residual 0
         kept.append(
             (
                 np.where(read, y, estimate),
