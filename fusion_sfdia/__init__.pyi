@@ -4,6 +4,8 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshol
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
 from fusion_sfdia.checks.detectors import check_detector as check_detector
 from fusion_sfdia.checks.plants import check_plant as check_plant
+from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
+from fusion_sfdia.comparison.compare import compare as compare
 from fusion_sfdia.core.detector import Decision as Decision
 from fusion_sfdia.core.detector import Detector as Detector
 from fusion_sfdia.core.detector import MissingPackageError as MissingPackageError
@@ -30,6 +32,10 @@ from fusion_sfdia.data_driven.ewma_limits import EwmaLimits as EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass as OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents as PrincipalComponents
+from fusion_sfdia.evaluation.cases import ComparisonCases as ComparisonCases
+from fusion_sfdia.evaluation.cases import MismatchCase as MismatchCase
+from fusion_sfdia.evaluation.cases import PaperFault as PaperFault
+from fusion_sfdia.evaluation.cases import ProcessFaultCase as ProcessFaultCase
 from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
 from fusion_sfdia.evaluation.diagnose import Event as Event
 from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange

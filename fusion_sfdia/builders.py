@@ -1,4 +1,4 @@
-"""How the named detectors are built for any plant: their usual settings, and healthy data for those that learn."""
+"""Builders of the named detectors for any plant: usual settings, and healthy data for those that learn."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def _scenarios() -> dict[str, str]:
             stem, dot, _ = file.name.rpartition(".py")
             if dot and stem != "__init__":
                 found[f"{group}/{stem.replace('_', '-')}"] = f"fusion_sfdia.benchmarks.{group}.{stem}:SCENARIO"
-    return found | {"comparison": "fusion_sfdia.comparison.scenario:SCENARIO"}
+    return found | {"comparison": "fusion_sfdia.comparison.compare:SCENARIO"}
 
 
 SCENARIOS = _scenarios()

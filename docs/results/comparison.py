@@ -13,8 +13,8 @@ from pathlib import Path
 from fusion_sfdia import registry
 
 HERE = Path(__file__).parent
-FALSE_ISOLATION = "blame_probability"  # the metric
-COLUMNS = ("plant", "detector", "fault", "quantity", "metric", "value", "low", "high", "n")
+FALSE_ISOLATION = "false_isolation_probability"  # the metric
+COLUMNS = ("plant", "detector", "fault", "quantity", "condition", "metric", "value", "low", "high", "n")
 PLANTS = ("two-tanks", "marine-engine", "gas-pipeline", "power-network")
 LENGTHS = (2, 5, 30, 120)
 CRITERIA = ("detection", "isolation", "accommodation", "exoneration")
@@ -31,10 +31,10 @@ uncertainty of that scale is contained. A fault begins at a time that is drawn, 
 unless stated otherwise; sigma is the standard deviation of the sensor's noise. Memory: over what a detector's test gathers
 evidence; "state estimate only" is a filter whose test judges the present sample.
 
-Truth is not the detectors' model where one is at hand that differs: the pipeline is computed on a finer grid, the network as a
-whole where the model goes area by area, the tanks with friction in the outlets. The engine's truth is its model. So numbers for
-the engine, and for the tanks and the pipeline up to a small difference, are those of a right model; what happens with a wrong
-one is shown by the tables of false isolation.
+The truth differs from the detectors' model where a plant has a high-fidelity model: the pipeline is computed on a finer grid,
+the network as a whole where the model goes area by area, the tanks with friction in the outlets. The engine's truth is its
+model. So numbers for the engine, and for the tanks and the pipeline up to a small difference, are those without model mismatch;
+results with mismatch are in the tables of false isolation.
 """
 
 # title, what it shows, fault, quantity, metric
@@ -71,11 +71,11 @@ TABLES = (
 
 def needed(row: Row) -> bool:
     """Whether the page shows a row."""
-    shown = {(fault, metric) for _, _, fault, metric in TABLES}
-    shown |= {(f"bias-{m}-sigma-{n}-samples", k) for m, k in (("3", "auc"), ("10", "exact_isolation")) for n in LENGTHS}
+    shown = {(fault, "", metric) for _, _, fault, metric in TABLES}
+    shown |= {(f"bias-{m}-sigma", f"{n} samples", k) for m, k in (("3", "auc"), ("10", "exact_isolation")) for n in LENGTHS}
     rates = ("nominal_false_alarm_probability", "claimed_false_alarm_probability")
     return (
-        (row["fault"], row["metric"]) in shown
+        (row["fault"], row["condition"], row["metric"]) in shown
         or row["metric"] in rates
         or row["metric"] == FALSE_ISOLATION
         or row["fault"] == "ranked"
@@ -120,30 +120,35 @@ def by_plant(detectors: Sequence[str], cell: Callable[[str, str], str]) -> str:
 
 
 def worst(rows: Sequence[Row], plant: str, detector: str, *, mismatch: bool) -> str:
-    """The largest share of samples with a false isolation, under mismatch of the model or under a fault of the plant."""
+    """The largest share of samples with a false isolation, under model mismatch or under a process fault."""
     found = [
         row
         for row in rows
         if (row["plant"], row["detector"], row["metric"]) == (plant, detector, FALSE_ISOLATION)
         and row["fault"] != "dropout"
-        and ((row["fault"] == "none" and row["quantity"] != "all") if mismatch else (row["fault"] != "none"))
+        and ((row["fault"] == "none" and row["condition"]) if mismatch else (row["fault"] != "none"))
         and row["value"] not in ("", "nan")
     ]
     if not found:
         return ABSENT
     top = max(found, key=lambda row: float(row["value"]))
-    return f"{interval(top)} ({top['quantity'] if mismatch else top['fault']})"
+    return f"{interval(top)} ({top['condition'] if mismatch else top['fault']})"
+
+
+def index_of(rows: Sequence[Row]) -> Index:
+    """Rows by plant, detector, fault, condition (the quantity of rows without one), and metric."""
+    return {(r["plant"], r["detector"], r["fault"], r["condition"] or r["quantity"], r["metric"]): r for r in rows}
 
 
 def render(rows: Sequence[Row]) -> str:
     """The page."""
-    index: Index = {(r["plant"], r["detector"], r["fault"], r["quantity"], r["metric"]): r for r in rows}
+    index = index_of(rows)
     detectors = list(dict.fromkeys(r["detector"] for r in rows))
     parts = [ABOUT]
     for title, about, fault, metric in TABLES:
         shown = by_plant(detectors, lambda p, d, fault=fault, metric=metric: interval(index.get((p, d, fault, "all", metric))))
         parts.append(f"## {title}\n\n{about[0].upper() + about[1:]}.\n\n{shown}\n")
-    for mismatch, title in ((True, "mismatch of the model"), (False, "fault of the plant")):
+    for mismatch, title in ((True, "model mismatch"), (False, "process fault")):
         shown = by_plant(detectors, lambda p, d, mismatch=mismatch: worst(rows, p, d, mismatch=mismatch))
         parts.append(
             f"## False isolation under the worst {title}\n\nShare of samples at which a healthy sensor is isolated though "
@@ -156,8 +161,8 @@ def render(rows: Sequence[Row]) -> str:
         lines = [
             [
                 f"`{d}`",
-                *(interval(index.get((plant, d, f"bias-3-sigma-{n}-samples", "all", "auc"))) for n in LENGTHS),
-                *(interval(index.get((plant, d, f"bias-10-sigma-{n}-samples", "all", "exact_isolation"))) for n in LENGTHS),
+                *(interval(index.get((plant, d, "bias-3-sigma", f"{n} samples", "auc"))) for n in LENGTHS),
+                *(interval(index.get((plant, d, "bias-10-sigma", f"{n} samples", "exact_isolation"))) for n in LENGTHS),
             ]
             for d in there
         ]

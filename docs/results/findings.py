@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 
-from comparison import FALSE_ISOLATION, PLANTS, Index, Row, interval
+from comparison import FALSE_ISOLATION, PLANTS, Row, index_of, interval
 
 TEXT = """- **Windowed tests detect more, whatever their rule.** With a CUSUM, an EWMA or a window any test of a Kalman filter's
   innovations finds a bias of 3 sigma on the tanks, the engine and the pipeline as `loo-glr` does. On the network,
@@ -42,17 +42,17 @@ TEXT = """- **Windowed tests detect more, whatever their rule.** With a CUSUM, a
 
 def findings(rows: Sequence[Row]) -> str:
     """TEXT with its numbers; plants in the order of PLANTS."""
-    index: Index = {(r["plant"], r["detector"], r["fault"], r["quantity"], r["metric"]): r for r in rows}
+    index = index_of(rows)
     detectors = list(dict.fromkeys(r["detector"] for r in rows))
     tanks, engine, pipe, net = PLANTS
     own, claimed = "nominal_false_alarm_probability", "claimed_false_alarm_probability"
     rough, turbine = "roughness +25 %", "turbine area -5 %"  # mismatch cases
 
-    def at(plant: str, detector: str, fault: str, metric: str, quantity: str = "all", digits: int = 2) -> str:
-        return f"{float(index[plant, detector, fault, quantity, metric]['value']):.{digits}f}"
+    def at(plant: str, detector: str, fault: str, metric: str, of: str = "all", digits: int = 2) -> str:
+        return f"{float(index[plant, detector, fault, of, metric]['value']):.{digits}f}"
 
-    def each(detector: str, fault: str, metric: str) -> str:
-        return ", ".join(at(plant, detector, fault, metric) for plant in PLANTS)
+    def each(detector: str, fault: str, metric: str, of: str = "all") -> str:
+        return ", ".join(at(plant, detector, fault, metric, of) for plant in PLANTS)
 
     def mismatch(plant: str, detector: str, case: str) -> str:
         return at(plant, detector, "none", FALSE_ISOLATION, case)
@@ -75,8 +75,8 @@ def findings(rows: Sequence[Row]) -> str:
     ]
     robust = ("loo-glr", "loo-chi2", "uio", "adaptive-threshold", "chebyshev")
     text = TEXT.format(
-        chi2_short=each("loo-chi2", "bias-3-sigma-2-samples", "auc"),
-        glr_short=each("loo-glr", "bias-3-sigma-2-samples", "auc"),
+        chi2_short=each("loo-chi2", "bias-3-sigma", "auc", "2 samples"),
+        glr_short=each("loo-glr", "bias-3-sigma", "auc", "2 samples"),
         first_isolation=first("all plants", "isolation"),
         first_detection=first("all plants", "detection"),
         glr_ranks="; ".join(

@@ -27,19 +27,14 @@ PUBLISHED = "published"  # the column of published values, in tables that have o
 
 # situation, detector, what it needs
 CHOICES = (
-    ("the model errs by less than the noise; small, slow or large faults", "loo-glr", "model"),
+    ("model error below the noise level; small, slow or large faults", "loo-glr", "model"),
     ("the same; large or very short faults", "loo-chi2", "model"),
-    ("the plant's inputs (valves, loads, demand) are not known well", "uio", "model"),
-    ("no model; recordings of every healthy operation", "dynamic-pca", "recordings"),
-    ("no model; the plant stays at rest", "limits-ewma", "recordings"),
-    ("the model errs by more than the noise; large faults", "chebyshev", "model"),
-    ("noise has known bounds, and no alarm may be false", "adaptive-threshold", "model, noise bounds"),
+    ("inputs (valves, loads, demand) not known well", "uio", "model"),
+    ("no model; recordings of all normal operating conditions", "dynamic-pca", "recordings"),
+    ("no model; steady operation", "limits-ewma", "recordings"),
+    ("model error above the noise level; large faults", "chebyshev", "model"),
+    ("bounded noise, no false alarm allowed; large faults", "adaptive-threshold", "model, noise bounds"),
 )
-
-
-def index_of(rows: Sequence[comparison.Row]) -> comparison.Index:
-    """Rows by plant, detector, fault, quantity and metric."""
-    return {(r["plant"], r["detector"], r["fault"], r["quantity"], r["metric"]): r for r in rows}
 
 
 def short(text: str) -> str:
@@ -49,7 +44,7 @@ def short(text: str) -> str:
 
 def choices(rows: Sequence[comparison.Row]) -> str:
     """Which detector for which situation, and what each achieves on the plants of the comparison, in their order."""
-    index = index_of(rows)
+    index = comparison.index_of(rows)
 
     def values(detector: str, fault: str, metric: str) -> str:
         found = (comparison.interval(index.get((p, detector, fault, "all", metric))) for p in comparison.PLANTS)
@@ -68,16 +63,16 @@ def choices(rows: Sequence[comparison.Row]) -> str:
         "situation",
         "detector",
         "needs",
-        "ROC area, bias of 3 sigma",
+        "AUC, bias of 3 sigma",
         "exact isolation, 10 sigma",
-        "false isolation, wrong model",
+        "false isolation, model mismatch",
     )
     return comparison.table(header, lines)
 
 
 def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
     """The detectors of a plant by exact isolation: detection, isolation, and false isolation in the worst cases."""
-    index = index_of(rows)
+    index = comparison.index_of(rows)
 
     def cell(detector: str, fault: str, metric: str) -> str:
         return comparison.interval(index.get((plant, detector, fault, "all", metric)))
@@ -91,7 +86,7 @@ def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:
         )
         for d in there
     ]
-    header = ("detector", "ROC area, bias of 3 sigma", "exact isolation, 10 sigma")
+    header = ("detector", "AUC, bias of 3 sigma", "exact isolation, 10 sigma")
     return comparison.table((*header, "false isolation, worst model mismatch", "false isolation, worst process fault"), lines)
 
 

@@ -1,4 +1,4 @@
-"""The commands that run scenarios: `run`, and `compare`, which runs the scenario `comparison`."""
+"""The commands that run scenarios: `run`, and `compare`, which compares detectors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def add_run(commands: Any) -> None:
 
 
 def add_compare(commands: Any) -> None:
-    """Add `compare`: its plants, detectors and faults are settings of the scenario."""
+    """Add `compare`, which calls `fusion_sfdia.compare`."""
     one = commands.add_parser("compare", help="compare detectors on plants under one protocol", allow_abbrev=False)
     for what in ("plants", "detectors", "faults"):
         one.add_argument(
@@ -32,7 +32,7 @@ def add_compare(commands: Any) -> None:
         full="every sensor, and enough runs to rank detectors: hours",
         folder="results/comparison",
     )
-    one.set_defaults(work=_run, scenario=["comparison"])
+    one.set_defaults(work=_compare)
 
 
 def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: str) -> None:
@@ -59,7 +59,6 @@ def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: 
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.evaluation.results import as_json
     from fusion_sfdia.experiments.runner import run_scenarios
     from fusion_sfdia.scenarios import match_scenarios, scenario
 
@@ -76,17 +75,48 @@ def _run(chosen: argparse.Namespace) -> int:
         scheduler=chosen.scheduler,
         force=chosen.force,
     )
-    if chosen.json:
-        print(as_json(outcome.rows))
+    return _reported(outcome, out, as_json=chosen.json)
+
+
+def _compare(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.comparison.compare import compare
+    from fusion_sfdia.comparison.protocol import SETTINGS
+    from fusion_sfdia.registry import require_known
+
+    settings: dict[str, Any] = _settings(chosen.set)
+    for key in settings:
+        require_known("setting", key, SETTINGS)
+    for kind in ("plants", "detectors"):
+        if kind in settings:
+            settings[kind] = [name.strip() for name in settings[kind].split(",") if name.strip()]
+    out = chosen.out or Path("results") / "comparison"
+    found = compare(
+        seeds=chosen.seeds,
+        full=chosen.full,
+        workers=chosen.workers,
+        scheduler=chosen.scheduler,
+        out=out,
+        force=chosen.force,
+        **settings,
+    )
+    return _reported(found, out, as_json=chosen.json)
+
+
+def _reported(found: Any, out: Path, *, as_json: bool) -> int:
+    """Print what was found, an Outcome or a ComparisonResult; 1 where some work failed."""
+    from fusion_sfdia.evaluation import results
+
+    if as_json:
+        print(results.as_json(found.rows))
     else:
-        for line in outcome.highlights:
+        for line in found.highlights:
             print(line)
-        print(f"{len(outcome.rows)} numbers in {out / 'metrics.csv'}; report: {outcome.report}")
-    for line in outcome.notes:
+        print(f"{len(found.rows)} numbers in {out / 'metrics.csv'}; report: {out / 'report.html'}")
+    for line in found.notes:
         print(f"fusion-sfdia: note: {line}", file=sys.stderr)
-    for line in outcome.failures:
+    for line in found.failures:
         print(f"fusion-sfdia: failed: {' '.join(line.split())}", file=sys.stderr)
-    return 1 if outcome.failures else 0
+    return 1 if found.failures else 0
 
 
 def _settings(texts: Sequence[str]) -> dict[str, str]:

@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.calibration import silent_score
-from fusion_sfdia.comparison.protocol import Condition, faults_of
-from fusion_sfdia.comparison.records import Branch, Outcome, outcome
-from fusion_sfdia.comparison.truths import failing
+from fusion_sfdia.comparison.protocol import PROCESS, FaultCondition, faults_of
+from fusion_sfdia.comparison.recordings import failing
+from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, kept
+from fusion_sfdia.comparison.subjects import ComparedPlant, plant_of
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, chosen_runs, joined_runs
+from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording
 
@@ -28,7 +30,7 @@ Array = NDArray[Any]
 class Run(NamedTuple):
     """A condition in the b-th run of a trunk, from the sample `onset` on for `length` samples."""
 
-    condition: Condition
+    condition: FaultCondition
     b: int
     onset: int
     length: int
@@ -38,7 +40,7 @@ class Branches(NamedTuple):
     """Runs, and their readings one run below the other (samples of all, N); rows: where each run begins."""
 
     runs: tuple[Run, ...]
-    readings: Branch
+    readings: BranchReadings
     rows: Array
 
     def of(self, members: Sequence[int], samples: int) -> Array:
@@ -50,31 +52,33 @@ class Branches(NamedTuple):
         return self._replace(runs=tuple(self.runs[i] for i in members), rows=self.rows[list(members)])
 
 
-def branches(plant: Plant, recording: Recording, runs: Sequence[Run], window: int) -> Branches:
+def branches(plant: ComparedPlant, recording: Recording, runs: Sequence[Run], window: int) -> Branches:
     """The readings of all runs of a recording; those before the onset, as many as a window, are what a replay repeats."""
     failed = failures(plant, recording, runs)
-    parts = [branch(plant, *failed.get(run, (recording, run.b)), run, window) for run in runs]
-    readings = Branch(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+    parts = [branch(plant_of(plant), *failed.get(run, (recording, run.b)), run, window) for run in runs]
+    readings = BranchReadings(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
     rows = np.cumsum([0, *(run.length for run in runs)])[:-1]
     return Branches(tuple(runs), readings, rows)
 
 
-def failures(plant: Plant, recording: Recording, runs: Sequence[Run]) -> dict[Run, tuple[Recording, int]]:
-    """Recordings, and places in them, of the runs in which the plant itself fails: those of a fault and onset at once."""
+def failures(plant: ComparedPlant, recording: Recording, runs: Sequence[Run]) -> dict[Run, tuple[Recording, int]]:
+    """Recordings, and places in them, of the runs with a process fault: those of a fault and onset at once."""
     alike: dict[tuple[str, int], list[Run]] = {}
     for run in runs:
-        if run.condition.kind == "plant":
+        if run.condition.kind == PROCESS:
             alike.setdefault((run.condition.name, run.onset), []).append(run)
     found: dict[Run, tuple[Recording, int]] = {}
-    for (name, onset), members in alike.items():
-        begin = (onset - 1e-6) * plant.dt  # with the last healthy reading, but for rounding
+    for (_, onset), members in alike.items():
+        fault = members[0].condition.case
+        assert isinstance(fault, ProcessFaultCase)
+        begin = (onset - 1e-6) * plant_of(plant).dt  # with the last healthy reading, but for rounding
         seeds, steps = tuple(recording.seeds[run.b] for run in members), onset + max(run.length for run in members)
-        failed = failing(plant.name, name, steps, seeds, begin)
+        failed = failing(plant, fault, steps, seeds, begin)
         found |= {run: (failed, place) for place, run in enumerate(members)}
     return found
 
 
-def branch(plant: Plant, recording: Recording, place: int, run: Run, window: int) -> Branch:
+def branch(plant: Plant, recording: Recording, place: int, run: Run, window: int) -> BranchReadings:
     """The readings of one run (length, N), which is found at a place of a recording."""
     condition, _, onset, length = run
     before, now = slice(max(0, onset - window), onset + length), slice(min(window, onset), None)
@@ -82,10 +86,10 @@ def branch(plant: Plant, recording: Recording, place: int, run: Run, window: int
     faults = faults_of(plant, condition, seed, float(recording.t[onset]), signal[now])
     changed = apply_faults(plant, recording.t[before], y[:, None], [faults], [seed], signal=signal[:, None])
     u = recording.u_of_runs[onset : onset + length, place]
-    return Branch(u, changed.y[now, 0], y[now], signal[now], changed.active[now, 0], changed.size[now, 0])
+    return BranchReadings(u, changed.y[now, 0], y[now], signal[now], changed.active[now, 0], changed.size[now, 0])
 
 
-class Moment(NamedTuple):
+class WalkStep(NamedTuple):
     """A sample of a walk: its number, the state before it, the rows of the branches behind the trunk, and the Decision."""
 
     k: int
@@ -102,7 +106,7 @@ def walk(
     first: int = 0,
     states: Mapping[int, State] | None = None,
     trunk: bool = True,
-) -> Iterator[Moment]:
+) -> Iterator[WalkStep]:
     """Step a detector along a recording from its `first` sample on: the runs of the trunk, behind them the branches under way.
 
     states: those of another walk along the trunk, with which trunk and branches begin; None to begin anew, and branches with
@@ -135,7 +139,7 @@ def walk(
         if trunk:
             readings = np.concatenate([y[k], readings[0]]), np.concatenate([u[k], readings[1]])
         after, decision = detector.step(state, float(recording.t[k]), *readings)
-        yield Moment(k, state, rows, decision)
+        yield WalkStep(k, state, rows, decision)
         state = after
 
 
@@ -161,15 +165,15 @@ def silent_walk(detector: Detector, recording: Recording, found: Branches, kept:
 
 def deployed_walk(
     detector: Detector, recording: Recording, found: Branches, states: Mapping[int, State], first: int, *, trunk: bool = False
-) -> tuple[Array, Outcome]:
-    """Walk with a deployed detector: alarms on the trunk (K, B), and outcomes by the rows of Branches."""
+) -> tuple[Array, KeptDecisions]:
+    """Walk with a deployed detector: alarms on the trunk (K, B), and decisions by the rows of Branches."""
     count, n = recording.y.shape[1] if trunk else 0, len(detector.plant.sensors)
     total = len(found.readings.y)
     alarms = np.zeros((recording.t.size, count), bool)
     flags, numbers = np.zeros((2, total), bool), np.empty((3, total, n))
-    seen = Outcome(flags[0], flags[1], np.zeros((total, n), bool), numbers[0], numbers[1], numbers[2])
+    seen = KeptDecisions(flags[0], flags[1], np.zeros((total, n), bool), numbers[0], numbers[1], numbers[2])
     for k, _, rows, decision in walk(detector, recording, found, first=first, states=states, trunk=trunk):
-        now = outcome(detector.plant, decision)
+        now = kept(detector.plant, decision)
         alarms[k] = now.alarm[:count]
         for all_of, of_now in zip(seen, now, strict=True):
             all_of[rows] = of_now[count:]

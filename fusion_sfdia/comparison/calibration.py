@@ -1,13 +1,13 @@
 """One rate of false alarms for all detectors: each is calibrated on healthy readings, once a process.
 
-Two forms of a detector are run. The silent one has thresholds so high that nothing is ever accused, replaced or latched: its
+Two forms of a detector are run. The silent one has thresholds so high that nothing is ever isolated, replaced or latched: its
 scores, times that scale, are those over which a threshold can be swept. The deployed one has its thresholds scaled to the
-common rate and does all that it does.
+common rate, and isolates, replaces and latches.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import registry
-from fusion_sfdia.comparison.recordings import healthy, plant_of
+from fusion_sfdia.comparison.recordings import healthy
+from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, plant_of
 from fusion_sfdia.core.detector import Decision, Detector, NotApplicableError
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.random_streams import stream
@@ -48,13 +49,17 @@ class Calibrated(NamedTuple):
 
 
 @lru_cache(maxsize=2)
-def calibrated(plant: str, name: str, settle: int, steps: int, runs: int, false_alarm: float) -> Calibrated:
-    """A registered detector and the scale at which it alarms at that rate, on healthy runs of `steps` samples after settling.
+def calibrated(
+    plant: ComparedPlant, by: ComparedDetector, settle: int, steps: int, runs: int, false_alarm: float
+) -> Calibrated:
+    """A detector and the scale at which it alarms at that rate, on healthy runs of `steps` samples after settling.
 
     The order statistic whose expected exceedance by a fresh sample is at most `false_alarm`. NotApplicableError for a detector
-    that does not apply to the plant, that needs a package which is not installed, or whose scores cannot set a threshold.
+    that does not apply to the plant, that needs a package which is not installed, or whose scores cannot set a threshold;
+    ValueError for one whose thresholds have no scale.
     """
-    detector: Any = registry.detector(name, plant_of(plant))
+    detector: Any = registry.detector(by.entry, plant_of(plant))
+    require_scale(by.name, detector)
     recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + runs)))
     scores = silent_scores(silent(detector), recording)[settle:]
     scale = float(order_statistic(scores.ravel(), false_alarm))
@@ -62,7 +67,16 @@ def calibrated(plant: str, name: str, settle: int, steps: int, runs: int, false_
         raise NotApplicableError(
             f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"
         )
-    return Calibrated(detector, scale, standard_ends(scores, scale, false_alarm), scores, claim(name, detector))
+    return Calibrated(detector, scale, standard_ends(scores, scale, false_alarm), scores, claim(by.name, detector))
+
+
+def require_scale(name: str, detector: Any) -> None:
+    """Raise ValueError unless the detector's thresholds can be scaled."""
+    if not is_dataclass(detector) or "threshold_scale" not in (f.name for f in fields(detector)):
+        raise ValueError(
+            f"detector {name} has no field threshold_scale, by which its thresholds are brought to the common rate; "
+            "derive it from BatchDetector, or make it a frozen dataclass with that factor of all its thresholds"
+        )
 
 
 def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[float, float]:

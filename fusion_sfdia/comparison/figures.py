@@ -1,8 +1,8 @@
-"""Figures of a comparison. A family of detectors has a colour, its members have dashes and markers."""
+"""Figures of a comparison."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import matplotlib
@@ -12,48 +12,23 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia.comparison.measures import Measure
-from fusion_sfdia.comparison.numbers import Cell, confusion
-from fusion_sfdia.comparison.protocol import GRADED, HEALTHY, LENGTH
+from fusion_sfdia.comparison.cell import CellNumber, ComparisonCell
+from fusion_sfdia.comparison.looks import OTHERS, looks, quieted
+from fusion_sfdia.comparison.protocol import GRADED, HEALTHY, LENGTH, PROCESS
+from fusion_sfdia.comparison.rows import Measure, confusion
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, panels
+from fusion_sfdia.report.plots import panels
 
 Array = NDArray[Any]
-Cells = Mapping[tuple[str, str], Cell]
+Cells = Mapping[tuple[str, str], ComparisonCell]
 T = TypeVar("T")
 
-FAMILIES = (
-    "fusing", "loo", "kf", "adaptive", "virtual", "chebyshev", "limits", "pca", "structural", "uio", "multiple", "one", "mhe",
-)  # fmt: skip
 LEAST = 2  # runs behind a point
-FAMILY_COLOURS = (*COLOURS, "#808080", "#8B4513", "#6A3D9A", "#808000", "#B03060")  # one each
-LINES: tuple[Any, ...] = (*DASHES, (0, (6, 2, 1, 2, 1, 2)), (0, (2, 4)))  # one for each member of a family
-
-
-def looks(detectors: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Colour, dashes and marker of each detector."""
-    found: dict[str, dict[str, Any]] = {}
-    members: dict[str, int] = {}
-    families = [*FAMILIES, *sorted({_family(d) for d in detectors} - set(FAMILIES))]
-    for d in detectors:
-        family = _family(d)
-        i = members[family] = members.get(family, -1) + 1
-        place = families.index(family)
-        found[d] = {
-            "color": FAMILY_COLOURS[place % len(FAMILY_COLOURS)],
-            "linestyle": LINES[i % len(LINES)],
-            "marker": MARKERS[(place + i) % len(MARKERS)],
-        }
-    return found
-
-
-def _family(detector: str) -> str:
-    return detector.partition(":")[0].removeprefix("dynamic-").partition("-")[0]
 
 
 def of_plant(found: Mapping[tuple[str, str], T], plant: str) -> dict[str, T]:
-    """Of what is known by plant and detector that of a plant, by detector."""
+    """The part of one plant of what is known by plant and detector, by detector."""
     return {detector: one for (where, detector), one in found.items() if where == plant}
 
 
@@ -98,16 +73,17 @@ def draw_overview(cells: Cells, measures: Mapping[str, Measure]) -> Drawing:
     return figure
 
 
-def draw_roc(cells: Mapping[str, Cell], conditions: Sequence[str]) -> Drawing:
-    """Detection against false alarms of the silent detectors; the false-alarm axis is logarithmic."""
+def draw_roc(cells: Mapping[str, ComparisonCell], conditions: Sequence[str], named: Collection[str]) -> Drawing:
+    """Detection against false alarms of the silent detectors, on a logarithmic axis. named: those not drawn in grey."""
     figure, axes = panels([c.replace("-", " ") for c in conditions], columns=3, width=11.5, height=3.4)
-    look = looks(list(cells))
+    look = quieted(looks(list(cells)), named)
     for axis, name in zip(axes, conditions, strict=True):
         for detector, cell in cells.items():
             scores, active = cell.swept(name)
             curve = metrics.roc(scores, active)
             style = {k: v for k, v in look[detector].items() if k != "marker"}
-            axis.plot(*curve[:2], label=detector, drawstyle="steps-post", **style)
+            shown = detector if detector in named else OTHERS
+            axis.plot(*curve[:2], label=shown, drawstyle="steps-post", **style)
         chance = np.geomspace(1e-4, 1.0, 100)
         axis.plot(chance, chance, color="0.6", linewidth=0.8)
         least = min(1.0 / cell["trunk"].size for cell in cells.values())
@@ -123,18 +99,20 @@ def legend_columns(figure: Drawing, columns: int = 5) -> None:
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(str(label), handle)
+    if OTHERS in entries:
+        entries[OTHERS] = entries.pop(OTHERS)  # the last
     figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=columns, fontsize=8)
 
 
-def draw_magnitudes(cells: Mapping[str, Cell]) -> Drawing:
-    """Runs with an alarm, exact isolation and delay against the size of a fault: a column a kind."""
+def draw_magnitudes(cells: Mapping[str, ComparisonCell], named: Collection[str]) -> Drawing:
+    """Runs with an alarm, exact isolation and delay against the size of a fault: a column a kind. named: as in draw_roc."""
     some = next(iter(cells.values()))
     sizes = sorted(some.settings["magnitudes"])
     kinds = [k for k in GRADED if k in some.settings["faults"]]
-    look = looks(list(cells))
-    measures: list[tuple[str, Callable[[Cell, Array], Estimate]]] = [
+    look = quieted(looks(list(cells)), named)
+    measures: list[tuple[str, CellNumber]] = [
         ("runs with an alarm", lambda cell, rows: cell.detected(rows)),
-        ("samples with the exact names", lambda cell, rows: cell.exact(rows)),
+        ("samples with exact isolation", lambda cell, rows: cell.exact(rows)),
         ("delay (s)", lambda cell, rows: cell.delay(rows)),
     ]
     figure, axes = panels(
@@ -147,7 +125,8 @@ def draw_magnitudes(cells: Mapping[str, Cell]) -> Drawing:
                 found = [measure(cell, cell.rows_of(f"{kind}-{m:g}-sigma")) for m in sizes]
                 values = [e.value if e.n >= LEAST else np.nan for e in found]
                 shift = 1.0 + 0.02 * (i - len(cells) / 2)  # lines that coincide stay visible
-                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.0, label=detector, **look[detector])
+                shown = detector if detector in named else OTHERS
+                axis.plot(np.array(sizes) * shift, values, markersize=3.5, linewidth=1.2, label=shown, **look[detector])
             axis.set_xscale("log")
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.set_xticks(sizes, [f"{m:g}" for m in sizes])
@@ -162,11 +141,11 @@ def draw_magnitudes(cells: Mapping[str, Cell]) -> Drawing:
     return figure
 
 
-def draw_confusion(cells: Mapping[str, Cell]) -> Drawing:
-    """A panel a detector: the quantity of the faulty sensor against shares of what was named."""
+def draw_confusion(cells: Mapping[str, ComparisonCell]) -> Drawing:
+    """A panel a detector: the quantity of the faulty sensor against shares of what is isolated."""
     some = next(iter(cells.values()))
     quantities = list(some.model.quantities)
-    columns = ["none", *(f"other {q}" for q in quantities), "the right one"]
+    columns = ["none", *(f"another {q}" for q in quantities), "the faulty sensor"]
     figure, axes = panels(list(cells), columns=4, width=12.5, height=1.5 + 0.28 * len(quantities))
     for axis, cell in zip(axes, cells.values(), strict=True):
         counts = confusion(cell).sum(axis=1)
@@ -175,52 +154,62 @@ def draw_confusion(cells: Mapping[str, Cell]) -> Drawing:
     return figure
 
 
+class Column(NamedTuple):
+    """A column of a panel: its label, a condition and a mismatch case ("" for none)."""
+
+    label: str
+    name: str
+    mismatch: str = ""
+
+
 class Panel(NamedTuple):
-    """Numbers of detectors under conditions: title, what is measured, and a label, condition and departure for each column."""
+    """Numbers of detectors under conditions: title, what is measured, and the columns."""
 
     title: str
-    measure: Callable[[Cell, Array], Estimate]
-    columns: Sequence[tuple[str, str, str]]
+    measure: CellNumber
+    columns: Sequence[Column]
     less: bool = False  # is better
 
 
-def draw_panels(cells: Mapping[str, Cell], shown: Sequence[Panel]) -> Drawing:
-    """Detectors down and conditions across; grey where a measure says nothing."""
+def draw_panels(cells: Mapping[str, ComparisonCell], shown: Sequence[Panel]) -> Drawing:
+    """Detectors down and conditions across; grey where there is no number."""
     figure, axes = panels([p.title for p in shown], columns=3, width=13.0, height=1.9 + 0.24 * len(cells))
     for axis, panel in zip(axes, shown, strict=True):
         values = [
-            [panel.measure(c, c.rows_of(name, truth=truth)).value for _, name, truth in panel.columns] for c in cells.values()
+            [panel.measure(c, c.rows_of(k.name, mismatch=k.mismatch)).value for k in panel.columns] for c in cells.values()
         ]
-        heat(axis, np.array(values), list(cells), [label for label, _, _ in panel.columns], less=panel.less)
+        heat(axis, np.array(values), list(cells), [k.label for k in panel.columns], less=panel.less)
     for axis in axes[1:]:
         axis.set_yticklabels([])
     return figure
 
 
-def departure_panels(cell: Cell, biased: str) -> list[Panel]:
-    """False alarms, healthy sensors named and exact names by departure; the first column has none."""
-    truths = [("as believed", ""), *((t, t) for t in cell.truths)]
-    without = [(label, HEALTHY, truth) for label, truth in truths]
+def mismatch_panels(cell: ComparisonCell, biased: str) -> list[Panel]:
+    """Alarms, false isolation and exact isolation by mismatch case; the first column has none."""
+    cases = [("no mismatch", ""), *((m, m) for m in cell.mismatches)]
+    healthy = [Column(label, HEALTHY, mismatch) for label, mismatch in cases]
+    faulty = [Column(label, biased, mismatch) for label, mismatch in cases]
     return [
-        Panel("healthy: samples with an alarm", Cell.alarms, without, less=True),
-        Panel("healthy: samples with a sensor named", Cell.blame, without, less=True),
-        Panel(f"{biased.replace('-', ' ')}: exact names", Cell.exact, [(label, biased, truth) for label, truth in truths]),
+        Panel("healthy: samples with an alarm", ComparisonCell.alarms, healthy, less=True),
+        Panel("healthy: samples with false isolation", ComparisonCell.false_isolation, healthy, less=True),
+        Panel(f"{biased.replace('-', ' ')}: exact isolation", ComparisonCell.exact, faulty),
     ]
 
 
-def other_panels(cell: Cell) -> list[Panel]:
-    """What is not a single fault of a size: alarms, exact names where sensors are faulty, healthy sensors named."""
-    names = [(name, name, "") for name, kind in cell.kinds.items() if kind not in (*GRADED, HEALTHY, LENGTH)]
-    faulty = [column for column in names if cell.kinds[column[1]] not in ("plant", "dropout")]
+def other_panels(cell: ComparisonCell) -> list[Panel]:
+    """What is not a single fault of a size: alarms, exact isolation where sensors are faulty, false isolation."""
+    shown = [c for c in cell.conditions.values() if c.kind not in (*GRADED, HEALTHY, LENGTH)]
+    columns = [Column(c.name, c.name) for c in shown]
+    faulty = [Column(c.name, c.name) for c in shown if c.kind not in (PROCESS, "dropout")]
     found = [
-        Panel("runs with an alarm", Cell.detected, names),
-        Panel("samples with the exact names", Cell.exact, faulty),
-        Panel("samples with a healthy sensor named", Cell.blame, names, less=True),
+        Panel("runs with an alarm", ComparisonCell.detected, columns),
+        Panel("samples with exact isolation", ComparisonCell.exact, faulty),
+        Panel("samples with false isolation", ComparisonCell.false_isolation, columns, less=True),
     ]
     return [panel for panel in found if panel.columns]
 
 
-def draw_cost(cells: Mapping[str, Cell], score: Mapping[str, Estimate]) -> Drawing:
+def draw_cost(cells: Mapping[str, ComparisonCell], score: Mapping[str, Estimate]) -> Drawing:
     """What is found against what a step costs."""
     figure, (axis,) = panels([""], width=10.5, height=3.8)
     look = looks(list(cells))
@@ -232,7 +221,7 @@ def draw_cost(cells: Mapping[str, Cell], score: Mapping[str, Estimate]) -> Drawi
             cells[detector].step_seconds * 1e3, e.value, spread, linestyle="none", markersize=6, elinewidth=0.8, capsize=2,
             mfc=style["color"] if filled else "white", label=detector, **style,
         )  # fmt: skip
-    axis.set(xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with the exact names")
+    axis.set(xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with exact isolation")
     axis.xaxis.set_major_formatter("{x:g}")
     axis.xaxis.set_minor_formatter(NullFormatter())
     legend_columns(figure)

@@ -5,7 +5,7 @@ group of conditions, in an order that is drawn for each seed, so that no kind of
 condition (a fault of a kind, size and length) branches off the trunk where the segment of its group begins; the conditions of
 a group share noise and the faulty sensor, those of different groups do not. Mismatch cases are runs of their own, which share
 the noise of one another. All sensors fail in turn: each kind goes through an order of its own, drawn once, by the seed; with
-a multiple of as many seeds as there are sensors each one fails equally often. All detectors see the same readings.
+a multiple of as many seeds as there are sensors each one fails equally often. All detectors are given the same readings.
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fusion_sfdia.comparison.published import PAPER_FAULTS, PaperFault
-from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
+from fusion_sfdia import registry
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase
 from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.experiments.scenario import Array, Settings, Task, seed_blocks
-from fusion_sfdia.registry import detectors, plants, require_known
+from fusion_sfdia.experiments.scenario import Array, Settings
 
 GRADED = ("bias", "drift", "noise", "scale")  # kinds that have a size
 UNGRADED = ("freeze", "dropout")
@@ -28,40 +27,47 @@ SEVERAL = ("two-faults", "three-faults")  # biases of SEVERAL_SIGMA at once
 ATTACKS = ("replay", "sign")  # on one reading: the samples before over again; its negative
 LENGTH = "length"  # biases of several lengths
 PUBLISHED = "published"  # those of the plant's papers, of their sizes
+PROCESS = "process"  # no sensor is faulty
 KINDS = (*GRADED, *UNGRADED, *SEVERAL, *ATTACKS, PUBLISHED)
 SEVERAL_SIGMA = 10.0
-TROUBLED_SIGMA = 10.0  # of the bias that is to be found in spite of a departure
+MISMATCH_SIGMA = 10.0  # of the bias that is to be found in spite of a model mismatch
 HEALTHY = "none"
-CHUNK = 25  # seeds in one task, which is set up once
 LEAST_RUNS = 10  # of a calibration: their differences show how uncertain it is
-USUAL_SETTLE = 100  # samples
-SETTLE = {  # where more is needed until the rate of false alarms is steady
-    "marine-engine": 400,  # its filter forgets with 145 samples (charge-air pressure); twice the rate still in samples 200-300
-}
 
 SETTINGS = {
-    "plants": tuple(plants()),
-    "detectors": tuple(detectors()),
+    "plants": tuple(registry.plants()),
+    "detectors": tuple(registry.detectors()),
     "faults": KINDS,
     "magnitudes": (1.0, 3.0, 10.0, 30.0),  # of the sensor's noise
     "lengths": (2, 5, 30, 120),  # samples: of biases of a small and a large size, beside each other
-    "settle": 0,  # samples; 0: as many as the plant needs
+    "settle": 0,  # samples; 0: as many as the cases of the plant state
     "window": 30,  # samples of all other faults
     "false_alarm": 1e-3,  # per step over all sensors: of all detectors when they are compared
     "calibration_error": 1 / 6,  # standard error of the rate that is set, as a share of it, if samples were independent
-    "departures": True,
-    "plant_faults": True,
+    "mismatch_cases": True,
+    "process_faults": True,
 }
 
 
-class Condition(NamedTuple):
-    """A fault: its name, kind, size in the sensor's sigma (NaN for none), samples, and the group whose segment it shares."""
+class FaultCondition(NamedTuple):
+    """A fault: its name, kind, size in the sensor's sigma (NaN for none), samples, and the group whose segment it shares.
+
+    case: the fault of a paper or of the process behind it, where it is one.
+    """
 
     name: str
     kind: str
     sigmas: float
     length: int
     group: str
+    case: PaperFault | ProcessFaultCase | None = None
+
+    @property
+    def columns(self) -> tuple[str, str]:
+        """Its `fault` and `condition` in metrics.csv."""
+        if self.kind == LENGTH:
+            return f"bias-{self.sigmas:g}-sigma", f"{self.length} samples"
+        return self.name, ""
 
 
 def sizes(settings: Settings) -> tuple[float, float]:
@@ -70,22 +76,22 @@ def sizes(settings: Settings) -> tuple[float, float]:
     return 3.0 if 3.0 in known else known[0], 10.0 if 10.0 in known else known[-1]
 
 
-def conditions(settings: Settings, plant: str) -> list[Condition]:
-    """All conditions with the usual truth, the healthy one first, group after group."""
+def conditions(settings: Settings, cases: ComparisonCases) -> list[FaultCondition]:
+    """All conditions without model mismatch, the healthy one first, group after group."""
     window = int(settings["window"])
-    found = [Condition(HEALTHY, HEALTHY, np.nan, window, HEALTHY)]
+    found = [FaultCondition(HEALTHY, HEALTHY, np.nan, window, HEALTHY)]
     for kind in settings["faults"]:
         if kind in GRADED:
-            found += [Condition(f"{kind}-{m:g}-sigma", kind, m, window, kind) for m in settings["magnitudes"]]
+            found += [FaultCondition(f"{kind}-{m:g}-sigma", kind, m, window, kind) for m in settings["magnitudes"]]
         elif kind == PUBLISHED:
-            found += [Condition(fault.name, kind, np.nan, window, kind) for fault in PAPER_FAULTS.get(plant, ())]
+            found += [FaultCondition(fault.name, kind, np.nan, window, kind, fault) for fault in cases.paper_faults]
         else:
-            found.append(Condition(kind, kind, SEVERAL_SIGMA if kind in SEVERAL else np.nan, window, kind))
+            found.append(FaultCondition(kind, kind, SEVERAL_SIGMA if kind in SEVERAL else np.nan, window, kind))
     if "bias" in settings["faults"]:
         for m in dict.fromkeys(sizes(settings)):
-            found += [Condition(length_name(m, n), LENGTH, m, n, LENGTH) for n in sorted(settings["lengths"])]
-    if settings["plant_faults"]:
-        found += [Condition(fault.name, "plant", np.nan, window, "plant") for fault in PLANT_FAULTS.get(plant, ())]
+            found += [FaultCondition(length_name(m, n), LENGTH, m, n, LENGTH) for n in sorted(settings["lengths"])]
+    if settings["process_faults"]:
+        found += [FaultCondition(fault.name, PROCESS, np.nan, window, PROCESS, fault) for fault in cases.process_faults]
     return found
 
 
@@ -94,67 +100,61 @@ def length_name(sigmas: float, samples: int) -> str:
     return f"bias-{sigmas:g}-sigma-{samples}-samples"
 
 
-def settle_of(settings: Settings, plant: str) -> int:
+def settle_of(settings: Settings, cases: ComparisonCases) -> int:
     """Samples before anything is judged."""
-    return int(settings["settle"]) or SETTLE.get(plant, USUAL_SETTLE)
+    return int(settings["settle"]) or cases.settle
 
 
-def segments(settings: Settings, plant: str) -> dict[str, int]:
+def segments(settings: Settings, cases: ComparisonCases) -> dict[str, int]:
     """Length of the segment of each group, in windows."""
     found: dict[str, int] = {}
-    for c in conditions(settings, plant):
+    for c in conditions(settings, cases):
         found[c.group] = max(found.get(c.group, 1), -(-c.length // int(settings["window"])))
     return found
 
 
-def onsets(settings: Settings, plant: str, seed: int) -> dict[str, int]:
+def onsets(settings: Settings, cases: ComparisonCases, seed: int) -> dict[str, int]:
     """The first sample (from 0) of the segment of each group: segments follow each other in an order of that seed."""
-    lengths = segments(settings, plant)
+    lengths = segments(settings, cases)
     groups = list(lengths)
-    step, found = settle_of(settings, plant), {}
+    step, found = settle_of(settings, cases), {}
     for i in stream(seed, "order of segments").permutation(len(groups)):
         found[groups[i]] = step
         step += lengths[groups[i]] * int(settings["window"])
     return found
 
 
-def judged_steps(settings: Settings, plant: str) -> int:
+def judged_steps(settings: Settings, cases: ComparisonCases) -> int:
     """Samples of a trunk after settling."""
-    return sum(segments(settings, plant).values()) * int(settings["window"])
+    return sum(segments(settings, cases).values()) * int(settings["window"])
 
 
-def trunk_steps(settings: Settings, plant: str) -> int:
+def trunk_steps(settings: Settings, cases: ComparisonCases) -> int:
     """Samples of a trunk."""
-    return settle_of(settings, plant) + judged_steps(settings, plant)
+    return settle_of(settings, cases) + judged_steps(settings, cases)
 
 
-def calibration_runs(settings: Settings, plant: str) -> int:
+def calibration_runs(settings: Settings, cases: ComparisonCases) -> int:
     """Healthy runs, each as long as a trunk, whose scores set a threshold.
 
     Of n independent samples a share p exceeds it with the relative standard error e = 1 / sqrt(n p), so that n = 1 / (p e^2):
     36 of 36 000 samples for 1e-3 and a sixth. Samples of a run depend on each other; how far off the rate may be is measured.
     """
     samples = 1.0 / (settings["false_alarm"] * settings["calibration_error"] ** 2)
-    return max(LEAST_RUNS, int(np.ceil(samples / judged_steps(settings, plant))))
+    return max(LEAST_RUNS, int(np.ceil(samples / judged_steps(settings, cases))))
 
 
-def sensors_of(plant: Plant, condition: Condition, seed: int) -> list[int]:
-    """The sensors that fail in a run, none where the plant itself fails: a drawn order of all, gone through by the seed."""
-    if condition.kind == PUBLISHED and (named := paper_fault(plant, condition).sensor) is not None:
-        return [plant.sensor_index(named)]
+def sensors_of(plant: Plant, condition: FaultCondition, seed: int) -> list[int]:
+    """The sensors that fail in a run, none in one with a process fault: a drawn order of all, gone through by the seed."""
+    if isinstance(condition.case, PaperFault) and condition.case.sensor is not None:
+        return [plant.sensor_index(condition.case.sensor)]
     everyone = len(plant.sensors)
-    count = {HEALTHY: 0, "plant": 0, "two-faults": 2, "three-faults": 3}.get(condition.kind, 1)
+    count = {HEALTHY: 0, PROCESS: 0, "two-faults": 2, "three-faults": 3}.get(condition.kind, 1)
     order = stream(0, "order of sensors", condition.group).permutation(everyone)
     return [int(order[(seed + j) % everyone]) for j in range(min(count, everyone))]
 
 
-def paper_fault(plant: Plant, condition: Condition) -> PaperFault:
-    """The fault of a paper that a condition is named after."""
-    (found,) = (fault for fault in PAPER_FAULTS[plant.name] if fault.name == condition.name)
-    return found
-
-
-def faults_of(plant: Plant, condition: Condition, seed: int, onset: float, signal: Array) -> list[Fault]:
+def faults_of(plant: Plant, condition: FaultCondition, seed: int, onset: float, signal: Array) -> list[Fault]:
     """The sensor faults of a run from `onset` (s) on; signal (samples, N): what is true meanwhile."""
     length = condition.length * plant.dt
     found = []
@@ -174,31 +174,13 @@ def faults_of(plant: Plant, condition: Condition, seed: int, onset: float, signa
             case "sign":
                 found.append(Fault(name, "scale", onset, length, -1.0))
             case "published":
-                found.append(paper_fault(plant, condition).make(plant, name, seed, onset, length))
+                assert isinstance(condition.case, PaperFault)
+                found.append(condition.case.make(plant, name, seed, onset, length))
             case kind:
                 found.append(Fault(name, kind, onset, length))
     return found
 
 
-def tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One detector on one plant and CHUNK seeds a task: what it needs to be set up is done once. ValueError as in `check`."""
-    check(settings)
-    common = {k: list(v) if isinstance(v, tuple) else v for k, v in settings.items() if k not in ("plants", "detectors")}
-    return [
-        {"plant": plant, "detector": detector} | common | {"seeds": block}
-        for plant in settings["plants"]
-        for detector in settings["detectors"]
-        for block in seed_blocks(seeds, CHUNK)
-    ]
-
-
-def check(settings: Settings) -> None:
-    """Raise ValueError for unknown names; numbers have the scenario's bounds."""
-    for what, known in (("plant", tuple(plants())), ("detector", tuple(detectors())), ("fault", KINDS)):
-        for name in settings[f"{what}s"]:
-            require_known(what, name, known)
-
-
-def departures(settings: Settings, plant: str) -> list[str]:
-    """Names of the departures that are tried."""
-    return [departure.name for departure in DEPARTURES.get(plant, ())] if settings["departures"] else []
+def mismatch_cases(settings: Settings, cases: ComparisonCases) -> tuple[MismatchCase, ...]:
+    """The mismatch cases that are tried."""
+    return cases.mismatch if settings["mismatch_cases"] else ()

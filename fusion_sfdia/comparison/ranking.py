@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.comparison.numbers import Cell, mean, within
+from fusion_sfdia.comparison.cell import ComparisonCell, mean, within
+from fusion_sfdia.comparison.protocol import HEALTHY, PROCESS
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.metrics import LEVEL, Estimate
 
 Array = NDArray[Any]
 
-FLIPS = 20_000  # so that a hundred pairs may each be told apart at the family-wise error
+FLIPS = 20_000  # so that a hundred pairs can each differ at the family-wise error
 
 
 class Standing(NamedTuple):
@@ -31,28 +32,28 @@ class Standing(NamedTuple):
     rank: int
 
 
-def detection(cell: Cell) -> dict[str, Array]:
+def detection(cell: ComparisonCell) -> dict[str, Array]:
     """Share of runs with an alarm (S,) by group of faulty sensors."""
     return _by_group(cell, np.isfinite(cell["first"]), faulty=True)
 
 
-def isolation(cell: Cell) -> dict[str, Array]:
-    """Share of samples at which exactly the faulty sensors are named."""
+def isolation(cell: ComparisonCell) -> dict[str, Array]:
+    """Share of samples at which exactly the faulty sensors are isolated."""
     return _by_group(cell, cell["exact"] / cell["samples"], faulty=True)
 
 
-def accommodation(cell: Cell) -> dict[str, Array]:
+def accommodation(cell: ComparisonCell) -> dict[str, Array]:
     """Error of `measured` over that of the readings, of the faulty sensors: tenfold less is 1."""
     better = -cell.log_gain / np.log(10)
     return _by_group(cell, np.where(np.isfinite(better), better, 0.0), faulty=True)
 
 
-def exoneration(cell: Cell) -> dict[str, Array]:
-    """Share of samples at which no healthy sensor is named: under departures, faults of the plant, missing readings."""
-    return _by_group(cell, 1 - cell["blamed"] / cell["samples"], faulty=False)
+def exoneration(cell: ComparisonCell) -> dict[str, Array]:
+    """Share of samples without false isolation: under model mismatch, process faults and missing readings."""
+    return _by_group(cell, 1 - cell["falsely_isolated"] / cell["samples"], faulty=False)
 
 
-CRITERIA: dict[str, Callable[[Cell], dict[str, Array]]] = {
+CRITERIA: dict[str, Callable[[ComparisonCell], dict[str, Array]]] = {
     "detection": detection,
     "isolation": isolation,
     "accommodation": accommodation,
@@ -63,21 +64,20 @@ CRITERIA: dict[str, Callable[[Cell], dict[str, Array]]] = {
 SHARES = ("detection", "isolation", "exoneration")
 
 
-def _by_group(cell: Cell, values: Array, *, faulty: bool) -> dict[str, Array]:
-    """Means (S,) over the conditions of a kind, or over all departures, which share noise and sensor."""
+def _by_group(cell: ComparisonCell, values: Array, *, faulty: bool) -> dict[str, Array]:
+    """Means (S,) over the conditions of a kind, or over all mismatch cases, which share noise and sensor."""
     found: dict[str, list[int]] = {}
     for j in np.flatnonzero(cell["threshold"] == 0).tolist():
-        name, truth = str(cell["condition"][j]), str(cell["truth"][j])
-        kind = cell.kinds.get(name, "bias")
-        sensor_fault = not truth and kind not in ("none", "plant", "dropout")
+        mismatch, kind = str(cell["mismatch"][j]), cell.kind(j)
+        sensor_fault = not mismatch and kind not in (HEALTHY, PROCESS, "dropout")
         if sensor_fault and faulty:
             found.setdefault(kind, []).append(j)
-        elif not faulty and (truth or kind in ("plant", "dropout")):
-            found.setdefault("departure" if truth else kind, []).append(j)
+        elif not faulty and (mismatch or kind in (PROCESS, "dropout")):
+            found.setdefault("mismatch" if mismatch else kind, []).append(j)
     return {group: values[rows].mean(axis=0) for group, rows in found.items()}
 
 
-def clusters(cells: Mapping[str, Cell], criterion: str) -> dict[str, Array]:
+def clusters(cells: Mapping[str, ComparisonCell], criterion: str) -> dict[str, Array]:
     """The values of each detector on all clusters, in the same order."""
     return {
         name: np.concatenate([*CRITERIA[criterion](cell).values(), np.empty(0)]).astype(float) for name, cell in cells.items()
@@ -85,7 +85,7 @@ def clusters(cells: Mapping[str, Cell], criterion: str) -> dict[str, Array]:
 
 
 def ranking(values: Mapping[str, Array], *, shares: bool = False) -> dict[str, Standing]:
-    """Standing of detectors by their values on the same clusters (C,), larger being better; shares lie from 0 to 1."""
+    """Standing of detectors by their values on the same clusters (C,), larger being better; shares are from 0 to 1."""
     names = list(values)
     pairs = list(combinations(names, 2))
     differences = np.array([values[a] - values[b] for a, b in pairs])

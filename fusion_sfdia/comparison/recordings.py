@@ -1,91 +1,60 @@
-"""Readings of a comparison: what a plant shows from a truth that no detector knows, as recordings.
+"""Readings of a comparison: what a plant's sensors read under a truth that no detector knows, as recordings.
 
 The truth is the high-fidelity model of a plant where it has one, in closed loop where it has controllers, which read healthy
-sensors. The power network is disturbed by its process noise, as its paper says; the others are not: the pipeline's belongs to
-21 nodes, and on the finer grid of the truth it is another. What the papers operate ends after 80 s (loads of the network) and
-2700 s (demand of the pipeline); here it comes again, so that faults meet every phase of it.
+sensors. A plant that states so (`disturbed`, as the power network of its paper) is disturbed by its process noise, others are
+not: the pipeline's belongs to 21 nodes, and on the finer grid of the truth it is another.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia import registry
+from fusion_sfdia.comparison.subjects import ComparedPlant, plant_of
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.cases import MismatchCase, ProcessFaultCase, in_operation
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.models.gas_pipeline.physics import INLET_PRESSURE, INLET_TEMPERATURE
-from fusion_sfdia.models.gas_pipeline.plant import demand
-from fusion_sfdia.models.power_network.parameters import LoadStep, load_steps
-from fusion_sfdia.models.power_network.plant import power_network
 
 Array = NDArray[Any]
 
-
-DEMAND_PERIOD = 3600.0  # s: the ramps of the plant's demand, and back to where it began
 DISTANCE_STEPS = 400
-LOAD_PERIOD, LOAD_REPEATS = 100.0, 20  # s: the load steps come again with the opposite sign, and so on
-
-
-@cache
-def demand_step() -> float:
-    """Seconds of a step of the pipeline: an input that acts from t on is that of its end."""
-    return registry.plant("gas-pipeline").dt
-
-
-def repeated_demand(t: float) -> Array:
-    """The pipeline's inputs that act from t on: 300 to 450 kg/s and down to 350 as in `demand`, then to 300 in 600 s, again."""
-    ahead = t + demand_step()
-    within = ahead % DEMAND_PERIOD
-    back = 25.0 * (1.0 - float(np.cos(np.pi * np.clip((within - 2850.0) / 600.0, 0.0, 1.0))))
-    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(within) - back])
-
-
-@cache
-def repeated_loads(scenario: str) -> tuple[LoadStep, ...]:
-    """The load steps of a scenario of B18 over and over, every other time with the opposite sign, so that loads stay small."""
-    steps = load_steps(scenario)
-    return tuple(
-        step._replace(time=step.time + k * LOAD_PERIOD, change=(-1) ** k * step.change)
-        for k in range(LOAD_REPEATS)
-        for step in steps
-    )
-
-
-OPERATIONS: dict[str, Callable[[float], Array]] = {"gas-pipeline": repeated_demand}  # others have the plant's own
-
-
-@cache
-def plant_of(name: str) -> Plant:
-    """A registered plant in the usual operation of the comparison: what learns from healthy runs learns from that."""
-    if name == "power-network":
-        return power_network(loads=repeated_loads("1"))
-    plant = registry.plant(name)
-    if (operation := OPERATIONS.get(name)) is None:
-        return plant
-    finer = plant.truth.finer and partial(_finer, plant, operation)
-    return replace(plant, truth=replace(plant.truth, operation=operation, finer=finer))
-
-
-def _finer(plant: Plant, operation: Callable[[float], Array]) -> tuple[Plant, Callable[[Array], Array]]:
-    assert plant.truth.finer is not None
-    finer, to_states = plant.truth.finer()
-    return replace(finer, truth=replace(finer.truth, operation=operation)), to_states
+SAME = 1e-6  # sigma: less is the same model
 
 
 @lru_cache(maxsize=4)
-def healthy(plant: str, steps: int, seeds: tuple[int, ...]) -> Recording:
+def healthy(plant: ComparedPlant, steps: int, seeds: tuple[int, ...]) -> Recording:
     """Healthy readings in the usual operation, the same for all detectors."""
     return simulated(plant, steps, seeds)
 
 
+def mismatched(plant: ComparedPlant, case: MismatchCase, steps: int, seeds: Sequence[int], start: float) -> Recording:
+    """Healthy readings of a mismatch case, which are judged from `start` (s) on."""
+    truth = None if case.truth is None else case.truth()
+    inputs = None if case.inputs is None else partial(_from_start, case.inputs, start)
+    return simulated(plant, steps, seeds, truth=truth, inputs=inputs)
+
+
+def _from_start(inputs: Callable[[float, float], Array], start: float, t: float) -> Array:
+    return inputs(t, start)
+
+
+def failing(plant: ComparedPlant, fault: ProcessFaultCase, steps: int, seeds: Sequence[int], onset: float) -> Recording:
+    """Readings of a plant with a process fault from the onset (s) on; ValueError for a case without a fault."""
+    if (fault.truth is None) == (fault.lost is None):
+        raise ValueError(f"process fault {fault.name!r} of {plant.name}: expected either a truth or what is lost of the inputs")
+    if fault.truth is not None:
+        return simulated(plant, steps, seeds, truth=fault.truth(onset))
+    assert fault.lost is not None
+    return simulated(plant, steps, seeds, lost=(onset, fault.lost))
+
+
 def simulated(
-    plant: str,
+    plant: ComparedPlant,
     steps: int,
     seeds: Sequence[int],
     *,
@@ -93,28 +62,27 @@ def simulated(
     inputs: Callable[[float], Array] | None = None,
     lost: tuple[float, tuple[float, ...]] | None = None,
 ) -> Recording:
-    """Readings from the high-fidelity model of a truth (None: of the plant) under inputs (None: the usual ones).
+    """Readings from the high-fidelity model of a truth (None: of the plant) under inputs (None: those of its operation).
 
-    lost: from a time (s) on other inputs act than those that are known, the known ones times these factors.
+    lost: from a time (s) on the acting inputs are the known ones times these factors.
     """
     of = plant_of(plant)
-    model = of if truth is None else truth
-    inputs = OPERATIONS.get(plant) if inputs is None else inputs
+    model = in_operation(of if truth is None else truth, inputs)
     if lost is not None and model.truth.feedback is not None:
-        raise ValueError(f"plant {model.name!r} has controllers, which would see what is lost; give it a fault of its own")
+        raise ValueError(f"plant {model.name!r} has controllers, which would act on what is lost; give its fault a truth")
     finest, to_states = (model, None) if model.truth.finer is None else model.truth.finer()
-    finest = replace(finest, sensors=of.sensors)  # whose noise may be a share of what they usually show
+    finest = replace(finest, sensors=of.sensors)  # whose noise may be a share of what they usually read
     run = partial(simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.truth.disturbed)
     if lost is None:
-        return run(inputs=inputs)
+        return run()
     t = np.arange(steps) * of.dt
-    known = np.array([(inputs or model.input_at)(float(s)) for s in t])
+    known = np.array([model.input_at(float(s)) for s in t])
     acting = np.where((t >= lost[0] - 1e-6 * of.dt)[:, None], known * np.asarray(lost[1]), known)
     return replace(run(inputs=acting), u=known)
 
 
-@cache
-def distance_of_truth(plant: str) -> float:
+@lru_cache(maxsize=8)
+def distance_of_truth(plant: ComparedPlant) -> float:
     """Largest difference of noise-free readings of the usual truth from those of the model, in the sensors' sigma.
 
     Over DISTANCE_STEPS samples of the usual operation, without process noise, controllers reading the same noise.
@@ -128,3 +96,9 @@ def distance_of_truth(plant: str) -> float:
         for truth, mapped in ((finest, to_states), (alone, None))
     ]
     return float(np.max(np.abs(signals[0] - signals[1]) / of.sensor_sigma))
+
+
+def stated_distance(plant: ComparedPlant) -> str:
+    """How far the usual truth of a plant is from the detectors' model, in words."""
+    distance = distance_of_truth(plant)
+    return "nothing in this operation" if distance < SAME else f"{distance:.2g} sigma"

@@ -19,7 +19,7 @@ Array = NDArray[Any]
 CONFIRMATIONS = 3  # alarms in a row that Boem 2018 waits for
 
 
-class Branch(NamedTuple):
+class BranchReadings(NamedTuple):
     """Readings of a branch (W, B, N): as the detector gets them, without the sensors' faults, without noise; active, size.
 
     u (W, B, m): the inputs as they are known.
@@ -33,7 +33,7 @@ class Branch(NamedTuple):
     size: Array
 
 
-class Outcome(NamedTuple):
+class KeptDecisions(NamedTuple):
     """What is kept of Decisions, (W, B) or (W, B, N), N sensors."""
 
     alarm: Array
@@ -44,10 +44,10 @@ class Outcome(NamedTuple):
     reconstruction: Array
 
 
-def outcome(plant: Plant, decision: Decision) -> Outcome:
+def kept(plant: Plant, decision: Decision) -> KeptDecisions:
     """What is kept of a Decision."""
     n = len(plant.sensors)
-    return Outcome(
+    return KeptDecisions(
         decision.alarm,
         decision.diverged,
         decision.isolated[..., :n],
@@ -57,16 +57,16 @@ def outcome(plant: Plant, decision: Decision) -> Outcome:
     )
 
 
-def record(plant: Plant, decision: Outcome, branch: Branch) -> Arrays:
+def record(plant: Plant, decision: KeptDecisions, branch: BranchReadings) -> Arrays:
     """Arrays (B,) of the runs of a branch of W samples.
 
     samples: W. alarms: samples with an alarm. first, confirmed, own: samples until the first, until the third in a row, and
-    until the first of a faulty sensor's own residual, inf for none. right, named, faulty: sensor-samples that are named and
-    faulty, named, faulty. exact: samples at which exactly the faulty sensors are named. blamed: samples at which a healthy
-    sensor is. told (B, Q + 2): samples at which none is named, sensors of each quantity that are healthy, one that is
-    faulty; where several are named, each has its share of the sample. judged: see `judged_right`. size_error: mean |size /
-    true size - 1| where named. Mean squared errors against the noise-free readings in the sensors' variances: of the faulty
-    sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
+    until the first of a faulty sensor's own residual, inf for none. right, isolated, faulty: sensor-samples that are isolated
+    and faulty, isolated, faulty. exact: samples at which exactly the faulty sensors are isolated. falsely_isolated: samples at
+    which a healthy sensor is. isolated_as (B, Q + 2): samples at which none is isolated, healthy sensors of each quantity, a
+    faulty sensor; where several are isolated, each has its share of the sample. judged: see `judged_right`. size_error: mean
+    |size / true size - 1| where isolated. Mean squared errors against the noise-free readings in the sensors' variances: of the
+    faulty sensors measured, raw, noise (without fault); of all sensors all_measured, all_raw. diverged.
     """
     isolated, active = decision.isolated, branch.active
     right = isolated & active
@@ -80,11 +80,11 @@ def record(plant: Plant, decision: Outcome, branch: Branch) -> Arrays:
         "confirmed": until(in_a_row(alarm, CONFIRMATIONS)),
         "own": until(np.any(active & (decision.scores > 1), axis=-1)),
         "right": right.sum(axis=(0, 2)),
-        "named": isolated.sum(axis=(0, 2)),
+        "isolated": isolated.sum(axis=(0, 2)),
         "faulty": active.sum(axis=(0, 2)),
         "exact": ((isolated == active).all(axis=-1) & active.any(axis=-1)).sum(axis=0),
-        "blamed": (isolated & ~active).any(axis=-1).sum(axis=0),
-        "told": told(plant, isolated, active),
+        "falsely_isolated": (isolated & ~active).any(axis=-1).sum(axis=0),
+        "isolated_as": isolated_as(plant, isolated, active),
         "judged": judged_right(alarm, isolated, active),
         "size_error": _mean(np.abs(ratio - 1), sized),
         "measured": _error(plant, decision.reconstruction, branch, active),
@@ -96,8 +96,8 @@ def record(plant: Plant, decision: Outcome, branch: Branch) -> Arrays:
     }
 
 
-def told(plant: Plant, isolated: Array, active: Array) -> Array:
-    """Samples (B, Q + 2) by what is named, see `record`; isolated, active (W, B, N)."""
+def isolated_as(plant: Plant, isolated: Array, active: Array) -> Array:
+    """Samples (B, Q + 2) by what is isolated, see `record`; isolated, active (W, B, N)."""
     count = isolated.sum(axis=-1, keepdims=True)
     share = np.where(isolated, 1.0 / np.maximum(count, 1), 0.0)
     wrong = np.where(active, 0.0, share)
@@ -119,7 +119,7 @@ def in_a_row(alarm: Array, count: int) -> Array:
     return found
 
 
-def _error(plant: Plant, readings: Array, branch: Branch, where: Array) -> Array:
+def _error(plant: Plant, readings: Array, branch: BranchReadings, where: Array) -> Array:
     """Mean squared error (B,) in variances of the sensors' noise; NaN where there is no reading."""
     square = (readings - branch.signal) ** 2 / plant.sensor_cov
     return _mean(square, where & np.isfinite(square))

@@ -1,4 +1,4 @@
-"""Which sensors are left out, how large their faults are, and when they are readmitted."""
+"""Exclusion of isolated sensors: the sizes of their faults, and their readmission."""
 
 from __future__ import annotations
 

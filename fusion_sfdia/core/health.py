@@ -1,4 +1,4 @@
-"""When an estimator has broken down, and how the other runs of its batch continue."""
+"""Divergence: when an estimator has broken down, and how the other runs of its batch continue."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def as_log(
         if len(given) != 3:
             came = shown(given[0]) if len(given) == 1 else f"{len(given)} arguments"
             raise ValueError(
-                f"the readings are {came}; expected t, y and u, a Log, a Recording as of simulate, or a frame with "
+                f"the readings are {came}; expected t, y and u, a Log, a Recording as simulate returns it, or a frame with "
                 f"the columns time, {_some([*plant.sensor_names, *(s.name for s in plant.inputs)])}"
             )
         t, y, u = given

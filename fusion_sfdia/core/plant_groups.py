@@ -25,7 +25,7 @@ Finer = Callable[[], "tuple[Plant, Callable[[Array], Array]]"]
 
 @dataclass(frozen=True)
 class Numerics:
-    """How a model is differentiated, and the steps for which it holds.
+    """The Jacobians of a model, and the steps for which it holds.
 
     step_jacobian(t_start, x, u, dt), (..., n, n), and output_jacobian(t, x, u), (..., N, n): None for the complex step, or
     central differences (to about 1e-10) where the complex step fails because of abs, sign, interp or the like. Both are
@@ -54,7 +54,7 @@ class Truth:
     replace u (..., m); None in open loop.
     finer(): a high-fidelity model with the same sensors and inputs (a finer grid, for example) and the map from its states to
     those of the plant; None where there is none. Simulations take their readings from it unless another truth is given.
-    disturbed: whether process noise acts on the real plant, too, and on the healthy recordings to learn from. Otherwise the
+    disturbed: whether process noise acts on the real plant, too, and on healthy recordings for fitting. Otherwise the
     process noise only represents what the model neglects.
     Raises ValueError for an operation, feedback or finer that is no function.
     """

@@ -62,7 +62,7 @@ def load_detector(path: str | Path, plant: Plant) -> Any:
 
 
 def _packed(value: Any, plant: Plant, arrays: Arrays, where: str) -> Any:
-    """Return a value as JSON has it: plain ones as they are, others as {kind: content}; arrays are added to `arrays`."""
+    """Return a value as JSON: plain ones unchanged, others as {kind: content}; arrays are added to `arrays`."""
     if type(value) in (type(None), bool, int, float, str):
         return value
     if value is plant:

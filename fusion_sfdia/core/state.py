@@ -1,4 +1,4 @@
-"""What every detector carries from one reading to the next, and nested named tuples of arrays in general.
+"""The state of a detector between two readings, and nested named tuples of arrays in general.
 
 The memory of a method is a NamedTuple of arrays with the batch as leading axes. A field may be such a tuple itself (an
 `Exclusion`, a `Window`), or a plain tuple of arrays of the same kind. `leaves` and `rebuilt` take such tuples

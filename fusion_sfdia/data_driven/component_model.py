@@ -80,7 +80,7 @@ class ComponentModel:
         object.__setattr__(self, "noise", number("noise", self.noise))
         for what in ("scale", "variances", "noise"):
             if not np.all(np.asarray(value := getattr(self, what)) > 0):
-                raise ValueError(f"{what} is {shown(value)}; expected positive numbers, as of ComponentModel.fit")
+                raise ValueError(f"{what} is {shown(value)}; expected positive numbers; use ComponentModel.fit")
 
     @classmethod
     def fit(

@@ -50,9 +50,7 @@ class FixedLimits(BatchDetector):
         for what in ("centre", "level", "change"):
             value = per_sensor(self.plant, what, getattr(self, what))
             if what != "centre" and not np.all(value > 0):
-                raise ValueError(
-                    f"{what} has limits of {value.min():g} and more; expected positive ones, as of FixedLimits.fit"
-                )
+                raise ValueError(f"{what} has limits of {value.min():g} and more; expected positive ones; use FixedLimits.fit")
             object.__setattr__(self, what, value)
 
     @classmethod

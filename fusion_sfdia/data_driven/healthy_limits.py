@@ -20,7 +20,7 @@ Array = NDArray[Any]
 def without_model(
     plant: Plant, y: Array, reconstruction: Array, residual: Array, threshold: Array, isolated: Array
 ) -> Decision:
-    """The Decision of a detector without a model: the plant's x0 stands for an estimate.
+    """The Decision of a detector without a model: its estimate is the plant's x0.
 
     The size of a fault is the reading less its reconstruction.
     """
@@ -51,7 +51,7 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
 def healthy_readings(plant: Plant, healthy: Any) -> Array:
     """Return healthy readings as (K, B, N), absurd ones as NaN.
 
-    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, as an array: these detectors use no more of it.
+    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, as an array: these detectors use nothing else.
     ValueError for other shapes, infinities, and sensors without a reading in every other sample. A sensor that never moves is
     accepted: a quantised reading at rest is healthy, too. See `noise_floor`.
     """

@@ -51,7 +51,7 @@ class OneClass(ReconstructionDetector):
         object.__setattr__(self, "limit", number("limit", self.limit))
         for what in ("weights", "limit"):
             if not np.all(np.asarray(value := getattr(self, what)) > 0):
-                raise ValueError(f"{what} is {shown(value)}; expected positive numbers, as of OneClass.fit")
+                raise ValueError(f"{what} is {shown(value)}; expected positive numbers; use OneClass.fit")
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, *, outliers: float = 0.1, **settings: Any) -> Self:

@@ -40,7 +40,7 @@ class PrincipalComponents(ReconstructionDetector):
         for what in ("limit_t2", "limit_spe", "limit_contribution"):
             object.__setattr__(self, what, number(what, value := getattr(self, what)))
             if not getattr(self, what) > 0:
-                raise ValueError(f"{what} is {shown(value)}; expected a positive number, as of PrincipalComponents.fit")
+                raise ValueError(f"{what} is {shown(value)}; expected a positive number; use PrincipalComponents.fit")
 
     @classmethod
     def fit(

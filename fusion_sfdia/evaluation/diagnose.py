@@ -106,7 +106,7 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
     if silent:
         some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
-        whole = ": the diagnosis is the model's prediction alone" if len(silent) == y.shape[1] else ""
+        whole = ": the diagnosis is only the model's prediction" if len(silent) == y.shape[1] else ""
         remarks.append(f"no readings of {some}{whole}; fill their columns to have them tested")
     thresholds = decisions.threshold[np.isfinite(decisions.residual)]
     if thresholds.size and np.all(np.isinf(thresholds)):

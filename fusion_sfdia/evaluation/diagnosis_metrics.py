@@ -18,7 +18,7 @@ Array = NDArray[Any]
 
 
 class Response(NamedTuple):
-    """How a group of modules responds to a fault: share of runs that miss it; delay (s) in the others; its range."""
+    """Response of a group of modules to a fault: share of runs that miss it; delay (s) in the others; its range."""
 
     missed: Estimate
     delay: Estimate

@@ -77,7 +77,7 @@ class Row:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the published value lies within the interval; None where there is no published value or no interval."""
+        """Whether the published value is within the interval; None where there is no published value or no interval."""
         if self.published is None or not (math.isfinite(self.low) and math.isfinite(self.high)):
             return None
         return self.low <= self.published <= self.high

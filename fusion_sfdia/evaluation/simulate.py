@@ -71,7 +71,7 @@ def simulate(
     those of `plant`; without it, and with states of other names, x is None. process_noise: whether the truth is disturbed
     by its process noise. start: "nominal" for the truth's x0, "sampled" from its initial covariance, or states (n',) or
     (B, n'). inputs: u as a function of the time from which it acts, or as (K, m); None for the truth's operation, in closed
-    loop where it has feedback, whose controllers get the readings as they are simulated here. It is held from one reading to
+    loop where it has feedback, whose controllers get the simulated readings. It is held from one reading to
     the next; until the first one the operation acts alone.
 
     Noise: Gaussian where a sigma is stated, uniform within the bound where only a bound is, Gaussian truncated to the

@@ -25,7 +25,7 @@ OWN_FILE = re.compile(r"metrics\.csv|report\.html|figures/[a-z0-9-]+\.(svg|png)"
 
 @dataclass(frozen=True)
 class Command:
-    """What a run computes. Two runs of the same command may share a folder: the second reuses finished parts of the first."""
+    """A run as defined by its command. Runs of one command may share a folder: the second reuses parts of the first."""
 
     scenarios: tuple[str, ...]
     seeds: int | None = None

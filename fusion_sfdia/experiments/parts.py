@@ -46,7 +46,7 @@ def decisive() -> dict[str, Any]:
 
 
 def write_part(path: Path, arrays: Arrays) -> None:
-    """Write a piece's arrays, whole or not at all; TypeError for anything but arrays of numbers, booleans and text."""
+    """Write a piece's arrays, completely or not at all; TypeError for anything but arrays of numbers, booleans and text."""
     plain: dict[str, Array] = {}
     for name, array in arrays.items():
         plain[name] = np.asarray(array)

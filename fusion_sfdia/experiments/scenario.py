@@ -67,7 +67,7 @@ def adjust(scenario: Scenario, changes: Mapping[str, str], *, full: bool = False
     """
     unknown = [k for k in changes if k not in scenario.settings]
     if unknown:
-        known = ", ".join(f"{k}={_text(v)}" for k, v in scenario.settings.items()) or "none"
+        known = ", ".join(f"{k}={setting_text(v)}" for k, v in scenario.settings.items()) or "none"
         raise ValueError(f"scenario {scenario.name} has no setting {', '.join(unknown)}; its settings: {known}")
     usual = {**scenario.settings, **(scenario.full if full else {})}
     return {k: _changed(scenario, k, changes[k], v) if k in changes else v for k, v in usual.items()}
@@ -81,7 +81,7 @@ def _changed(scenario: Scenario, key: str, text: str, default: Setting) -> Setti
     like = default[0] if default else ""
     found = tuple(_typed(key, part.strip(), like, low, high) for part in text.split(",") if part.strip())
     if not (found or key in scenario.optional):
-        raise ValueError(f"setting {key} is empty; expected at least one value, such as {_text(like)}")
+        raise ValueError(f"setting {key} is empty; expected at least one value, such as {setting_text(like)}")
     if twice := [v for v in found if found.count(v) > 1]:
         raise ValueError(f"setting {key} is {shown(text)}; expected each value once, {shown(twice[0])} occurs twice")
     return found
@@ -105,13 +105,14 @@ def _typed(key: str, text: str, default: Setting, low: float, high: float) -> Se
     except ValueError:
         pass  # it is no number at all
     raise ValueError(
-        f"setting {key} is {shown(text)}; expected {kind} from {low:.10g} to {high:.10g}, such as {_text(default)}"
+        f"setting {key} is {shown(text)}; expected {kind} from {low:.10g} to {high:.10g}, such as {setting_text(default)}"
     )
 
 
-def _text(value: Setting) -> str:
-    if isinstance(value, tuple):
-        return ",".join(map(_text, value))
+def setting_text(value: Setting) -> str:
+    """A setting as the text that `adjust` reads."""
+    if isinstance(value, tuple | list):
+        return ",".join(map(setting_text, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

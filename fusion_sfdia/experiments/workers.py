@@ -25,7 +25,7 @@ from fusion_sfdia.experiments.scenario import Arrays, Task
 
 
 class Piece(NamedTuple):
-    """What is to be done, and the file that takes the arrays."""
+    """A piece of work to do, and the file for its arrays."""
 
     path: Path
     work: Callable[[Task], Arrays]

@@ -74,7 +74,7 @@ def update(settings: EnKFSettings, E: Array, h: Model, y: Array, R: Array, rng: 
     """Return the members (..., Ne, n) after the readings y (..., N), NaN where missing; R is (N,) or (N, N).
 
     Numbers are drawn for missing readings too, so that a gap does not shift the stream. Without any reading the members
-    stay as they are, without inflation.
+    do not change and are not inflated.
     """
     size = E.shape[-2]
     if size != settings.size:

@@ -70,7 +70,7 @@ class Estimator(Protocol):
 
 
 class Reading(NamedTuple):
-    """What an update uses: time, readings (NaN: not used), input, and the factors of the bank on R and on the covariance."""
+    """An update: time, readings (NaN: not used), input, and the factors of the bank on R and on the covariance."""
 
     t: float
     y: Array
@@ -93,7 +93,7 @@ def require_consistent(estimator: object) -> None:
 
 
 class _Moments:
-    """What the filters that carry mean and covariance share."""
+    """Common to the filters that carry mean and covariance."""
 
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
         n = plant.x0.size

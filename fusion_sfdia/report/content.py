@@ -17,7 +17,7 @@ NAME = "[a-z0-9]+(-[a-z0-9]+)*"
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the report: draw() returns it, alt says in words what it shows. name: letters, digits, hyphens."""
+    """A figure of the report: draw() returns it, alt states in words what it shows. name: letters, digits, hyphens."""
 
     name: str
     title: str
@@ -36,7 +36,7 @@ Interval = tuple[float, float, float, int]  # a value, its 95 % interval, and th
 class Table:
     """A table laid out as in a paper; cells are text, numbers (shown with 4 digits) or numbers with their interval.
 
-    folded: whether the reader has to open it.
+    caption: what to see; method: how it was made, which the reader has to open. folded: whether that holds for the table, too.
     """
 
     title: str
@@ -44,17 +44,22 @@ class Table:
     rows: tuple[tuple[str | float | Interval, ...], ...]
     caption: str = ""
     folded: bool = False
+    method: str = ""
 
 
 @dataclass(frozen=True)
 class Chapter:
-    """A part of a scenario's section in the report, with an entry in its contents. name: letters, digits, hyphens."""
+    """A part of a scenario's section in the report, with an entry in its contents. name: letters, digits, hyphens.
+
+    text: what was found; method: how, which the reader has to open.
+    """
 
     name: str
     title: str
     text: Sequence[str] = ()
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
+    method: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         require_name("chapter", self.name, NAME)
@@ -62,7 +67,11 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a scenario says: rows of metrics.csv, figures, tables, sentences for the top of the report, remarks, chapters."""
+    """What a scenario shows: rows of metrics.csv, figures, tables, chapters.
+
+    highlights: sentences for the top of the report. remarks: what to know of the numbers. method: how they were made, which
+    the reader has to open.
+    """
 
     rows: Sequence[Row]
     figures: Sequence[Figure] = ()
@@ -70,6 +79,7 @@ class Summary:
     highlights: Sequence[str] = ()
     remarks: Sequence[str] = ()
     chapters: Sequence[Chapter] = ()
+    method: Sequence[str] = ()
 
     @property
     def every_figure(self) -> list[Figure]:

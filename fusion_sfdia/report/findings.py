@@ -1,4 +1,4 @@
-"""Sentences about a scenario's numbers, filled from its rows: they cannot say what the run does not show."""
+"""Sentences about a scenario's numbers, filled from its rows, so that they state what the run shows."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def left_out(rows: Iterable[Row]) -> list[str]:
         f"{r.detector} {r.value:.0%} ({r.quantity}, {r.fault}{', without diagnosis' * r.metric.endswith('unaccommodated')})"
         for r in lost
     ]
-    told = "Where the estimate diverged the run is left out, and a cell without runs has no value or bar"
-    return [f"{told}: {'; '.join(cases)} of the runs."] if cases else []
+    rule = "Where the estimate diverged the run is left out, and a cell without runs has no value or bar"
+    return [f"{rule}: {'; '.join(cases)} of the runs."] if cases else []
 
 
 def _short(value: float) -> str:

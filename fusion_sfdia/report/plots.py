@@ -103,7 +103,7 @@ def roc_curves(axes: Axes, curves: Mapping[str, tuple[Array, Array]]) -> None:
 
 
 def isolation_matrix(axes: Axes, counts: Array, *, boundaries: Mapping[str, int] | None = None) -> None:
-    """What was named (columns) against what was true (rows), each row in shares of its sum; index 0 is no fault.
+    """What was isolated (columns) against what was faulty (rows), each row in shares of its sum; index 0 is none.
 
     Rows without a count are grey.
     counts (N + 1, N + 1); boundaries: {quantity: first index of it}, drawn as lines with names.
@@ -122,7 +122,7 @@ def isolation_matrix(axes: Axes, counts: Array, *, boundaries: Mapping[str, int]
         axes.set_yticks(middles, list(boundaries), fontsize=7, rotation=90, va="center")
         axes.tick_params(length=0)
     axes.grid(visible=False)
-    axes.set(xlabel="named", ylabel="true")
+    axes.set(xlabel="isolated", ylabel="faulty")
     axes.figure.colorbar(image, ax=axes, shrink=0.8, label="share of the row")
 
 
@@ -132,7 +132,7 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
     The legend is left to `legend_above`, once all panels are drawn.
     """
     width = 0.8 / max(len(series), 1)
-    told = False
+    labelled = False  # the published values
     for i, one in enumerate(series):
         x = np.arange(len(groups)) + (i - (len(series) - 1) / 2) * width
         value = np.asarray(one.value, dtype=float)
@@ -145,8 +145,8 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
             )  # fmt: skip
         published = np.asarray(one.published, dtype=float)
         if np.isfinite(published).any():
-            label = None if told else "published"
-            told = True
+            label = None if labelled else "published"
+            labelled = True
             axes.plot(x, published, linestyle="none", marker="D", markersize=4.5, mfc="white", mec="black", label=label)
     axes.set_xticks(np.arange(len(groups)), list(groups))
     axes.set_ylabel(ylabel)

@@ -46,7 +46,7 @@ class StructuralMemory(NamedTuple):
 class StructuralResiduals(BatchDetector):
     """Residuals of a plant that states its scalar equations, each with a limit, in standard deviations of its target's noise.
 
-    limits: (R,), as of `fit`. A residual is computed when all readings it takes are there, and is CONTRADICTION where its
+    limits: (R,), see `fit`. A residual is computed when none of its readings is missing, and is CONTRADICTION where its
     equations have no value at them; its states are integrated with the last readings in place of missing ones. The
     residual reported for a sensor has the largest ratio to its limit among those that read it, in deviations of its own noise.
 
@@ -64,13 +64,13 @@ class StructuralResiduals(BatchDetector):
         super().__post_init__()
         measured = {s.measures for s in self.plant.sensors} & set(modules_of(self.plant).equations)
         if not self.residuals or not all(isinstance(r, Residual) for r in self.residuals):
-            raise ValueError(f"residuals is {shown(self.residuals)}; expected some, as of selected(plant)")
+            raise ValueError(f"residuals is {shown(self.residuals)}; expected some; use selected(plant)")
         if unread := sorted({v for r in self.residuals for v in (*r.read, r.target)} - measured):
             raise ValueError(f"residuals read {', '.join(unread)}, which plant {self.plant.name!r} does not measure")
         object.__setattr__(self, "limits", floats("limits", self.limits))
         if self.limits.shape != (len(self.residuals),) or not np.all(self.limits > 0):
             raise ValueError(
-                f"limits has shape {self.limits.shape}; expected {len(self.residuals)} positive numbers, one a residual, as of "
+                f"limits has shape {self.limits.shape}; expected {len(self.residuals)} positive numbers, one a residual; use "
                 "StructuralResiduals.fit"
             )
         whole("max_faults", self.max_faults, least=1)

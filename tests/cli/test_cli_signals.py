@@ -15,7 +15,7 @@ PROGRAM = """
 import os, signal, sys
 import numpy as np
 from toy_scenario import toy
-from fusion_sfdia import registry
+from fusion_sfdia import scenarios
 from fusion_sfdia.cli.main import main
 
 def work(*arguments):

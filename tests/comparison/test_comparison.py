@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
+from toy_plants import chain
 
-from fusion_sfdia import builders, registry
+from fusion_sfdia import builders
 from fusion_sfdia.cli.main import main, parser
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.comparison import recordings as comparison_recordings
-from fusion_sfdia.comparison import work as comparison_work
+from fusion_sfdia.comparison import run as comparison_run
 from fusion_sfdia.comparison.branches import deployed_walk, silent_walk
 from fusion_sfdia.comparison.calibration import (
     calibrated,
@@ -25,23 +26,37 @@ from fusion_sfdia.comparison.calibration import (
     silent_scores,
     standard_ends,
 )
-from fusion_sfdia.comparison.figures import looks
-from fusion_sfdia.comparison.findings import broken_claims, distinct
-from fusion_sfdia.comparison.numbers import Cell, confusion, gather, widened
-from fusion_sfdia.comparison.published import published_accuracy, published_delay
-from fusion_sfdia.comparison.recordings import healthy, plant_of
+from fusion_sfdia.comparison.cell import ComparisonCell, widened
+from fusion_sfdia.comparison.compare import SCENARIO, Comparison
+from fusion_sfdia.comparison.looks import looks
+from fusion_sfdia.comparison.recordings import failing, healthy, mismatched
 from fusion_sfdia.comparison.records import in_a_row, until
-from fusion_sfdia.comparison.scenario import SCENARIO, summarise
-from fusion_sfdia.comparison.truths import DEPARTURES, PLANT_FAULTS
-from fusion_sfdia.comparison.work import work
+from fusion_sfdia.comparison.rows import confusion
+from fusion_sfdia.comparison.subjects import (
+    ComparedDetector,
+    ComparedPlant,
+    Subjects,
+    cases_of,
+    compared_detector,
+    compared_plant,
+    plant_of,
+)
+from fusion_sfdia.comparison.summary import gather
+from fusion_sfdia.comparison.text import broken_claims, distinct
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.cases import ComparisonCases
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.experiments.scenario import adjust
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.registry import NamedDetector, NamedPlant
+from fusion_sfdia.registry import detectors as registered_detectors
+from fusion_sfdia.registry import plants as registered_plants
 
+PLANTS, DETECTORS = tuple(registered_plants()), tuple(registered_detectors())
+TANKS = compared_plant("two-tanks")
 TINY = {
     "plants": "two-tanks",
     "detectors": "limits,loo-chi2",
@@ -58,55 +73,79 @@ def tiny(**changes: str) -> dict[str, Any]:
     return adjust(SCENARIO, TINY | changes)
 
 
-def results(settings: dict[str, Any], seeds: int = 3) -> list[tuple[Any, Any]]:
-    return [(task, work(task)) for task in protocol.tasks(settings, seeds)]
+def results(settings: dict[str, Any], seeds: int = 3, subjects: Subjects = Subjects()) -> list[tuple[Any, Any]]:  # noqa: B008
+    comparison = Comparison(subjects)
+    return [(task, comparison.work(task)) for task in comparison.tasks(settings, seeds)]
+
+
+def summarise(settings: dict[str, Any], found: list[tuple[Any, Any]], subjects: Subjects = Subjects()) -> Any:  # noqa: B008
+    return Comparison(subjects).summarise(settings, found)
+
+
+def cells_of(settings: dict[str, Any], found: list[tuple[Any, Any]]) -> dict[tuple[str, str], ComparisonCell]:
+    return gather(Subjects(), settings, found)[0]
+
+
+def cases(plant: str) -> ComparisonCases:
+    return cases_of(compared_plant(plant))
 
 
 def test_conditions_are_each_once_and_the_healthy_one_first() -> None:
     settings = dict(protocol.SETTINGS)
-    for plant in registry.plants():
-        found = protocol.conditions(settings, plant)
+    for plant in PLANTS:
+        found = protocol.conditions(settings, cases(plant))
         assert len({c.name for c in found}) == len(found)
         assert found[0].name == protocol.HEALTHY
-    assert len(protocol.conditions(settings, "two-tanks")) == 1 + 4 * 4 + 2 + 2 + 2 + 2 * 4 + 1
 
 
-@pytest.mark.parametrize("plant", list(registry.plants()))
+def test_the_grid_of_faults() -> None:
+    """Kind, size in sigma and length in samples of each condition of the tanks, at the default settings, as documented."""
+    found = protocol.conditions(dict(protocol.SETTINGS), cases("two-tanks"))
+    graded = {(kind, size, 30) for kind in ("bias", "drift", "scale", "noise") for size in (1.0, 3.0, 10.0, 30.0)}
+    several = {("two-faults", 10.0, 30), ("three-faults", 10.0, 30)}
+    without_size = {(kind, None, 30) for kind in ("none", "freeze", "dropout", "sign", "replay", "process")}
+    lengths = {("length", size, length) for size in (3.0, 10.0) for length in (2, 5, 30, 120)}
+    expected = graded | several | without_size | lengths
+    assert {(c.kind, None if np.isnan(c.sigmas) else c.sigmas, c.length) for c in found} == expected
+    assert len(found) == len(expected)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
 def test_segments_of_a_seed_neither_overlap_nor_leave_gaps(plant: str) -> None:
     settings = dict(protocol.SETTINGS)
-    lengths = {g: n * settings["window"] for g, n in protocol.segments(settings, plant).items()}
+    lengths = {g: n * settings["window"] for g, n in protocol.segments(settings, cases(plant)).items()}
     for seed in range(20):
-        begun = sorted((step, group) for group, step in protocol.onsets(settings, plant, seed).items())
-        assert begun[0][0] == protocol.settle_of(settings, plant)
+        begun = sorted((step, group) for group, step in protocol.onsets(settings, cases(plant), seed).items())
+        assert begun[0][0] == protocol.settle_of(settings, cases(plant))
         ends = [step + lengths[group] for step, group in begun]
         assert [step for step, _ in begun[1:]] == ends[:-1]
-        assert ends[-1] == protocol.trunk_steps(settings, plant)
-    assert all(c.length <= lengths[c.group] for c in protocol.conditions(settings, plant))
+        assert ends[-1] == protocol.trunk_steps(settings, cases(plant))
+    assert all(c.length <= lengths[c.group] for c in protocol.conditions(settings, cases(plant)))
     assert lengths["length"] == 120 and lengths["bias"] == 30
 
 
 def test_a_kind_of_fault_meets_all_phases() -> None:
     """Each of 12 places is a kind's with probability 1/12 in each of 600 seeds: chi-square of 11 degrees of freedom."""
     settings = tiny(lengths="")
-    groups = list(protocol.segments(settings, "two-tanks"))
-    places = np.array([[protocol.onsets(settings, "two-tanks", s)[g] for g in groups] for s in range(600)])
+    groups = list(protocol.segments(settings, cases("two-tanks")))
+    places = np.array([[protocol.onsets(settings, cases("two-tanks"), s)[g] for g in groups] for s in range(600)])
     for of_group in places.T:
         _, counts = np.unique(of_group, return_counts=True)
         assert counts.size == len(groups)
         assert chisquare(counts).pvalue > 1e-5
 
 
-@pytest.mark.parametrize("plant", list(registry.plants()))
+@pytest.mark.parametrize("plant", PLANTS)
 def test_all_sensors_take_turns_in_an_order_of_each_kind(plant: str) -> None:
-    of, settings = plant_of(plant), dict(protocol.SETTINGS)
+    of, settings = plant_of(compared_plant(plant)), dict(protocol.SETTINGS)
     everyone = list(range(len(of.sensors)))
     orders = {}
-    for c in protocol.conditions(settings, plant):
+    for c in protocol.conditions(settings, cases(plant)):
         turns = [protocol.sensors_of(of, c, seed) for seed in everyone]
         if c.kind in (*protocol.GRADED, *protocol.UNGRADED, *protocol.ATTACKS, protocol.LENGTH):
             orders.setdefault(c.group, tuple(one[0] for one in turns))
             assert [one[0] for one in turns] == list(orders[c.group])  # sizes and lengths share the sensor
-        if c.kind not in (protocol.HEALTHY, "plant", protocol.PUBLISHED):
+        if c.kind not in (protocol.HEALTHY, protocol.PROCESS, protocol.PUBLISHED):
             for place in zip(*turns, strict=True):
                 assert sorted(place) == everyone
             assert all(len(set(one)) == len(one) for one in turns)
@@ -115,19 +154,19 @@ def test_all_sensors_take_turns_in_an_order_of_each_kind(plant: str) -> None:
 
 def test_so_many_healthy_samples_that_the_rate_is_set_to_its_error() -> None:
     settings = dict(protocol.SETTINGS)
-    for plant in registry.plants():
-        samples = protocol.calibration_runs(settings, plant) * protocol.judged_steps(settings, plant)
+    for plant in PLANTS:
+        samples = protocol.calibration_runs(settings, cases(plant)) * protocol.judged_steps(settings, cases(plant))
         exceeding = samples * settings["false_alarm"]
         assert 1 / np.sqrt(exceeding) <= settings["calibration_error"]  # of a Poisson number
-        one_less = exceeding - protocol.judged_steps(settings, plant) * settings["false_alarm"]
+        one_less = exceeding - protocol.judged_steps(settings, cases(plant)) * settings["false_alarm"]
         assert 1 / np.sqrt(one_less) > settings["calibration_error"]
-    assert protocol.calibration_runs(settings | {"calibration_error": 0.9}, "two-tanks") == protocol.LEAST_RUNS
+    assert protocol.calibration_runs(settings | {"calibration_error": 0.9}, cases("two-tanks")) == protocol.LEAST_RUNS
 
 
 def test_the_sizes_of_a_kind_share_the_sensor_and_err_by_their_sigmas() -> None:
-    settings, plant = dict(protocol.SETTINGS), plant_of("two-tanks")
+    settings, plant = dict(protocol.SETTINGS), plant_of(TANKS)
     signal = np.broadcast_to(plant.output(0.0, plant.x0, np.array([6e-4])), (30, 4))
-    for condition in protocol.conditions(settings, "two-tanks"):
+    for condition in protocol.conditions(settings, cases("two-tanks")):
         chosen = protocol.sensors_of(plant, condition, seed=1)
         faults = protocol.faults_of(plant, condition, 1, 100.0, signal)
         assert [f.sensor for f in faults] == [plant.sensor_names[i] for i in chosen]
@@ -154,12 +193,12 @@ def test_the_sizes_of_a_kind_share_the_sensor_and_err_by_their_sigmas() -> None:
 )
 def test_settings_that_do_not_fit(key: str, value: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        protocol.tasks(tiny(**{key: value}), 1)
+        SCENARIO.tasks(tiny(**{key: value}), 1)
 
 
 def test_scores_of_a_silent_detector_are_those_over_its_own_thresholds() -> None:
-    found = calibrated("two-tanks", "kf-chi2", 20, 50, 10, 0.02)  # it accuses and latches nothing
-    recording = healthy("two-tanks", 30, (0, 1))
+    found = calibrated(TANKS, compared_detector("kf-chi2"), 20, 50, 10, 0.02)  # it accuses and latches nothing
+    recording = healthy(TANKS, 30, (0, 1))
     nominal = scores(found.detector, recording)
     np.testing.assert_allclose(silent_scores(silent(found.detector), recording), nominal)
     np.testing.assert_allclose(scores(deployed(found), recording) * found.scale, nominal)
@@ -172,11 +211,11 @@ def scores(detector: Detector, recording: Recording) -> NDArray[np.float64]:
 
 def test_thresholds_are_set_to_the_rate_on_healthy_data_and_keep_it_on_others() -> None:
     rate, steps, seeds = 0.02, 100, 10
-    found = calibrated("two-tanks", "kf-chi2", 20, steps, seeds, rate)
+    found = calibrated(TANKS, compared_detector("kf-chi2"), 20, steps, seeds, rate)
     assert (found.scores > found.scale).mean() <= rate
     assert (found.scores >= found.scale).mean() >= rate
     assert found.ends[0] < found.scale < found.ends[1]
-    fresh = healthy("two-tanks", 20 + steps, tuple(range(50, 60)))
+    fresh = healthy(TANKS, 20 + steps, tuple(range(50, 60)))
     alarms = (scores(deployed(found), fresh)[20:] > 1).sum()
     # the rate that an order statistic of n samples sets has mean `rate`, deviation sqrt(rate / n): samples nearly independent
     n, deviation = fresh.y[20:, :, 0].size, np.sqrt(rate / (steps * seeds))
@@ -216,14 +255,14 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
 
     monkeypatch.setattr(comparison_recordings, "simulate", spy(comparison_recordings.simulate, fitting=False))
     monkeypatch.setattr(builders, "simulate", spy(builders.simulate, fitting=True))
-    monkeypatch.setattr(comparison_work, "calibrated", watched)
+    monkeypatch.setattr(comparison_run, "calibrated", watched)
     healthy.cache_clear()
-    comparison_work.usual_material.cache_clear()
-    comparison_work.mismatch_material.cache_clear()
+    comparison_run.usual_material.cache_clear()
+    comparison_run.mismatch_material.cache_clear()
     settings = tiny(detectors="limits,fusing-ekf")
     results(settings)
     assert used["judged"] == {0, 1, 2}
-    assert len(used["calibrated"]) == protocol.calibration_runs(settings, "two-tanks")
+    assert len(used["calibrated"]) == protocol.calibration_runs(settings, cases("two-tanks"))
     assert len(used["fitted"]) >= 20
     assert not used["judged"] & (used["fitted"] | used["calibrated"])
     assert not used["fitted"] & used["calibrated"]
@@ -233,11 +272,11 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
 def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> None:
     """Oracle: each run alone, along the healthy trunk as silent, then over its own readings as deployed."""
     settings = tiny(detectors=name, false_alarm="0.023")
-    (task,) = protocol.tasks(settings, 2)
+    (task,) = SCENARIO.tasks(settings, 2)
     key = json.dumps({k: v for k, v in task.items() if k != "detector"}, sort_keys=True)
-    recording, found, labels = comparison_work.usual_material(key)
-    plant, settle = plant_of("two-tanks"), protocol.settle_of(settings, "two-tanks")
-    found_calibration = calibrated("two-tanks", name, 20, 50, 10, 0.023)
+    recording, found, labels = comparison_run.usual_material(TANKS, key)
+    plant, settle = plant_of(TANKS), protocol.settle_of(settings, cases("two-tanks"))
+    found_calibration = calibrated(TANKS, compared_detector(name), 20, 50, 10, 0.023)
     quiet, loud = silent(found_calibration.detector), deployed(found_calibration)
     seen = silent_walk(quiet, recording, found, {r.onset for r in found.runs} | {settle})
     alarms, outcomes = deployed_walk(loud, recording, found, seen.states, settle, trunk=True)
@@ -265,23 +304,25 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
 
 
 def test_an_interval_contains_how_uncertain_the_threshold_is() -> None:
-    settings = tiny(detectors="limits", departures="no", plant_faults="no")
-    cell = gather(settings, results(settings))[0]["two-tanks", "limits"]
-    alone, whole = cell.exact(cell.rows_of("bias-1-sigma")), cell.of(Cell.exact, "bias-1-sigma")
+    settings = tiny(detectors="limits", mismatch_cases="no", process_faults="no")
+    cell = cells_of(settings, results(settings))["two-tanks", "limits"]
+    alone, whole = cell.exact(cell.rows_of("bias-1-sigma")), cell.of(ComparisonCell.exact, "bias-1-sigma")
     low, high = (cell.exact(cell.rows_of("bias-1-sigma", threshold=sign)).value for sign in (-1, 1))
     more = (1.959964 * abs(high - low) / 2) ** 2
     assert whole.value == alone.value
     assert whole.high - whole.value == pytest.approx(np.sqrt((alone.high - alone.value) ** 2 + more), abs=1e-7)
     assert widened(alone, 0.0) == pytest.approx(alone)
-    assert cell.of(Cell.exact, "freeze") == cell.exact(cell.rows_of("freeze"))  # not tried with other thresholds
+    assert cell.of(ComparisonCell.exact, "freeze") == cell.exact(cell.rows_of("freeze"))  # not tried with other thresholds
     assert cell.ends[0] < cell.scale < cell.ends[1]
     rates = [(cell["trunk"] > end).mean() for end in cell.ends]
     assert rates[0] >= cell.matched.value >= rates[1] and cell.rate_error == pytest.approx((rates[0] - rates[1]) / 2)
 
 
 def test_cells_that_repeat_count_once_among_the_claims() -> None:
-    settings = tiny(detectors="adaptive-threshold,virtual-sensors,limits", faults="bias", departures="no", plant_faults="no")
-    cells = list(gather(settings, results(settings, seeds=2))[0].values())
+    settings = tiny(
+        detectors="adaptive-threshold,virtual-sensors,limits", faults="bias", mismatch_cases="no", process_faults="no"
+    )
+    cells = list(cells_of(settings, results(settings, seeds=2)).values())
     assert [c.detector for c in distinct(cells)] == ["adaptive-threshold", "limits"]
     [claims] = broken_claims(cells)
     assert "of 2 distinct cells that claim a rate, 1 more repeat another" in claims
@@ -289,13 +330,13 @@ def test_cells_that_repeat_count_once_among_the_claims() -> None:
 
 def test_every_detector_sees_the_same_readings() -> None:
     first, second = (arrays for _, arrays in results(tiny()))
-    for name in ("condition", "truth", "sensor", "raw", "noise", "faulty", "all_raw"):
+    for name in ("condition", "mismatch", "sensor", "raw", "noise", "faulty", "all_raw"):
         np.testing.assert_array_equal(first[name], second[name])
 
 
 def test_the_same_task_has_the_same_bits_but_for_times() -> None:
-    task = protocol.tasks(tiny(detectors="fusing-enkf", departures="no", faults="bias,noise"), 2)[0]
-    first, second = work(task), work(task)
+    task = SCENARIO.tasks(tiny(detectors="fusing-enkf", mismatch_cases="no", faults="bias,noise"), 2)[0]
+    first, second = SCENARIO.work(task), SCENARIO.work(task)
     assert {k for k in first if not np.array_equal(first[k], second[k], equal_nan=first[k].dtype.kind == "f")} <= {
         "step_seconds",
         "batch_seconds",
@@ -303,9 +344,9 @@ def test_the_same_task_has_the_same_bits_but_for_times() -> None:
     }
 
 
-def test_large_faults_are_found_named_and_replaced() -> None:
+def test_large_faults_are_detected_isolated_and_replaced() -> None:
     settings = tiny(detectors="loo-chi2")
-    cells, reasons = gather(settings, results(settings))
+    cells, reasons = gather(Subjects(), settings, results(settings))
     cell = cells["two-tanks", "loo-chi2"]
     assert not reasons
     rows = cell.rows_of("bias-30-sigma")
@@ -317,51 +358,52 @@ def test_large_faults_are_found_named_and_replaced() -> None:
     samples = confusion(cell)
     assert samples.shape[1] == 3 * (4 + 2)  # runs: seeds, four kinds whose sizes share noise and sensor, replay and sign
     assert samples.sum() == pytest.approx(6 * 3 * (2 * 4 + 2))  # window, seeds, two sizes of four kinds, replay and sign
-    assert cell["right"][cell.rows_of("dropout")].sum() == 0  # what is missing is not named
+    assert cell["right"][cell.rows_of("dropout")].sum() == 0  # what is missing is not isolated
 
 
-def test_a_cell_that_does_not_apply_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(name: str, of: Plant) -> Detector:
-        raise NotApplicableError(f"plant {of.name!r} has no wings; give it some")
+def refusing(error: Exception) -> Subjects:
+    def build(of: Plant) -> Detector:
+        raise error
 
-    monkeypatch.setattr(registry, "detector", refuse)
-    settings = tiny(detectors="pca", false_alarm="0.021")  # not as calibrated before
-    summary = summarise(settings, results(settings, seeds=1))
+    detector = ComparedDetector("broken", "", NamedDetector("broken", "it raises", build))
+    return Subjects(detectors={"broken": detector})
+
+
+def test_a_detector_that_is_not_applicable_is_reported_with_its_reason() -> None:
+    settings, subjects = tiny(detectors="broken"), refusing(NotApplicableError("the plant has no wings; give it some"))
+    summary = summarise(settings, results(settings, 1, subjects), subjects)
     assert not summary.rows
-    assert "plant 'two-tanks' has no wings" in summary.remarks[0]
+    assert "the plant has no wings" in summary.remarks[0]
 
 
 @pytest.mark.parametrize("error", [ValueError, ModuleNotFoundError, TypeError])
-def test_any_other_error_of_a_construction_is_an_error_of_the_run(
-    monkeypatch: pytest.MonkeyPatch, error: type[Exception]
-) -> None:
-    def broken(name: str, of: Plant) -> Detector:
-        raise error("shapes (3,) and (4,) not aligned")
-
-    monkeypatch.setattr(registry, "detector", broken)
-    settings = tiny(detectors="pca", false_alarm="0.022")
+def test_any_other_error_of_a_construction_is_an_error_of_the_run(error: type[Exception]) -> None:
     with pytest.raises(error, match="not aligned"):
-        results(settings, seeds=1)
+        results(tiny(detectors="broken"), 1, refusing(error("shapes (3,) and (4,) not aligned")))
 
 
-@pytest.mark.parametrize("plant", list(DEPARTURES))
-def test_departures_change_what_is_read_and_not_its_noise(plant: str) -> None:
-    assert set(PLANT_FAULTS) <= set(registry.plants()) >= set(DEPARTURES)
-    of, usual = plant_of(plant), healthy(plant, 62, (3,))
-    for departure in DEPARTURES[plant]:
-        changed = departure.record(62, (3,), 52 * of.dt)
+@pytest.mark.parametrize("plant", PLANTS)
+def test_mismatch_cases_change_what_is_read_and_not_its_noise(plant: str) -> None:
+    subject = compared_plant(plant)
+    of, usual = plant_of(subject), healthy(subject, 62, (3,))
+    assert cases_of(subject).mismatch
+    for case in cases_of(subject).mismatch:
+        changed = mismatched(subject, case, 62, (3,), 52 * of.dt)
         np.testing.assert_array_equal(changed.t, usual.t)
         noise = changed.y - changed.signal  # as usual, and within its bounds, but for rounding
         np.testing.assert_allclose(noise / of.sensor_sigma, (usual.y - usual.signal) / of.sensor_sigma, atol=1e-6)
         error = np.abs(changed.signal - usual.signal)[-1, 0] / of.sensor_sigma
-        assert error.max() > 0.1, departure.name
+        assert error.max() > 0.1, case.name
 
 
-@pytest.mark.parametrize("plant", list(PLANT_FAULTS))
-def test_faults_of_a_plant_begin_at_their_onset(plant: str) -> None:
-    of, usual = plant_of(plant), healthy(plant, 30, (3,))
-    for fault in PLANT_FAULTS[plant]:
-        changed = fault.record(30, (3,), (20 - 1e-6) * of.dt)  # the 20th reading is at 20 dt: what is algebraic shows there
+@pytest.mark.parametrize("plant", PLANTS)
+def test_process_faults_begin_at_their_onset(plant: str) -> None:
+    subject = compared_plant(plant)
+    of, usual = plant_of(subject), healthy(subject, 30, (3,))
+    assert cases_of(subject).process_faults
+    for fault in cases_of(subject).process_faults:
+        # the 20th reading is at 20 dt: what is algebraic shows there
+        changed = failing(subject, fault, 30, (3,), (20 - 1e-6) * of.dt)
         np.testing.assert_array_equal(changed.y[:19], usual.y[:19])
         assert np.any(changed.signal[20] != usual.signal[20]), fault.name
 
@@ -386,7 +428,7 @@ def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
             *(
                 f"{p}-{f}"
                 for p in ("two-tanks", "marine-engine")
-                for f in ("roc", "magnitudes", "confusion", "others", "departures", "cost")
+                for f in ("roc", "magnitudes", "confusion", "others", "mismatch", "cost")
             ),
         )
     }
@@ -397,7 +439,7 @@ def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
 
 def test_without_options_all_is_compared() -> None:
     chosen = parser().parse_args(["compare"])
-    assert (chosen.scenario, chosen.set, chosen.full) == (["comparison"], [], False)
+    assert (chosen.set, chosen.full) == ([], False)
 
 
 def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -414,24 +456,24 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path)
 
 
 def test_faults_of_the_papers_have_their_sizes() -> None:
-    pipeline, engine = plant_of("gas-pipeline"), plant_of("marine-engine")
+    pipeline, engine = (plant_of(compared_plant(name)) for name in ("gas-pipeline", "marine-engine"))
     settings = dict(protocol.SETTINGS)
     signal = np.ones((30, len(pipeline.sensors)))
-    for condition in protocol.conditions(settings, "gas-pipeline"):
+    for condition in protocol.conditions(settings, cases("gas-pipeline")):
         if condition.kind == protocol.PUBLISHED:
             low, high = (0.6, 0.9) if condition.name.startswith("strong") else (0.2, 0.4)
             faults = [protocol.faults_of(pipeline, condition, s, 60.0, signal)[0] for s in range(20)]
             assert len({f.sensor for f in faults}) == 20
             assert all(f.relative and low <= abs(f.magnitude) <= high and f.length == 30 * pipeline.dt for f in faults)
             assert {np.sign(f.magnitude) for f in faults} == {-1, 1}
-    offsets = [c for c in protocol.conditions(settings, "marine-engine") if c.kind == protocol.PUBLISHED]
+    offsets = [c for c in protocol.conditions(settings, cases("marine-engine")) if c.kind == protocol.PUBLISHED]
     made = [protocol.faults_of(engine, c, 5, 1.0, signal)[0] for c in offsets]
     assert [(f.sensor, f.magnitude) for f in made] == [("S(2){3}", -3.8e4), ("S(3){1}", 5e4), ("S(4){2}", 8.0)]
-    assert [c for c in protocol.conditions(settings, "two-tanks") if c.kind == protocol.PUBLISHED] == []
+    assert [c for c in protocol.conditions(settings, cases("two-tanks")) if c.kind == protocol.PUBLISHED] == []
 
 
 def test_what_is_published_stands_beside_ours() -> None:
-    settings = tiny(plants="marine-engine", detectors="adaptive-threshold,limits", faults="published", departures="no")
+    settings = tiny(plants="marine-engine", detectors="adaptive-threshold,limits", faults="published", mismatch_cases="no")
     found = [r for r in summarise(settings, results(settings)).rows if r.published is not None]
     assert {r.detector for r in found} == {"adaptive-threshold"}
     assert [(r.fault, round(float(r.published or 0), 9)) for r in found] == [
@@ -439,18 +481,20 @@ def test_what_is_published_stands_beside_ours() -> None:
         ("receiver-pressure-offset", 0.06),
         ("charge-temperature-offset", 0.01),
     ]
-    assert published_accuracy("gas-pipeline", "fusing-ekf", "weak-bias", "pressure") == Published(
-        0.45, "Shaheen 2024, Table VI"
-    )
-    assert published_accuracy("gas-pipeline", "loo-glr", "weak-bias", "pressure") is None
-    delay = published_delay("power-network", "chebyshev:paper", "governor")
+    pipeline, network = cases("gas-pipeline"), cases("power-network")
+    assert pipeline.published_accuracy("fusing-ekf", "weak-bias", "pressure") == Published(0.45, "Shaheen 2024, Table VI")
+    assert pipeline.published_accuracy("loo-glr", "weak-bias", "pressure") is None
+    delay = network.published_delay("chebyshev:paper", "governor")
     assert delay is not None and (delay.until, delay.value.value) == ("confirmed", 8.0)
-    assert published_delay("power-network", "chebyshev", "governor") is None
+    assert network.published_delay("chebyshev", "governor") is None
+    assert cases("two-tanks").published_accuracy("fusing-ekf", "weak-bias", "pressure") is None
 
 
-def test_what_latches_is_told_by_what_it_does_on_healthy_readings() -> None:
-    settings = tiny(detectors="limits,adaptive-threshold", faults="bias", departures="no", plant_faults="no", false_alarm="0.1")
-    cells, _ = gather(settings, results(settings))
+def test_what_latches_is_reported_as_deployed_on_healthy_readings() -> None:
+    settings = tiny(
+        detectors="limits,adaptive-threshold", faults="bias", mismatch_cases="no", process_faults="no", false_alarm="0.1"
+    )
+    cells = cells_of(settings, results(settings))
     limits, latching = cells["two-tanks", "limits"], cells["two-tanks", "adaptive-threshold"]
     assert limits.deployed.value == limits.matched.value  # it forgets
     assert latching.deployed.value > latching.matched.value > 0
@@ -459,8 +503,10 @@ def test_what_latches_is_told_by_what_it_does_on_healthy_readings() -> None:
 
 
 def test_a_piece_that_failed_costs_its_detector_the_ranks_and_no_other() -> None:
-    settings = tiny(detectors="limits,kf-chi2", faults="bias", departures="no", plant_faults="no")
-    done = [(task | {"seeds": [s]}, work(task | {"seeds": [s]})) for task in protocol.tasks(settings, 1) for s in (0, 1)]
+    settings = tiny(detectors="limits,kf-chi2", faults="bias", mismatch_cases="no", process_faults="no")
+    done = [
+        (task | {"seeds": [s]}, SCENARIO.work(task | {"seeds": [s]})) for task in SCENARIO.tasks(settings, 1) for s in (0, 1)
+    ]
     summary = summarise(settings, done[:-1])
     assert {r.detector for r in summary.rows if r.metric == "auc"} == {"limits", "kf-chi2"}
     assert {r.detector for r in summary.rows if r.metric == "rank"} == {"limits"}
@@ -468,11 +514,12 @@ def test_a_piece_that_failed_costs_its_detector_the_ranks_and_no_other() -> None
 
 
 @pytest.mark.usefixtures("registrations")
-def test_a_plant_and_a_detector_join_by_their_names() -> None:
-    registry.register_plant("chain", "tanks in a row", "toy_plants:chain")
-    registry.register_detector("mine", "one filter", CentralFilter, memory="state estimate only", false_alarm=0.01)
+def test_a_plant_and_a_detector_of_ones_own_are_in_rows_and_report() -> None:
+    plant = ComparedPlant("chain", "", NamedPlant("chain", "tanks in a row", chain))
+    mine = NamedDetector("mine", "one filter", lambda of: CentralFilter(of, false_alarm=0.01), "state estimate only")
+    subjects = Subjects({"chain": plant}, {"mine": ComparedDetector("mine", "", mine)})
     settings = tiny(plants="chain", detectors="mine,limits", faults="bias,dropout,published")
-    found = summarise(settings, results(settings))
+    found = summarise(settings, results(settings, subjects=subjects), subjects)
     assert {(r.plant, r.detector) for r in found.rows} == {("chain", "mine"), ("chain", "limits")}
     chapter, glossary = found.chapters
     assert glossary.tables[1].rows[0] == ("mine", "state estimate only", "one filter")
@@ -489,10 +536,10 @@ def test_alarms_in_a_row_are_counted_by_hand() -> None:
     assert until(alarm).tolist() == [0, 1, 0]
 
 
-def test_a_plant_that_no_detector_can_have_is_told() -> None:
-    settings = tiny(plants="two-tanks,gas-pipeline", detectors="virtual-sensors", faults="bias", departures="no")
-    tasks = [t for t in protocol.tasks(settings, 1)]
-    found = summarise(settings, [(t, work(t)) for t in tasks])
+def test_a_plant_to_which_no_detector_applies_is_reported() -> None:
+    settings = tiny(plants="two-tanks,gas-pipeline", detectors="virtual-sensors", faults="bias", mismatch_cases="no")
+    tasks = [t for t in SCENARIO.tasks(settings, 1)]
+    found = summarise(settings, [(t, SCENARIO.work(t)) for t in tasks])
     assert [c.name for c in found.chapters] == ["two-tanks", "words"]
     assert any(r.startswith("No detector ran on gas-pipeline: plant 'gas-pipeline'") for r in found.remarks)
 
@@ -508,16 +555,16 @@ def test_an_error_while_readings_are_judged_is_no_refusal(monkeypatch: pytest.Mo
 
 
 def test_every_detector_has_a_look_of_its_own() -> None:
-    found = looks(list(registry.detectors()))
-    assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(registry.detectors())
-    assert len({(look["color"], look["marker"]) for look in found.values()}) == len(registry.detectors())
+    found = looks(DETECTORS)
+    assert len({(look["color"], look["linestyle"]) for look in found.values()}) == len(DETECTORS)
+    assert len({(look["color"], look["marker"]) for look in found.values()}) == len(DETECTORS)
 
 
 def test_memory_of_a_step_is_what_it_holds_at_most_and_that_of_a_state_its_arrays() -> None:
     class Wasteful:
         """A run has a state of three numbers; a step fills 100 000 others and forgets them."""
 
-        plant = plant_of("two-tanks")
+        plant = plant_of(TANKS)
 
         def init(self, batch: tuple[int, ...], t: float) -> tuple[NDArray[np.float64]]:
             return (np.zeros((*batch, 3)),)
@@ -526,14 +573,14 @@ def test_memory_of_a_step_is_what_it_holds_at_most_and_that_of_a_state_its_array
             np.ones(100_000).sum()
             return state, None
 
-    found = comparison_work.cost(Wasteful(), healthy("two-tanks", 5, (3,)))  # type: ignore[arg-type]
+    found = comparison_run.cost(Wasteful(), healthy(TANKS, 5, (3,)))  # type: ignore[arg-type]
     assert found["state_bytes"] == 3 * 8
     assert 800_000 <= found["step_bytes"] < 810_000  # the numbers, and some objects around them
 
 
 def test_without_faults_of_a_size_nothing_is_said_of_them() -> None:
-    settings = tiny(faults="dropout", departures="no", plant_faults="no")
+    settings = tiny(faults="dropout", mismatch_cases="no", process_faults="no")
     found = summarise(settings, results(settings, seeds=2))
-    told = [*found.highlights, *found.remarks, *(line for chapter in found.chapters for line in chapter.text)]
-    assert not [line for line in (*told, *(figure.caption for figure in found.every_figure)) if "nan" in line.lower()]
+    lines = [*found.highlights, *found.remarks, *(line for chapter in found.chapters for line in chapter.text)]
+    assert not [line for line in (*lines, *(figure.caption for figure in found.every_figure)) if "nan" in line.lower()]
     assert [table.title for table in found.tables] == []

@@ -114,7 +114,7 @@ def test_what_is_refused() -> None:
             EwmaLimits.fit(PLANT, *arguments, **settings)  # type: ignore[arg-type]
     for change, message in (
         ({"centre": np.ones(3)}, r"centre has shape \(3,\)"),
-        ({"average": np.zeros(4)}, "average has limits of 0 and more; expected positive ones, as of EwmaLimits.fit"),
+        ({"average": np.zeros(4)}, "average has limits of 0 and more; expected positive ones; use EwmaLimits.fit"),
         ({"weight": 0.0}, "weight is 0.0; expected the share"),
     ):
         with pytest.raises(ValueError, match=message):

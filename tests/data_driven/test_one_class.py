@@ -97,7 +97,7 @@ def test_what_is_refused() -> None:
             OneClass.fit(PLANT, *arguments, **settings)
     for change, message in (
         ({"support": np.ones((3, 5))}, r"support has shape \(3, 5\) for .* weights; expected \(S, 6\) and \(S,\)"),
-        ({"weights": -DETECTOR.weights}, "weights is .*; expected positive numbers, as of OneClass.fit"),
+        ({"weights": -DETECTOR.weights}, "weights is .*; expected positive numbers; use OneClass.fit"),
         ({"limit": 0.0}, "limit is 0.0; expected positive"),
         ({"limit": None}, "limit is None; expected a number"),
     ):

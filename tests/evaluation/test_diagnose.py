@@ -168,7 +168,7 @@ def test_limits_of_a_diagnosis_are_warned_of() -> None:
     silent[:, 1] = np.nan
     with pytest.warns(DiagnosisWarning, match="no readings of l2; fill"):
         diagnose(detector, t, silent, u)
-    with pytest.warns(DiagnosisWarning, match="no readings of l1, l2, q12, q2: .* the model's prediction alone"):
+    with pytest.warns(DiagnosisWarning, match="no readings of l1, l2, q12, q2: .* only the model's prediction"):
         diagnose(detector, t, nothing, u)
     flooded = y.copy()
     flooded[10:12, 0] = 100.0  # m: pulls the estimate above the 3 m of the tank

@@ -15,7 +15,7 @@ import pytest
 from toy_scenario import TOY
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.comparison.protocol import CHUNK
+from fusion_sfdia.comparison.compare import CHUNK
 from fusion_sfdia.experiments import cluster as on_cluster
 from fusion_sfdia.experiments import parts, provenance
 from fusion_sfdia.experiments.cluster import connected
@@ -78,7 +78,7 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_machine(
     tmp_path: Path, cluster: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Four pieces; when the first comes back, one of the two processes is killed. Parts hold times too, which differ."""
-    quick = "calibration_error=0.3 lengths=2 false_alarm=0.02 departures=no plant_faults=no magnitudes=10 settle=20"
+    quick = "calibration_error=0.3 lengths=2 false_alarm=0.02 mismatch_cases=no process_faults=no magnitudes=10 settle=20"
     command = [
         "compare",
         "--plants",

@@ -79,6 +79,7 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
         return [Figure(name, f"Means {NASTY}", NASTY, draw, NASTY)] if settings["figure"] else []
 
     with_intervals = tuple((r.detector, (r.value, r.low, r.high, r.n)) for r in rows)
+    means = Table("Means", ("detector", "mean"), with_intervals, method=f"Table's method {NASTY}")
     return Summary(
         rows,
         figures=figures("means"),
@@ -86,8 +87,9 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
         highlights=[f"{len(rows)} rows."],
         remarks=[f"Nothing is published. {NASTY}"],
         chapters=[
-            Chapter("toys", f"Toys {NASTY}", [NASTY], figures("again"), [Table("Means", ("detector", "mean"), with_intervals)])
+            Chapter("toys", f"Toys {NASTY}", [NASTY], figures("again"), [means], method=[f"Chapter's method {NASTY}"]),
         ],
+        method=[f"Method of all {NASTY}"],
     )
 
 

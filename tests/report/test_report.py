@@ -93,7 +93,15 @@ def test_a_chapter_has_its_place_and_an_entry_in_the_contents(page: str) -> None
     assert "#s1-toys" in read.links and "s1-toys" in read.ids
     chapter = page[page.index('id="s1-toys"') :]
     assert page.count("<svg") == 2 and chapter.count("<svg") == 1
-    assert re.search(r"<td class=\"n\" data-sort=\"[\d.]+\">[\d.]+ \[-?[\d.]+, [\d.]+\]</td>", chapter)
+    assert re.search(r"<td class=\"n\" data-sort=\"[\d.]+\">[\d.]+ <small>\[-?[\d.]+, [\d.]+\]</small></td>", chapter)
+
+
+def test_the_page_opens_with_what_was_found_and_folds_how(page: str) -> None:
+    places = [page.index(text) for text in ("3 rows.", "<figure>", "Nothing is published.", "As printed", 'id="s1-toys"')]
+    assert places == sorted(places)
+    folded = re.findall(r'<details class="method">.*?</details>', page, re.DOTALL)
+    for expected in ("Method of all", "Chapter&#39;s method", "Table&#39;s method", "levels high, low"):
+        assert sum(expected in text for text in folded) == page.count(expected) == 1
 
 
 def test_estimates_show_what_their_interval_can_tell() -> None:
@@ -159,7 +167,7 @@ def test_isolation_matrix_shows_shares_of_rows() -> None:
     assert shown is not None
     np.testing.assert_array_equal(np.ma.filled(shown, np.nan), [[0.75, 0.25], [np.nan, np.nan]])
     assert axes.images[0].get_cmap().get_bad()[:3] == pytest.approx([0.8] * 3)  # no such fault: grey, not "never named"
-    assert [a.get_ylabel() for a in figure.axes] == ["true", "share of the row"]
+    assert [a.get_ylabel() for a in figure.axes] == ["faulty", "share of the row"]
 
 
 def test_chance_is_on_the_diagonal_of_a_logarithmic_axis_too() -> None:

@@ -1,8 +1,8 @@
-"""The work of a comparison: one detector on one plant, calibrated to the common rate of false alarms and put through all.
+"""The work of a comparison: one detector on one plant, calibrated to the common rate of false alarms, under all conditions.
 
 Until the first alarm the deployed and the silent detector have the same state, so a branch of the deployed one begins with
 that of the silent trunk: as one that has not alarmed yet. What it does on healthy readings, where some alarms last, is
-reported apart.
+reported separately.
 """
 
 from __future__ import annotations
@@ -20,28 +20,29 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, silent_walk
 from fusion_sfdia.comparison.calibration import Calibrated, calibrated, deployed, silent
+from fusion_sfdia.comparison.example import example
 from fusion_sfdia.comparison.protocol import (
     GRADED,
     HEALTHY,
     LENGTH,
-    TROUBLED_SIGMA,
-    Condition,
+    MISMATCH_SIGMA,
+    FaultCondition,
     calibration_runs,
     conditions,
-    departures,
     judged_steps,
+    mismatch_cases,
     onsets,
     sensors_of,
     settle_of,
     sizes,
     trunk_steps,
 )
-from fusion_sfdia.comparison.recordings import healthy, plant_of
-from fusion_sfdia.comparison.records import Branch, Outcome, join, record
-from fusion_sfdia.comparison.truths import departed
+from fusion_sfdia.comparison.recordings import healthy, mismatched
+from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, join, record
+from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, cases_of, plant_of
 from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.state import State, leaves
+from fusion_sfdia.core.state import State, chosen_runs, leaves
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.scenario import Arrays, Task
 
@@ -51,10 +52,10 @@ TIMED_STEPS = 10
 
 
 class Labelled(NamedTuple):
-    """A condition, the truth behind it ("" for the usual one), and its runs, one a seed."""
+    """A condition, its mismatch case ("" for none), and its runs, one a seed."""
 
-    condition: Condition
-    truth: str
+    condition: FaultCondition
+    mismatch: str
     members: tuple[int, ...]
 
 
@@ -66,25 +67,25 @@ class Material(NamedTuple):
     labels: tuple[Labelled, ...]
 
 
-def work(task: Task) -> Arrays:
+def work(task: Task, plant: ComparedPlant, detector: ComparedDetector) -> Arrays:
     """All of one detector on one plant, or the `reason` why it does not apply.
 
-    Of the conditions (J, S): the arrays of `comparison_records`, condition, truth ("" for the usual one), threshold (0; -1 and
-    1 for thresholds a standard error lower and higher). Of the silent detector: trunk (K, S), its scores at nominal thresholds
+    Of the conditions (J, S): the arrays of `records.record`, condition, mismatch ("" for none), threshold (0; -1 and 1 for
+    thresholds a standard error lower and higher). Of the silent detector: trunk (K, S), its scores at nominal thresholds
     after settling, and swept (J', W, S) in swept_condition (J'), NaN where a condition is over. deployed_alarms (S,): samples
     with an alarm of the deployed one on the trunk. scale, ends (2,), claim; of the calibration runs, calibration_samples each,
     nominal_alarms (R,) and calibration_alarms (R,), above the own and the common threshold. step_seconds, batch_seconds (of a
     run in a batch), state_bytes, step_bytes: seconds and step_bytes differ from one call to the next, all else has the same
-    bits for the same task.
+    bits for the same task. Of the deployed detector also the arrays of `example`.
     """
-    name, settle = task["plant"], settle_of(task, task["plant"])
-    steps, runs = judged_steps(task, name), calibration_runs(task, name)
+    cases = cases_of(plant)
+    settle, steps, runs = settle_of(task, cases), judged_steps(task, cases), calibration_runs(task, cases)
     try:
-        calibration = calibrated(name, task["detector"], settle, steps, runs, task["false_alarm"])
+        calibration = calibrated(plant, detector, settle, steps, runs, task["false_alarm"])
     except NotApplicableError as problem:
         return {"reason": np.array(str(problem))}
     key = json.dumps({k: v for k, v in task.items() if k != "detector"}, sort_keys=True)
-    usual = usual_material(key)
+    usual = usual_material(plant, key)
     recording, found, labels = usual
     swept = [label for label in labels if is_swept(task, label.condition)]
     start = time.process_time()
@@ -99,8 +100,8 @@ def work(task: Task) -> Arrays:
     for sign, scale in zip((-1, 1), calibration.ends, strict=True):
         _, varied = deployed_walk(deployed(calibration, scale), recording, to_vary, quiet.states, settle)
         parts += [labelled(calibration.detector.plant, usual, headline, varied, sign)] if headline else []
-    if departures(task, name):
-        parts.append(mistaken(calibration, mismatch_material(key), settle))
+    if mismatch_cases(task, cases):
+        parts.append(under_mismatch(calibration, mismatch_material(plant, key), settle))
     return {
         **{k: np.concatenate([part[k] for part in parts]) for k in parts[0]},
         "trunk": quiet.trunk[settle:].astype(np.float32),
@@ -115,27 +116,28 @@ def work(task: Task) -> Arrays:
         "deployed_alarms": alarms[settle:].sum(axis=0),
         "batch_seconds": np.array(seconds),
         **cost(calibration.detector, recording),
+        **example(deployed(calibration), recording, chosen_runs(quiet.states[settle], np.arange(1)), settle, task["window"]),
     }
 
 
-def is_swept(task: Task, condition: Condition) -> bool:
+def is_swept(task: Task, condition: FaultCondition) -> bool:
     """Whether areas under ROCs are taken: of biases, freezes and lengths, of all other sizes a small and a large one."""
     return condition.kind in ("bias", LENGTH, "freeze") or (condition.kind in GRADED and condition.sigmas in sizes(task))
 
 
-def is_headline(task: Task, condition: Condition) -> bool:
+def is_headline(task: Task, condition: FaultCondition) -> bool:
     """Whether it is run at thresholds a standard error lower and higher, too."""
     return condition.kind in GRADED and condition.sigmas in sizes(task)
 
 
 @lru_cache(maxsize=1)
-def usual_material(key: str) -> Material:
+def usual_material(of: ComparedPlant, key: str) -> Material:
     """The usual recording and all conditions, for a task (JSON) without its detector."""
-    task = json.loads(key)
-    plant, seeds = plant_of(task["plant"]), tuple(task["seeds"])
-    recording = healthy(plant.name, trunk_steps(task, plant.name), seeds)
-    found = conditions(task, plant.name)
-    starts = [onsets(task, plant.name, seed) for seed in seeds]
+    task, cases = json.loads(key), cases_of(of)
+    seeds = tuple(task["seeds"])
+    recording = healthy(of, trunk_steps(task, cases), seeds)
+    found = conditions(task, cases)
+    starts = [onsets(task, cases, seed) for seed in seeds]
     longest = {(c.group, c.sigmas): c for c in sorted(found, key=lambda c: c.length) if c.kind == LENGTH}
     runs: dict[Run, int] = {}
     labels = []
@@ -143,34 +145,34 @@ def usual_material(key: str) -> Material:
         carrier = longest.get((c.group, c.sigmas), c)  # a shorter bias is the beginning of a longer one
         own = [Run(carrier, b, starts[b][c.group], carrier.length) for b in range(len(seeds))]
         labels.append(Labelled(c, "", tuple(runs.setdefault(run, len(runs)) for run in own)))
-    return Material(recording, branches(plant, recording, list(runs), task["window"]), tuple(labels))
+    return Material(recording, branches(of, recording, list(runs), task["window"]), tuple(labels))
 
 
 @lru_cache(maxsize=1)
-def mismatch_material(key: str) -> Material:
+def mismatch_material(of: ComparedPlant, key: str) -> Material:
     """All mismatch cases as one recording, each healthy and with a bias after settling."""
-    task = json.loads(key)
-    plant, seeds, window = plant_of(task["plant"]), tuple(task["seeds"]), task["window"]
-    settle, names = settle_of(task, plant.name), departures(task, plant.name)
-    parts = [departed(plant.name, name, settle + window, seeds, settle * plant.dt) for name in names]
+    task, cases, plant = json.loads(key), cases_of(of), plant_of(of)
+    seeds, window, settle = tuple(task["seeds"]), task["window"], settle_of(task, cases)
+    tried = mismatch_cases(task, cases)
+    parts = [mismatched(of, case, settle + window, seeds, settle * plant.dt) for case in tried]
     y, signal, u = (np.concatenate([getattr(p, k) for p in parts], axis=1) for k in ("y", "signal", "u_of_runs"))
-    recording = replace(parts[0], y=y, signal=signal, u=u, x=None, seeds=seeds * len(names))
-    tried = [
-        Condition(HEALTHY, HEALTHY, np.nan, window, "mismatch"),
-        Condition(f"bias-{TROUBLED_SIGMA:g}-sigma", "bias", TROUBLED_SIGMA, window, "mismatch"),
+    recording = replace(parts[0], y=y, signal=signal, u=u, x=None, seeds=seeds * len(tried))
+    under = [
+        FaultCondition(HEALTHY, HEALTHY, np.nan, window, "mismatch"),
+        FaultCondition(f"bias-{MISMATCH_SIGMA:g}-sigma", "bias", MISMATCH_SIGMA, window, "mismatch"),
     ]
     runs: list[Run] = []
     labels = []
-    for d, name in enumerate(names):
-        for c in tried:
+    for d, case in enumerate(tried):
+        for c in under:
             members = range(len(runs), len(runs) + len(seeds))
             runs += [Run(c, d * len(seeds) + b, settle, window) for b in range(len(seeds))]
-            labels.append(Labelled(c, name, tuple(members)))
-    return Material(recording, branches(plant, recording, runs, window), tuple(labels))
+            labels.append(Labelled(c, case.name, tuple(members)))
+    return Material(recording, branches(of, recording, runs, window), tuple(labels))
 
 
-def mistaken(calibration: Calibrated, material: Material, settle: int) -> Arrays:
-    """What a detector makes of truths that depart from what it was made for."""
+def under_mismatch(calibration: Calibrated, material: Material, settle: int) -> Arrays:
+    """What a detector does where its model does not hold."""
     recording, found, labels = material
     quiet = silent_walk(silent(calibration.detector), beginning(recording, settle + 1), found.some([]), {settle})
     _, seen = deployed_walk(deployed(calibration), recording, found, quiet.states, settle)
@@ -183,17 +185,19 @@ def beginning(recording: Recording, steps: int) -> Recording:
     return replace(recording, x=None, **{name: getattr(recording, name)[:steps] for name in names})
 
 
-def labelled(plant: Plant, material: Material, labels: Sequence[Labelled], seen: Outcome, threshold: int = 0) -> Arrays:
-    """The records of conditions (J, S) with their names, truths, thresholds and first faulty sensors (-1 for none)."""
+def labelled(plant: Plant, material: Material, labels: Sequence[Labelled], seen: KeptDecisions, threshold: int = 0) -> Arrays:
+    """The records of conditions (J, S) with their names, mismatch cases, thresholds and first faulty sensors (-1 for none)."""
     found, records, sensors = material.branches, [], []
     for condition, _, members in labels:
         rows = found.of(members, condition.length)
-        records.append(record(plant, Outcome(*(a[rows] for a in seen)), Branch(*(a[rows] for a in found.readings))))
+        records.append(
+            record(plant, KeptDecisions(*(a[rows] for a in seen)), BranchReadings(*(a[rows] for a in found.readings)))
+        )
         seeds = [material.recording.seeds[found.runs[i].b] for i in members]
         sensors.append([(sensors_of(plant, condition, seed) or [-1])[0] for seed in seeds])
     return join(records) | {
         "condition": np.array([label.condition.name for label in labels]),
-        "truth": np.array([label.truth for label in labels]),
+        "mismatch": np.array([label.mismatch for label in labels]),
         "threshold": np.full(len(labels), threshold),
         "sensor": np.array(sensors),
     }

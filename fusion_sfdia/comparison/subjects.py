@@ -1,0 +1,124 @@
+"""What is compared: plants and detectors of the registry, of files, and objects, each with a digest of its sources.
+
+Work is found again by names and digests, and sent to other processes with the entry of the registry that builds its subjects.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+from fusion_sfdia import registry
+from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.references import call, load
+from fusion_sfdia.evaluation.cases import ComparisonCases, in_operation
+from fusion_sfdia.experiments.sources import object_digest
+from fusion_sfdia.registry import NamedDetector, NamedPlant
+
+PlantLike = str | Plant | Callable[[], Plant] | NamedPlant
+DetectorLike = str | Callable[[Plant], Detector] | NamedDetector
+
+
+@dataclass(frozen=True)
+class ComparedPlant:
+    """A plant by its name in the results; two of the same name and digest are the same. entry: what makes it."""
+
+    name: str
+    digest: str
+    entry: NamedPlant = field(compare=False, repr=False)
+
+    @property
+    def slug(self) -> str:
+        """Its name as a part of names of figures and chapters."""
+        return re.sub(r"[^a-z0-9]+", "-", self.name.lower()).strip("-")
+
+
+@dataclass(frozen=True)
+class ComparedDetector:
+    """A detector by its name in the results, as a ComparedPlant. entry: what it is, and what builds it."""
+
+    name: str
+    digest: str
+    entry: NamedDetector = field(compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class Subjects:
+    """Plants and detectors by name that are compared beside those of the registry; without arguments none."""
+
+    plants: Mapping[str, ComparedPlant] = field(default_factory=dict)
+    detectors: Mapping[str, ComparedDetector] = field(default_factory=dict)
+
+    def plant(self, name: str) -> ComparedPlant:
+        """The plant of that name; ValueError for an unknown one."""
+        return self.plants[name] if name in self.plants else compared_plant(name)
+
+    def detector(self, name: str) -> ComparedDetector:
+        """The detector of that name; ValueError for an unknown one."""
+        return self.detectors[name] if name in self.detectors else compared_detector(name)
+
+
+def compared_plant(what: PlantLike, cases: ComparisonCases | None = None) -> ComparedPlant:
+    """A plant that is compared, by its name, a reference or itself; cases: in place of those with which it is registered.
+
+    ValueError as of `registry.find_plant`, and for what cannot be sent to other processes.
+    """
+    entry = registry.find_plant(what)
+    entry = entry if cases is None else entry._replace(cases=cases)
+    lazy = [entry.cases] if isinstance(entry.cases, str) else []
+    digest = object_digest((entry.make, entry.cases), _modules(entry.source, *lazy))
+    if _is_file(what):  # its module is none that another process could import
+        entry = entry._replace(make=partial(call, _absolute(what), ""))
+    return ComparedPlant(_short(entry.name), digest, entry)
+
+
+def compared_detector(what: DetectorLike) -> ComparedDetector:
+    """A detector that is compared, by its name, a reference or itself; ValueError as of `registry.find_detector`."""
+    entry = registry.find_detector(what)
+    digest = object_digest(entry.build, _modules(entry.source))
+    if _is_file(what):
+        entry = entry._replace(build=partial(call, _absolute(what), ""))
+    return ComparedDetector(_short(entry.name), digest, entry)
+
+
+@lru_cache(maxsize=8)
+def cases_of(plant: ComparedPlant) -> ComparisonCases:
+    """What is tried on a plant beside generic faults of its sensors; nothing where it has no cases."""
+    cases = plant.entry.cases
+    found = load(cases) if isinstance(cases, str) else cases
+    if found is None:
+        return ComparisonCases()
+    if not isinstance(found, ComparisonCases):
+        raise ValueError(f"cases of plant {plant.name} are of type {type(found).__name__}; expected ComparisonCases")
+    return found
+
+
+@lru_cache(maxsize=8)
+def plant_of(plant: ComparedPlant) -> Plant:
+    """The plant in the usual operation of the comparison: what learns from healthy runs learns from that."""
+    return in_operation(registry.plant(plant.entry), cases_of(plant).operation)
+
+
+def _is_file(what: Any) -> bool:
+    return isinstance(what, str) and what.rpartition(":")[0].endswith(".py")
+
+
+def _absolute(reference: Any) -> str:
+    """A reference to a file as one that holds in every folder."""
+    path, _, attribute = str(reference).rpartition(":")
+    return f"{Path(path).resolve()}:{attribute}"
+
+
+def _short(name: str) -> str:
+    """The name in the results: of a reference to a file without its folder."""
+    return name.rpartition("/")[2] if _is_file(name) else name
+
+
+def _modules(*sources: str) -> list[str]:
+    """Modules of "module:name" texts; that of a file is found by what it defines."""
+    return [source.rpartition(":")[0] for source in sources if source and not _is_file(source)]

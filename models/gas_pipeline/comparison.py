@@ -1,0 +1,89 @@
+"""What a comparison tries on the plant `gas-pipeline`.
+
+Kinds and amounts of mismatch cases and process faults are ours, no paper states them. The demand of the paper ends after
+2700 s; here it comes again, so that faults meet every phase of it. The sensor faults are those of Shaheen 2024 in their sizes:
+where it draws sensor, size and sign at random, size and sign are drawn here and sensors take turns; onset and length are those
+of all faults of the comparison.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.random_streams import stream
+from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, in_operation
+from fusion_sfdia.evaluation.fault_draws import PRESETS, draw_faults
+from fusion_sfdia.evaluation.faults import Fault
+from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.models.gas_pipeline import published
+from fusion_sfdia.models.gas_pipeline.physics import INLET_PRESSURE, INLET_TEMPERATURE, pipeline_parameters
+from fusion_sfdia.models.gas_pipeline.plant import demand, gas_pipeline
+
+Array = NDArray[Any]
+
+DEMAND_PERIOD = 3600.0  # s: the ramps of the plant's demand, and back to where it began
+
+
+@cache
+def step_length() -> float:
+    """Seconds of a step: an input that acts from t on is that of its end."""
+    return gas_pipeline().dt
+
+
+def repeated_demand(t: float) -> Array:
+    """The inputs (3,) that act from t on: 300 to 450 kg/s and down to 350 as in `demand`, then to 300 in 600 s, again."""
+    within = (t + step_length()) % DEMAND_PERIOD
+    back = 25.0 * (1.0 - float(np.cos(np.pi * np.clip((within - 2850.0) / 600.0, 0.0, 1.0))))
+    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(within) - back])
+
+
+def swinging_demand(t: float, start: float) -> Array:
+    """The inputs (3,) of another day, with a sine of 60 kg/s."""
+    return np.array([INLET_PRESSURE, INLET_TEMPERATURE, demand(0.0) + 60.0 * np.sin(2 * np.pi * (t + 10.0) / 900.0)])
+
+
+def altered(factor: str, by: float, plus: float = 0.0) -> Plant:
+    """The pipeline with a parameter of `by` times its value and `plus`, under the repeated demand."""
+    value = by * getattr(pipeline_parameters(), factor) + plus
+    return in_operation(gas_pipeline(parameters=pipeline_parameters(**{factor: value})), repeated_demand)
+
+
+def drawn_fault(preset: str, plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:
+    """A fault of the paper of that sensor, its size and sign drawn."""
+    (fault,) = draw_faults(preset, plant, stream(seed, "faults"), window=(onset, onset))
+    return replace(fault, sensor=sensor, length=length, rise=length / 2 if fault.kind == "drift" else None)
+
+
+def published_accuracy(detector: str, fault: str, quantity: str) -> Published | None:
+    """Share of a quantity's faults that the paper's bank judges right."""
+    return published.accuracy("moderate", detector, quantity, fault) if fault in published.FAULTS else None
+
+
+CASES = ComparisonCases(
+    operation=repeated_demand,
+    mismatch=(
+        MismatchCase("roughness +25 %", "deposits and corrosion; as in pipeline/mismatch", partial(altered, "roughness", 1.25)),
+        MismatchCase(
+            "ground +2 K", "ground at laying depth follows the seasons by several kelvin", partial(altered, "ambient", 1.0, 2.0)
+        ),
+        MismatchCase(
+            "gas constant -1 %", "gas of another source, its molar mass 1 % higher", partial(altered, "gas_constant", 0.99)
+        ),
+        MismatchCase(
+            "demand swings",
+            "another day: by 60 kg/s about 300 within 900 s, as fast as the usual ramps",
+            inputs=swinging_demand,
+        ),
+    ),
+    process_faults=(
+        ProcessFaultCase("leak", "5 % of the outflow leaves beside the meter at the outlet", lost=(1.0, 1.0, 1.05)),
+    ),
+    paper_faults=tuple(PaperFault(name, PRESETS[name].description, partial(drawn_fault, name)) for name in published.FAULTS),
+    published_accuracy=published_accuracy,
+)

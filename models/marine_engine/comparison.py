@@ -1,0 +1,93 @@
+"""What a comparison tries on the plant `marine-engine`.
+
+Kinds and amounts of mismatch cases and process faults are ours, no paper states them. The sensor faults are the offsets of K24
+and K22, of one sensor each; onset and length are those of all faults of the comparison.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, PublishedDelay
+from fusion_sfdia.evaluation.faults import Fault
+from fusion_sfdia.evaluation.results import Published
+from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import marine_engine
+from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, Offset
+
+Array = NDArray[Any]
+
+# name, module, unit of the offset, where it is found; in the order of THREE_FAULTS
+OFFSETS = (
+    ("torque-offset", "M(2,3)", "N m", "K24, Fig. 4"),
+    ("receiver-pressure-offset", "M(3,1)", "Pa", "K24, Fig. 4; K22, Fig. 3"),
+    ("charge-temperature-offset", "M(4,2)", "K", "K24, Fig. 4; K22, Fig. 3"),
+)
+
+
+def altered(parameter: str, factor: float) -> Plant:
+    """The engine with another parameter."""
+    c = engine_parameters()
+    return marine_engine(parameters=c._replace(**{parameter: factor * getattr(c, parameter)}))
+
+
+def less_fuel(t: float, start: float) -> Array:
+    """The fuel setting (1,), a step down 0.1 s before the start."""
+    return np.array([1.0 if t < start - 0.1 - 1e-9 else 0.95])
+
+
+def failing(kind: str, severity: float, onset: float) -> Plant:
+    """The engine with a process fault from the onset (s) on."""
+    return marine_engine(process_faults=[ProcessFault(kind, severity, onset)])
+
+
+def offset_fault(offset: Offset, plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:
+    """An offset of the papers."""
+    return Fault(sensor, "bias", onset, length, offset.magnitude)
+
+
+def published_delay(detector: str, fault: str) -> PublishedDelay | None:
+    """Delay of the faulty sensor's module, by the papers' detector in the one run that K24 describes."""
+    for (name, module, _, _), offset in zip(OFFSETS, THREE_FAULTS.faults, strict=True):
+        if name == fault and detector.startswith("adaptive-threshold") and (fired := THREE_FAULTS.first_alarm(module)):
+            return PublishedDelay("own", module, "first alarm", Published(fired.value - offset.onset, fired.source))
+    return None
+
+
+CASES = ComparisonCases(
+    mismatch=(
+        MismatchCase(
+            "turbine area -5 %", "fouled turbine: deposits narrow the nozzle ring", partial(altered, "turbine_area", 0.95)
+        ),
+        MismatchCase(
+            "turbocharger efficiency -3 %",
+            "fouled compressor between two washings",
+            partial(altered, "turbocharger_efficiency", 0.97),
+        ),
+        MismatchCase(
+            "heat of the fuel -2 %", "another fuel: heating values differ by some 5 %", partial(altered, "heat", 0.98)
+        ),
+        MismatchCase("fuel 100 to 95 %", "a step of the fuel setting 0.1 s before", inputs=less_fuel),
+    ),
+    process_faults=(
+        ProcessFaultCase("turbine-fouling", "a tenth of the area is lost at once", partial(failing, "turbine-fouling", 0.1)),
+        ProcessFaultCase(
+            "injector-loss", "a tenth of the fuel does not reach the cylinder", partial(failing, "injector-loss", 0.1)
+        ),
+        ProcessFaultCase(
+            "heavy-propeller", "a tenth more load, of a line or of weather", partial(failing, "heavy-propeller", 0.1)
+        ),
+    ),
+    paper_faults=tuple(
+        PaperFault(name, f"an offset of {offset.magnitude:g} {unit} ({sources})", partial(offset_fault, offset), offset.sensor)
+        for (name, _, unit, sources), offset in zip(OFFSETS, THREE_FAULTS.faults, strict=True)
+    ),
+    published_delay=published_delay,
+    settle=400,  # the filter forgets with 145 samples (charge-air pressure); twice the rate still in samples 200-300
+)

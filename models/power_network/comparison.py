@@ -1,0 +1,118 @@
+"""What a comparison tries on the plant `power-network`.
+
+Kinds and amounts of mismatch cases are ours, no paper states them. The process faults are those of B18's scenarios, and a loss
+of load; B18 has no sensor fault. Its load steps end after 80 s; here they come again, so that faults meet every phase of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase, PublishedDelay, in_operation
+from fusion_sfdia.models.power_network.model import network_model
+from fusion_sfdia.models.power_network.operation import AreaFault, load_profile
+from fusion_sfdia.models.power_network.parameters import NetworkParameters, load_network, load_steps
+from fusion_sfdia.models.power_network.plant import power_network
+from fusion_sfdia.models.power_network.published import GOVERNOR
+
+Array = NDArray[Any]
+
+LOAD_PERIOD, LOAD_REPEATS = 100.0, 20  # s: the load steps come again with the opposite sign, and so on
+LOAD_LOSS = AreaFault("load-loss", "7", 0.05)
+SIGN_FLIP = AreaFault("input-gain", "4", -1.0)
+
+
+@cache
+def repeated_loads(scenario: str) -> Callable[[float], Array]:
+    """The loads (N,) of a scenario of B18 over and over, every other time with the opposite sign, so that they stay small."""
+    steps = load_steps(scenario)
+    repeated = [
+        step._replace(time=step.time + k * LOAD_PERIOD, change=(-1) ** k * step.change)
+        for k in range(LOAD_REPEATS)
+        for step in steps
+    ]
+    return load_profile(network_model(load_network()), repeated)
+
+
+def repeated_operation(t: float) -> Array:
+    """The inputs (2 N,) under the repeated loads of scenario 1."""
+    return np.tile(repeated_loads("1")(t), 2)
+
+
+def other_operation(t: float, start: float) -> Array:
+    """The inputs (2 N,) under the repeated loads of scenario 2."""
+    return np.tile(repeated_loads("2")(t), 2)
+
+
+def network(c: NetworkParameters) -> Plant:
+    """A network under the repeated loads."""
+    return in_operation(power_network(c), repeated_operation)
+
+
+def other_slopes(factor: float) -> Plant:
+    """The network with all slopes of ties times a factor."""
+    c = load_network()
+    return network(replace(c, slope=c.slope * factor))
+
+
+def other_constants(column: int, factor: float) -> Plant:
+    """A constant of Table I (0: inertia, 1: droop) larger in every second area and smaller in the others."""
+    c = load_network()
+    constants = c.constants.copy()
+    constants[::2, column] *= factor
+    constants[1::2, column] /= factor
+    return network(replace(c, constants=constants))
+
+
+def failing(fault: AreaFault, onset: float) -> Plant:
+    """The network with a fault of an area from the onset (s) on."""
+    return in_operation(power_network(faults=(replace(fault, onset=onset),)), repeated_operation)
+
+
+def published_delay(detector: str, fault: str) -> PublishedDelay | None:
+    """Delay of the detection of the governor's fault, by the paper's detector in the one run that it describes."""
+    if fault == "governor" and detector.startswith("chebyshev:") and (delay := GOVERNOR.delay(GOVERNOR.detected)) is not None:
+        return PublishedDelay("confirmed", "all", "third alarm in a row", delay)
+    return None
+
+
+CASES = ComparisonCases(
+    operation=repeated_operation,
+    mismatch=(
+        MismatchCase(
+            "slopes +10 %",
+            "another flow over the ties: slopes are those of a sine at its operating point",
+            partial(other_slopes, 1.1),
+        ),
+        MismatchCase(
+            "inertias 10 % off", "which units of an area are running is not known exactly", partial(other_constants, 0, 1.1)
+        ),
+        MismatchCase(
+            "droops 10 % off",
+            "governors as set and as they act differ by dead bands and limits",
+            partial(other_constants, 1, 1.1),
+        ),
+        MismatchCase("other load steps", "those of B18, scenario 2", inputs=other_operation),
+    ),
+    process_faults=(
+        ProcessFaultCase(
+            "governor",
+            "the governor of area 4 with a time constant of 1000 s (B18, scenario 1)",
+            partial(failing, GOVERNOR.fault),
+        ),
+        ProcessFaultCase(
+            "input-gain",
+            "the reference of area 4 arrives with its sign reversed; B18, scenario 2, has area 5, which has no load here",
+            partial(failing, SIGN_FLIP),
+        ),
+        ProcessFaultCase("load-loss", "a twentieth of the base power is lost at once in area 7", partial(failing, LOAD_LOSS)),
+    ),
+    published_delay=published_delay,
+)

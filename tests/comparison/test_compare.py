@@ -1,0 +1,229 @@
+"""compare() in Python: plants and detectors of one's own, what is kept of an interrupted comparison, and what comes back."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_plants import chain
+
+from fusion_sfdia import compare, registry
+from fusion_sfdia.cli.main import main
+from fusion_sfdia.comparison.recordings import failing
+from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, compared_detector, compared_plant
+from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase
+from fusion_sfdia.evaluation.results import read_rows
+from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.registry import NamedPlant, plants
+
+TINY: dict[str, Any] = {
+    "faults": ["bias"],
+    "magnitudes": (30.0,),
+    "lengths": (),
+    "settle": 20,
+    "window": 6,
+    "false_alarm": 0.02,
+    "calibration_error": 0.5,
+    "seeds": 2,
+}
+
+
+def my_chain() -> Plant:
+    """Six tanks in a row."""
+    return chain(6)
+
+
+@dataclass(frozen=True)
+class Cautious(CentralFilter):
+    """A filter that alarms rarely at its own threshold."""
+
+    false_alarm: float = 1e-4
+
+
+def louder_chain() -> Plant:
+    """The same with more process noise."""
+    return chain(6, process=0.3)
+
+
+CASES = ComparisonCases(
+    mismatch=(MismatchCase("louder", "more of what moves them", louder_chain),),
+    process_faults=(ProcessFaultCase("jump", "more of what moves them from the onset on", lambda onset: louder_chain()),),
+    settle=15,
+)
+
+
+def numbers(rows: Any) -> list[tuple[Any, ...]]:
+    return [tuple(row.columns.values()) for row in rows]
+
+
+def test_a_plant_and_a_detector_of_ones_own_with_any_number_of_workers(tmp_path: Path) -> None:
+    two = compare(my_chain, [Cautious, "limits"], workers=2, cases={"my_chain": CASES}, **TINY)
+    assert not two.failures and two.folder is None
+    assert {(r.plant, r.detector) for r in two.rows} == {("my_chain", "Cautious"), ("my_chain", "limits")}
+    assert {r.condition for r in two.rows if r.metric == "false_isolation_probability"} == {"", "louder"}
+    assert {r.fault for r in two.rows if r.metric == "false_isolation_probability"} == {"none", "jump"}
+    claimed = {r.detector: r.value for r in two.rows if r.metric == "claimed_false_alarm_probability"}
+    assert claimed == {"Cautious": 1e-4, "limits": 1e-3}
+    assert set(two.ranks) == {"my_chain"} and two.ranks["my_chain"]["isolation"] == {"Cautious": 1, "limits": 1}
+    page = two.report(tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "Six tanks in a row" in page and "more of what moves them" in page and "A filter that alarms rarely" in page
+    one = compare([my_chain], [Cautious, "limits"], workers=1, cases={"my_chain": CASES}, **TINY)
+    assert numbers(one.rows) == numbers(two.rows)
+
+
+def test_what_is_registered_meanwhile_is_compared_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = {"my-chain": NamedPlant("my-chain", "tanks in a row", my_chain, source=f"{__name__}:my_chain")}
+    monkeypatch.setattr(registry, "plants", lambda: mine)
+    monkeypatch.setattr(registry, "find_plant", lambda what: mine[what] if isinstance(what, str) else what)
+    found = compare(detectors=Cautious, workers=1, **TINY)
+    assert not found.failures and {r.plant for r in found.rows} == {"my-chain"}
+
+
+def test_a_plant_without_cases_is_compared_with_generic_faults() -> None:
+    found = compare(chain(4), [Cautious], workers=1, **TINY)
+    assert not found.failures and {r.plant for r in found.rows} == {"chain"}
+    assert {r.fault for r in found.rows} == {"none", "bias-30-sigma", "graded-30-sigma", "large", "ranked"}
+
+
+def test_the_command_has_the_same_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    here = compare("two-tanks", ["limits", "kf-chi2"], out=tmp_path / "here", workers=1, **TINY)
+    settings = [f"--set={k}={','.join(map(str, v)) if isinstance(v, tuple) else v}" for k, v in TINY.items()
+                if k not in ("faults", "seeds")]  # fmt: skip
+    command = ["compare", "--plants=two-tanks", "--detectors=limits,kf-chi2", "--faults=bias", "--seeds=2", "--workers=1"]
+    assert main([*command, *settings, "--out", str(tmp_path / "there")]) == 0
+    assert capsys.readouterr().err == ""
+    assert (tmp_path / "here" / "metrics.csv").read_bytes() == (tmp_path / "there" / "metrics.csv").read_bytes()
+    assert numbers(read_rows(tmp_path / "there" / "metrics.csv")) == numbers(here.rows)
+    manifests = [json.loads((tmp_path / of / "manifest.json").read_text(encoding="utf-8")) for of in ("here", "there")]
+    assert manifests[0]["command"] == manifests[1]["command"]  # either may go on where the other stopped
+
+
+FILE = '''
+from fusion_sfdia import Sensor, linear_plant
+from {helper} import SIGMA
+
+def tank():
+    """A tank of a file."""
+    return linear_plant(
+        "tank", [[0.9]], [[1.0], [1.0]], [Sensor("a", "x0", sigma=SIGMA), Sensor("b", "x0", sigma={sigma})],
+        dt=1.0, x0=[0.0], initial_cov=[0.01], process_cov=[0.01],
+    )
+'''
+
+
+def resumed(out: Path) -> int:
+    return int(json.loads((out / "manifest.json").read_text(encoding="utf-8"))["scenarios"][0]["resumed"])
+
+
+def test_a_changed_plant_never_takes_up_old_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "helper_of_tank.py").write_text("SIGMA = 0.1\n", encoding="utf-8")
+    file, out = tmp_path / "tank.py", tmp_path / "out"
+    file.write_text(FILE.format(helper="helper_of_tank", sigma=0.1), encoding="utf-8")
+    first = compare(f"{file}:tank", Cautious, out=out, workers=1, **TINY)
+    assert not first.failures and {r.plant for r in first.rows} == {"tank.py:tank"} and resumed(out) == 0
+    again = compare(f"{file}:tank", Cautious, out=out, workers=1, **TINY)
+    assert numbers(again.rows) == numbers(first.rows) and resumed(out) == 1
+    monkeypatch.chdir(tmp_path)
+    compare("tank.py:tank", Cautious, out=out, workers=1, **TINY)
+    assert resumed(out) == 1  # wherever it is called from
+    file.write_text(FILE.format(helper="helper_of_tank", sigma=0.4), encoding="utf-8")
+    changed = compare(f"{file}:tank", Cautious, out=out, workers=1, **TINY)
+    assert numbers(changed.rows) != numbers(first.rows) and resumed(out) == 0
+    before = compared_plant("tank.py:tank")
+    (tmp_path / "helper_of_tank.py").write_text("SIGMA = 0.2\n", encoding="utf-8")
+    assert compared_plant("tank.py:tank") != before  # what it imports counts, too
+
+
+def test_objects_that_differ_have_other_digests() -> None:
+    assert compared_plant(chain(4)) == compared_plant(chain(4))
+    assert compared_plant(chain(4)) != compared_plant(chain(5))
+    assert compared_plant(my_chain) == compared_plant(my_chain) != compared_plant(louder_chain)
+    assert compared_plant(my_chain, CASES) != compared_plant(my_chain)
+    low, high = (compared_detector(lambda of, rate=rate: CentralFilter(of, false_alarm=rate)) for rate in (0.1, 0.2))
+    assert low.name == high.name and low != high
+    assert compared_detector("limits") == compared_detector("limits") != compared_detector("kf-chi2")
+
+
+def test_cases_stand_beside_the_registered_plants_only() -> None:
+    for name in plants():
+        assert cases_of(compared_plant(name)).mismatch
+    assert cases_of(compared_plant(my_chain)) == ComparisonCases()
+    wrong = ComparedPlant("wrong", "", NamedPlant("wrong", "", my_chain, cases="fusion_sfdia.models.two_tanks.plant:INFLOW"))
+    with pytest.raises(ValueError, match="cases of plant wrong are of type float; expected ComparisonCases"):
+        cases_of(wrong)
+    case = MismatchCase("louder", "why", louder_chain)
+    with pytest.raises(ValueError, match="louder stand twice"):
+        ComparisonCases(mismatch=(case, case))
+
+
+def test_process_faults_that_cannot_be_made_are_refused() -> None:
+    with pytest.raises(ValueError, match="'nothing' of my_chain: expected either a truth or what is lost"):
+        failing(compared_plant(my_chain), ProcessFaultCase("nothing", "no fault"), 5, (0,), 1.0)
+    closed = ProcessFaultCase("lost", "half of all inputs", lost=(0.5,) * 30)
+    with pytest.raises(ValueError, match="'power-network' has controllers, which would act on what is lost"):
+        failing(compared_plant("power-network"), closed, 5, (0,), 1.0)
+
+
+def test_the_comparison_knows_no_plant(root: Path) -> None:
+    names = [name for plant in plants() for name in (plant, plant.replace("-", "_"))]
+    for path in sorted((root / "fusion_sfdia" / "comparison").glob("*.py")):
+        found = re.search("|".join([*names, r"fusion_sfdia\.models"]), path.read_text(encoding="utf-8"))
+        assert not found, f"{path.name} names {found and found[0]}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"plants": [my_chain, my_chain]}, "plants named my_chain are given twice"),
+        ({"detectors": ["limits", "limits"]}, "detectors named limits are given twice"),
+        ({"plants": "two-tank"}, "did you mean 'two-tanks'"),
+        ({"plants": my_chain, "cases": {"my-chain": CASES}}, "did you mean 'my_chain'"),
+        ({"detectors": 3}, "expected a class or function that takes a Plant"),
+        ({"plants": my_chain, "sizes": (3,)}, "no setting 'sizes'"),
+        ({"plants": my_chain, "window": 1}, "a whole number from 2 "),
+        ({"plants": my_chain, "detectors": []}, "setting detectors is empty"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_any_work(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        compare(**({"detectors": ["limits"]} | arguments))
+
+
+@dataclass(frozen=True)
+class Unscaled:
+    """A detector without a scale of its thresholds."""
+
+    plant: Plant
+    hypotheses: tuple[str, ...] = ()
+
+    def init(self, batch: tuple[int, ...], t: float) -> tuple[Any, ...]:
+        return (np.zeros(batch),)
+
+    def step(self, state: Any, t: float, y: Any, u: Any) -> Any:
+        return state, None
+
+
+def test_a_detector_whose_thresholds_have_no_scale_fails_with_the_cure() -> None:
+    found = compare(my_chain, [Unscaled, Cautious], workers=1, **TINY)
+    [line] = found.failures
+    assert "detector Unscaled has no field threshold_scale" in line and "derive it from BatchDetector" in line
+    assert {r.detector for r in found.rows if r.metric == "auc"} == {"Cautious"}
+
+
+def test_a_frame_has_the_columns_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = compare(my_chain, Cautious, workers=1, **TINY)
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=list))
+    assert found.frame() == [row.columns for row in found.rows]
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingPackageError, match="pandas, which is not installed"):
+        found.frame()
