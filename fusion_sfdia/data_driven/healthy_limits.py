@@ -43,7 +43,8 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
     value = floats(what, value)
     if value.shape != plant.sensor_sigma.shape or not np.all(np.isfinite(value)):
         raise ValueError(
-            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of {plant.name!r}"
+            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of "
+            f"plant {plant.name!r}"
         )
     return value
 

@@ -165,7 +165,7 @@ def test_columns_keep_the_policy_of_read_log() -> None:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ((None,), "the readings are None; expected t, y and u, a Log, a Recording as of simulate, or a frame"),
+        ((None,), "the readings are None; expected t, y and u, a Log, a Recording as simulate returns it, or a frame"),
         ((np.ones((4, 4)),), "the readings are array"),
         ((np.arange(4.0), np.ones((4, 4))), "the readings are 2 arguments; expected t, y and u"),
         ((np.arange(4.0), np.ones(4), np.ones((4, 1))), r"t \(4,\), y \(4,\), u \(4, 1\) do not fit; expected \(K,\)"),
