@@ -428,7 +428,7 @@ def test_from_end_to_end_with_any_number_of_workers(tmp_path: Path) -> None:
             *(
                 f"{p}-{f}"
                 for p in ("two-tanks", "marine-engine")
-                for f in ("roc", "magnitudes", "confusion", "others", "mismatch", "cost")
+                for f in ("example", "roc", "magnitudes", "confusion", "others", "mismatch", "cost")
             ),
         )
     }
