@@ -1,7 +1,7 @@
 """Sensor-fault detection, isolation and accommodation: five schools on one state-space interface.
 
-The public names stand in __init__.pyi, which type checkers read, too. Each is imported when it is first used, so that importing
-the package is cheap.
+The public names are listed in __init__.pyi, which type checkers read, too. Each is imported at its first use, so that importing
+the package is fast.
 """
 
 import ast

@@ -68,11 +68,11 @@ from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engi
 from fusion_sfdia.models.power_network.plant import power_network as power_network
 from fusion_sfdia.models.two_tanks.plant import two_tanks as two_tanks
 from fusion_sfdia.named import diagnose as diagnose
-
-__version__: str
 from fusion_sfdia.named import fit as fit
 from fusion_sfdia.registry import register_detector as register_detector
 from fusion_sfdia.registry import register_plant as register_plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
 from fusion_sfdia.stochastic_thresholds.replug import replug as replug
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals as StructuralResiduals
+
+__version__: str

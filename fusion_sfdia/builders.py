@@ -1,4 +1,4 @@
-"""How the named detectors are built for any plant: their usual settings, and healthy data for those that learn."""
+"""Builders of the named detectors for any plant: usual settings, and healthy data for those that learn."""
 
 from __future__ import annotations
 
@@ -28,38 +28,43 @@ from fusion_sfdia.structural_residuals.structure import modules_of
 
 Array = NDArray[Any]
 
-CALIBRATION_SEEDS = range(900_000, 900_020)  # apart from those of any campaign
+CALIBRATION_SEEDS = range(900_000, 900_020)  # used by no campaign
 CALIBRATION_STEPS = 360
-WARM_UP = 60  # samples: the printed filters are slow to forget how they began
-PAPER_PROCESS = {"gas-pipeline": 0.9}  # of the sigma of a state's sensor: Shaheen 2024, sec. V, of its own plant
-PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 computes in MPa, kg/s, K: its residual (20) adds them as they are
+WARM_UP = 60  # samples: the printed filters converge slowly
+PAPER_PROCESS = {
+    "gas-pipeline": 0.9
+}  # process noise over the sigma of the state's sensor: Shaheen 2024, sec. V, for its own plant
+PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 computes in MPa, kg/s, K: its residual (20) adds these units
 
 PAPER_FILTERS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(redraw=False), "enkf": Ensemble()}
 RULES: dict[str, SequentialRule] = {"window": SumOfSquares(15), "cusum": Cusum(1.0), "ewma": Ewma(0.2)}
 
 
 def as_printed(plant: Plant) -> Plant:
-    """The plant with the process noise that Shaheen 2024 prints for the filters of its own: "10% lower than that of the
-    measurement noise". The sentence is on the pipeline, all states of which are measured; on other plants the bank has
-    their own process noise, as every detector has.
+    """The plant with the process noise that Shaheen 2024 prints: "10% lower than that of the measurement noise".
+
+    The sentence is on the pipeline, all states of which are measured. Any other plant keeps its own process noise.
     """
     if (share := PAPER_PROCESS.get(plant.name)) is None:
         return plant
     sigma = {s.measures: s.noise_sigma for s in plant.sensors}
-    unread = np.sqrt(np.broadcast_to(diagonal(plant.process_cov), plant.x0.shape))
-    std = [share * sigma[s.name] if s.name in sigma else own for s, own in zip(plant.states, unread, strict=True)]
+    stated = np.sqrt(np.broadcast_to(diagonal(plant.process_cov), plant.x0.shape))
+    std = [share * sigma[s.name] if s.name in sigma else own for s, own in zip(plant.states, stated, strict=True)]
     return replace(plant, process_cov=np.square(std))
 
 
 def printed_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FusingBank:
-    """The paper's bank of filters "ekf", "ukf" or "enkf" with the paper's process noise."""
+    """The paper's bank of filters "ekf", "ukf" or "enkf" with the paper's process noise.
+
+    The initial covariance is the plant's; the paper has the identity.
+    """
     return fusing_bank(as_printed(plant), kind, healthy, false_alarm)
 
 
 def fusing_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FusingBank:
     """The paper's bank in the paper's units, its thresholds fitted to healthy readings.
 
-    None for simulated runs of the plant as the filters know it, longer for more quantities.
+    None for simulated runs of the filters' own model; they are longer for more quantities.
     """
     scale = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
     if healthy is None:
@@ -70,14 +75,14 @@ def fusing_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float
 
 
 def healthy_data(plant: Plant, false_alarm: float = FALSE_ALARM, checks: int = 2) -> Recording:
-    """Healthy readings y (K, B, N) of the plant's truth: runs enough for `checks` limits of each quantity at that rate.
+    """Simulated healthy readings y (K, B, N) of the plant, enough for `checks` limits of each quantity at that rate.
 
-    That is more than the limits take: all sensors of a plant share one order statistic, so that the samples for a limit do not
-    grow with the number of quantities.
+    This is more than needed: all sensors of a plant share one order statistic, so that the samples for a limit do not grow with
+    the number of quantities.
 
-    A detector that learns from data records the plant, not its model: so the finer truth where there is one, as for the
-    readings judged, of other seeds. Runs of CALIBRATION_STEPS, more of them rather than longer: for that long the operation of
-    the gas pipeline moves.
+    Detectors that learn from data record the real plant. The readings are therefore those of the high-fidelity model where the
+    plant has one, with other seeds than the readings that are tested. A higher number of samples takes more runs of
+    CALIBRATION_STEPS instead of longer runs: the operation of the gas pipeline varies over that time only.
     """
     expected = 1.5 * 2 * checks * len(plant.quantities) / false_alarm  # every other sample sets limits
     runs = max(len(CALIBRATION_SEEDS), int(np.ceil(expected / CALIBRATION_STEPS)))
@@ -86,31 +91,34 @@ def healthy_data(plant: Plant, false_alarm: float = FALSE_ALARM, checks: int = 2
 
 
 def settled_readings(plant: Plant, false_alarm: float) -> Array:
-    """Healthy readings (K, B, N) for detectors that learn how readings move together.
+    """Healthy readings (K, B, N) for detectors that learn how readings are correlated.
 
-    Of a disturbed plant without the first WARM_UP samples, in which disturbances build up from none at all
-    (of 0, 5, 20 and 60 that were tried on seeds of no comparison, 60 served dynamic-pca); of others a run
-    begins at their operating point, and is learnt from there. Runs as for four checks: these detectors set three limits for all
-    sensors, on the better part of half the windows.
+    The first WARM_UP samples of a disturbed plant are left out, because disturbances start from zero (of 0, 5, 20 and 60
+    samples, tried on seeds outside the comparison, dynamic-pca needs 60). Runs of other plants begin at their operating point
+    and are used in full. The number of runs is that of four checks: these detectors set three limits for all sensors, on most
+    of half of the windows.
     """
     return healthy_data(plant, false_alarm, checks=4).y[WARM_UP if plant.truth.disturbed else 0 :]
 
 
 def structural_residuals(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> StructuralResiduals:
-    """NotApplicableError for a plant without scalar equations, MissingPackageError without faultdiagnosistoolbox."""
-    modules_of(plant)  # before anything is simulated
+    """Structural residuals with limits from healthy readings, None for simulated runs.
+
+    NotApplicableError for a plant without scalar equations, MissingPackageError without faultdiagnosistoolbox.
+    """
+    modules_of(plant)  # refuses a plant without scalar equations before the simulation
     return StructuralResiduals.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
 def bounded(plant: Plant) -> Detector:
-    """Thresholds that bounded noise cannot cross: of a plant's monitoring modules, or else of predicted readings."""
+    """Thresholds that bounded noise cannot cross, on a plant's monitoring modules or else on predicted readings."""
     if plant.structure.modules is None:
         return Chebyshev(plant, lam=0.0, rule="bound", moments=Extended())
     return adaptive_threshold(plant, "valid")
 
 
 def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
-    """Monitoring modules with thresholds as the mode says; NotApplicableError for a plant without modules."""
+    """Monitoring modules with thresholds "valid", "paper" or "calibrated"; NotApplicableError for a plant without modules."""
     detector = AdaptiveThreshold(plant)  # refuses a plant without modules
     assert plant.structure.modules is not None
     if mode == "paper":
@@ -119,7 +127,7 @@ def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
 
 
 def sequential(plant: Plant, rule: str, *, leave_one_out: bool = False) -> SequentialBank:
-    """A sequential test of each sensor of a plant, with one of its present sample, at FALSE_ALARM."""
+    """A sequential test and a test of the present sample for each sensor of a plant, at FALSE_ALARM."""
     return SequentialBank(plant, (Shewhart(), RULES[rule]), leave_one_out, false_alarm=FALSE_ALARM)
 
 
@@ -149,5 +157,5 @@ def one_class(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALAR
 def watching(detector: Detector) -> Detector:
     """Return the detector without accommodation, so that a threshold may be swept over its residuals after the run."""
     settings: Any = detector
-    watcher: Detector = replace(settings, accommodate=False) if hasattr(detector, "accommodate") else detector
-    return watcher
+    changed: Detector = replace(settings, accommodate=False) if hasattr(detector, "accommodate") else detector
+    return changed

@@ -18,23 +18,27 @@ def diagnose(detector: Detector | str, *data: Any, plant: Plant | str | None = N
 
     detector: an object, or a registered name, which needs its plant, an object or a name. data: a Log, a Recording of one
     run, a pandas frame, or t (K,), y (K, N), u (K, m), see `as_log`; of a frame with time stamps, events are in seconds since
-    its first row. ValueError where names are unknown or the data do not fit; DiagnosisWarning for what events do not show.
+    its first row. ValueError where names are unknown or the data do not fit; DiagnosisWarning for limits of the diagnosis
+    that the events do not show.
     """
     if isinstance(detector, str):
         if plant is None:
             raise ValueError(f"detector {detector!r} is a name, which needs its plant; pass plant=..., a Plant or a name")
         detector = registry.detector(detector, registry.plant(plant))
     elif plant is not None and plant is not detector.plant:
-        raise ValueError(f"plant is given beside a detector, which has its own, {detector.plant.name!r}; leave plant out")
+        raise ValueError(
+            f"plant is given together with a detector, which has its own, {detector.plant.name!r}; leave plant out"
+        )
     return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
 
 
 def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> Detector:
-    """The registered detector of that name with what it learns from healthy readings, and else its thresholds.
+    """The registered detector of that name, fitted to healthy readings; one that does not learn gets its thresholds from them.
 
-    The counterpart of `BatchDetector.fit` for names. healthy: as `as_log` takes it; None for simulated runs of the plant, of
-    the seeds that registered detectors are fitted on, enough for the rate. false_alarm: per step over all sensors. ValueError
-    for unknown names, and where the readings do not fit or are too few; NotApplicableError as the detector raises it.
+    The counterpart of `BatchDetector.fit` for names. healthy: as `as_log` takes it; None for simulated runs of the plant,
+    enough for the rate, with the seeds on which registered detectors are fitted. false_alarm: per step over all sensors.
+    ValueError for unknown names, and where the readings do not fit or are too few; NotApplicableError as the detector raises
+    it.
     """
     plant, named = registry.plant(plant), registry.find_detector(name)
     if named.learns:

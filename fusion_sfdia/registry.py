@@ -1,7 +1,7 @@
-"""Plants, detectors and scenarios by name: those of this package, those that callers register, those of other packages.
+"""Plants and detectors by name: those of this package, those that callers register, those of other packages.
 
-A plant or detector is registered in its own file, by a call or a decorator, `register_plant` or `register_detector`. Another
-package names its own as entry points, in its pyproject.toml, each under the name by which it is found here:
+A plant or detector is registered in its own file with `register_plant` or `register_detector`, as a call or a decorator.
+Another package names its own as entry points, in its pyproject.toml, each under its name:
 
     [project.entry-points."fusion_sfdia.plants"]
     my-tank = "my_package.tank:my_tank"  # a function that returns a Plant
@@ -9,19 +9,19 @@ package names its own as entry points, in its pyproject.toml, each under the nam
     [project.entry-points."fusion_sfdia.detectors"]
     my-test = "my_package.test:MyTest"  # a class or function that takes a Plant and returns a Detector
 
-Its description is the first line of its docstring, unless its file registers it with another. Registering takes a text such as
-"my_package.tank:my_tank", too, of which nothing is imported before it is built: listing names imports nothing heavy.
+Its description is the first line of its docstring, unless its file registers it with another. A text such as
+"my_package.tank:my_tank" can be registered, too; its module is imported when the plant or detector is built, so that listing
+names stays fast.
 
-Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is taken as well.
+Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is accepted as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from fnmatch import fnmatchcase
 from functools import partial
-from importlib import import_module, resources
+from importlib import import_module
 from importlib.metadata import entry_points
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
@@ -32,15 +32,13 @@ from fusion_sfdia.core.references import first_line, is_reference, load, name_of
 if TYPE_CHECKING:
     from fusion_sfdia.core.detector import Detector
     from fusion_sfdia.core.plant import Plant
-    from fusion_sfdia.experiments.scenario import Scenario
 
 OURS = "fusion_sfdia"
-GROUPS = ("pipeline", "engine", "network")  # folders of benchmarks/ whose files are scenarios
 M = TypeVar("M")
 
 
 class NamedPlant(NamedTuple):
-    """A plant by name: what it is, and how it is made.
+    """A registered plant: its description, and the function that makes it.
 
     make: returns the Plant with its usual settings. cases: its mismatch cases, process faults, faults of papers and published
     numbers for the comparison, an object or, lazily, the "module:attribute" of one; None for none. source: "module:name" of
@@ -60,11 +58,11 @@ class NamedPlant(NamedTuple):
 
 
 class NamedDetector(NamedTuple):
-    """A detector by name: what it is, how it is built for a plant, and over what its test statistic accumulates.
+    """A registered detector: its description, the function that builds it for a plant, and the memory of its test statistic.
 
-    build: takes a Plant and returns the Detector. memory: "none" (present readings alone), "state estimate only", or how far
-    back evidence of a fault is gathered; "" where it is not stated. source: "module:name" of what builds it. learns: whether
-    build takes `healthy` and `false_alarm`, too: readings, None for simulated ones, and a rate, as of `named.fit`.
+    build: takes a Plant and returns the Detector. memory: "none" (present readings only), "state estimate only", or the time
+    over which evidence of a fault accumulates; "" where it is not stated. source: "module:name" of what builds it. learns:
+    whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `named.fit` does.
     """
 
     name: str
@@ -80,19 +78,6 @@ class NamedDetector(NamedTuple):
         return package_of(self.source)
 
 
-def _scenarios() -> dict[str, str]:
-    """{name: "module:attribute"}: a scenario is a file of its group's folder, and its path is its name."""
-    found = {}
-    for group in GROUPS:
-        for file in sorted(resources.files(f"fusion_sfdia.benchmarks.{group}").iterdir(), key=lambda f: f.name):
-            stem, dot, _ = file.name.rpartition(".py")
-            if dot and stem != "__init__":
-                found[f"{group}/{stem.replace('_', '-')}"] = f"fusion_sfdia.benchmarks.{group}.{stem}:SCENARIO"
-    return found | {"comparison": "fusion_sfdia.comparison.compare:SCENARIO"}
-
-
-SCENARIOS = _scenarios()
-
 _PLANTS: dict[str, NamedPlant] = {}
 _DETECTORS: dict[str, NamedDetector] = {}
 
@@ -106,7 +91,7 @@ def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None
 
     make() returns the Plant with its usual settings; it may be given as a text "module:attribute", which is imported when the
     plant is made. Returns `make`. See NamedPlant for `cases`. ValueError for a name of another form than "two-tanks", and for
-    one that is taken.
+    one that is already registered.
     """
     if make is None:
         return partial(register_plant, name, about, cases=cases)
@@ -127,7 +112,7 @@ def register_detector(
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
     "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`. ValueError for a name of another form
-    than "kf-chi2" or "chebyshev:paper", and for one that is taken.
+    than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
     """
     if build is None:
         return partial(register_detector, name, about, memory=memory, learns=learns, **settings)
@@ -137,25 +122,25 @@ def register_detector(
 
 
 def plants() -> dict[str, NamedPlant]:
-    """All registered plants by name, our own first.
+    """All registered plants by name, those of this package first.
 
-    One of another package that fails to load is among them, with the reason; its `make` raises ValueError.
+    A plant of another package that fails to load is included with the reason; its `make` raises ValueError.
     """
     found: dict[str, NamedPlant] = _with_entry_points("plant", _own_plants(), NamedPlant)
     return dict(sorted(found.items(), key=lambda item: (item[1].package != OURS, item[0])))
 
 
 def detectors() -> dict[str, NamedDetector]:
-    """All registered detectors by name, our own first, as `plants`: their `build` raises."""
+    """All registered detectors by name, those of this package first; `build` of one that fails to load raises ValueError."""
     found: dict[str, NamedDetector] = _with_entry_points("detector", _own_detectors(), NamedDetector)
     return dict(sorted(found.items(), key=lambda item: item[1].package != OURS))
 
 
 def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPlant:
-    """Return the plant that is meant: by its registered name, a reference, or a Plant or function without arguments itself.
+    """Return the plant of a registered name, a reference, a Plant, or a function without arguments that returns one.
 
     The name of one that is not registered is the reference, or that of the object. ValueError for an unknown name, a reference
-    to nothing, and anything that is no plant.
+    without an object, and anything that is no plant.
     """
     from fusion_sfdia.core.plant import Plant
 
@@ -173,10 +158,10 @@ def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPla
 
 
 def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> NamedDetector:
-    """Return the detector that is meant: by its registered name, a reference, or the class or function that builds it.
+    """Return the detector of a registered name, a reference, or the class or function that builds it.
 
     The name of one that is not registered is the reference, or that of the object. ValueError for an unknown name, a reference
-    to nothing, and anything that builds no detector.
+    without an object, and anything that builds no detector.
     """
     found: Any = what
     if isinstance(what, str):
@@ -190,7 +175,7 @@ def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> Na
 
 
 def plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> Plant:
-    """Return a plant with its usual settings, meant as in `find_plant`; ValueError as there, and where that is no Plant."""
+    """Return a plant with its usual settings, given as in `find_plant`; ValueError as there, and if no Plant is made."""
     from fusion_sfdia.core.plant import Plant
 
     entry = find_plant(what)
@@ -201,9 +186,9 @@ def plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> Plant:
 
 
 def detector(what: str | Callable[[Plant], Detector] | NamedDetector, of: Plant) -> Detector:
-    """Return a detector with its usual settings on a plant, meant as in `find_detector`.
+    """Return a detector with its usual settings on a plant, given as in `find_detector`.
 
-    ValueError as there, and where that is no Detector; NotApplicableError where the plant lacks what its method needs.
+    ValueError as there, and if no Detector is built; NotApplicableError where the plant lacks what its method needs.
     """
     from fusion_sfdia.core.detector import Detector
 
@@ -226,23 +211,8 @@ def require_known(what: str, name: str, known: Iterable[str]) -> str:
     return name
 
 
-def match_scenarios(patterns: Iterable[str]) -> list[str]:
-    """Return the scenarios whose names match names or globs such as pipeline/*, each once, in the order of the registry."""
-    expected: set[str] = set()
-    for pattern in patterns:
-        found = [name for name in SCENARIOS if fnmatchcase(name, pattern)]
-        expected.update(found or [require_known("scenario", pattern, SCENARIOS)])
-    return [name for name in SCENARIOS if name in expected]
-
-
-def scenario(name: str) -> Scenario:
-    """Return a scenario by its name; ValueError for an unknown one."""
-    found: Scenario = load(SCENARIOS[require_known("scenario", name, SCENARIOS)])
-    return found
-
-
 def _own_plants() -> dict[str, NamedPlant]:
-    """What is registered, with the plants of fusion_sfdia.models: each folder registers its own."""
+    """The registered plants, after each folder of fusion_sfdia.models has registered its own."""
     from fusion_sfdia import models
 
     for folder in iter_modules(models.__path__):
@@ -262,7 +232,7 @@ def _with_entry_points(kind: str, known: dict[str, Any], entry: Callable[..., An
 
 
 def _meant(kind: str, text: str, known: dict[str, Any]) -> Any:
-    """The registered entry of that name, or else what the text refers to."""
+    """The registered entry of that name, or else the object of the reference."""
     if text in known or not is_reference(text):
         return known[require_known(kind, text, known)]
     try:

@@ -19,10 +19,10 @@ def root() -> Path:
 
 @pytest.fixture(scope="session")
 def shared_fixtures() -> Path:
-    """Published data sets beside the checkout (see their SOURCES.md); the test is skipped where they are absent."""
+    """Published data sets next to the checkout (see their SOURCES.md); the test is skipped where they are absent."""
     folder = ROOT.parent / "shared" / "fixtures"
     if not folder.is_dir():
-        pytest.skip("needs the published data sets in ../shared/fixtures, beside the checkout")
+        pytest.skip("needs the published data sets in ../shared/fixtures, next to the checkout")
     return folder
 
 

@@ -1,1 +1,1 @@
-"""What every plant and every detector keeps, as checks that the tests of another package call, too."""
+"""Checks that every plant and every detector passes, for the tests of this and of other packages."""

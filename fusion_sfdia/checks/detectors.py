@@ -1,4 +1,4 @@
-"""What every detector keeps. The tests of another package call it for their own:
+"""Checks that every detector passes. Tests of another package call them for its own detectors:
 
 def test_my_detector() -> None:
     check_detector(MyDetector)
@@ -44,7 +44,7 @@ FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input"}
 
 
 def check_detector(detector: Any, plant: Any = "two-tanks") -> None:
-    """Check a detector, meant as in `registry.find_detector`, on a plant: DETECTOR_CHECKS, of which `compare` makes use.
+    """Run DETECTOR_CHECKS on a detector, given as in `registry.find_detector`, and a plant; `compare` relies on them.
 
     AssertionError or ValueError with the reason, NotApplicableError for a plant that lacks what the method needs. How often it
     alarms and what it isolates is not checked: `compare` measures that.
@@ -88,7 +88,7 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
 
 
 def the_same_seed_gives_the_same_bits(detector: Detector, healthy: Healthy) -> None:
-    """Two runs from one state agree to the bit, and leave the state that they are given as it was."""
+    """Two runs from one state agree to the bit, and leave the given state unchanged."""
     t, y, u = healthy(8, 2)
     first = detector.init((2,), seed=11)
     before = mapped(np.array, first)
@@ -132,14 +132,14 @@ def thresholds_scale(detector: Detector, healthy: Healthy) -> None:
     twice = scaled(detector, 2.0)
     _, a = run(detector, detector.init((2,)), t, y, u)
     _, b = run(twice, twice.init((2,)), t, y, u)
-    quiet = ~np.any(a.alarm, axis=0)  # what is left out after an alarm changes the numbers that follow
-    # a few roundings; where a detector shows the worse of two residuals it may show the other at a tie
+    quiet = ~np.any(a.alarm, axis=0)  # a sensor left out after an alarm changes the following numbers
+    # some roundings; a detector that reports the larger of two residuals may report the other at a tie
     assert_allclose(b.threshold[:, quiet], 2 * a.threshold[:, quiet], rtol=1e-12, err_msg="threshold_scale=2")
     require_refused("threshold_scale of 0", scaled, detector, 0.0)
 
 
 def a_state_knows_no_threshold_until_the_first_alarm(detector: Detector, healthy: Healthy) -> None:
-    """So that thresholds may be set after a run without any: the states of runs without an alarm do not depend on them."""
+    """The states of runs without an alarm do not depend on the thresholds, so that these may be set after a run."""
     runs = 6
     t, y, u = healthy(30, runs)
 
@@ -174,7 +174,7 @@ def a_saved_state_continues_with_the_same_bits(detector: Detector, healthy: Heal
 
 
 def a_pickled_detector_continues_with_the_same_bits(detector: Detector, healthy: Healthy) -> None:
-    """So that pools of processes can take it, also after it was used: what it keeps of its own has to go with it."""
+    """A used detector can be pickled for pools of processes, with everything that it has cached."""
     t, y, u = healthy(8, 2)
     middle, _ = run(detector, detector.init((2,), seed=5), t[:4], y[:4], u[:4])
     copy, state = pickled((detector, middle), type(detector).__name__)

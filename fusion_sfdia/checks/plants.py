@@ -1,4 +1,4 @@
-"""What every plant keeps. The tests of another package call it for their own:
+"""Checks that every plant passes. Tests of another package call them for its own plants:
 
 def test_my_tank() -> None:
     check_plant(my_tank)
@@ -23,19 +23,19 @@ from fusion_sfdia.evaluation.simulate import simulate
 Array = NDArray[Any]
 
 STEPS = 20
-ROUNDED = float(np.sqrt(np.finfo(float).eps))  # relative: far above rounding, far below a slip in the axes
+ROUNDED = float(np.sqrt(np.finfo(float).eps))  # relative: far above rounding, far below the effect of exchanged axes
 DIFFERENCED = 1e-4  # relative: far above the error of central differences, far below a wrong sign or factor
 
 
 def check_plant(plant: Any) -> None:
-    """Check a plant, meant as in `registry.find_plant`: PLANT_CHECKS. Raises AssertionError or ValueError with the reason."""
+    """Run PLANT_CHECKS on a plant, given as in `registry.find_plant`. Raises AssertionError or ValueError with the reason."""
     found = registry.plant(plant)
     for check in PLANT_CHECKS:
         check(found)
 
 
 def batches_are_leading_axes(plant: Plant) -> None:
-    """A batch of states is stepped and read as its members are one by one, and the states given are left as they are."""
+    """A batch of states is stepped and read as its members are one by one, and the given states stay unchanged."""
     x, u = _points(plant), plant.input_at(0.0)
     given = x.copy()
     for what, function in _functions(plant).items():
@@ -53,7 +53,7 @@ def batches_are_leading_axes(plant: Plant) -> None:
 
 
 def jacobians_are_derivatives(plant: Plant) -> None:
-    """The Jacobians of step and output are what central differences give, each row relative to its largest entry."""
+    """The Jacobians of step and output agree with central differences, each row relative to its largest entry."""
     x = _points(plant)
     u = np.broadcast_to(plant.input_at(0.0), (len(x), len(plant.inputs)))
     jacobians = {
@@ -84,14 +84,16 @@ def operation_is_within_limits(plant: Plant) -> None:
 
 
 def readings_can_be_simulated(plant: Plant) -> None:
-    """Healthy readings of both truths are finite, and the same for the same seed whatever runs beside it."""
+    """Healthy readings of both truths are finite, and the same for the same seed in any batch."""
     for truth in ("finer", "model"):
         both = simulate(plant, STEPS, [1, 2], truth=truth)
         if not np.isfinite(both.y).all():
             raise AssertionError(f"plant {plant.name!r}, truth {truth!r}: simulated readings are not finite")
         alone = simulate(plant, STEPS, [2], truth=truth)
         assert_array_equal(
-            both.y[:, 1:], alone.y, err_msg=f"plant {plant.name!r}, truth {truth!r}: a run depends on the one beside it"
+            both.y[:, 1:],
+            alone.y,
+            err_msg=f"plant {plant.name!r}, truth {truth!r}: a run depends on the other runs of its batch",
         )
 
 

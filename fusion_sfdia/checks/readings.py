@@ -1,4 +1,4 @@
-"""What every detector does with readings that are missing, absurd or do not fit, and healthy ones to begin with."""
+"""Checks with missing, absurd and malformed readings, and the healthy readings of all checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ABSURD = (1e303, -1e303, 1e308, -1e308, 1e160, -1e160, 1e30, -1e30)
 
 
 def healthy_readings(plant: Plant) -> Healthy:
-    """Readings of a plant's usual truth, simulated once for each size and not to be written to."""
+    """Readings of a plant's usual truth, simulated once for each size; read-only."""
 
     @cache
     def healthy(steps: int, runs: int) -> tuple[Array, Array, Array]:
@@ -36,7 +36,7 @@ def healthy_readings(plant: Plant) -> Healthy:
 
 
 def missing_readings_are_no_evidence(detector: Detector, healthy: Healthy) -> None:
-    """NaN readings, of some sensors or of all, neither alarm nor isolate nor leave anything but numbers."""
+    """NaN readings, of some sensors or of all, raise no alarm and isolate nothing; estimates stay finite."""
     t, y, u = healthy(40, 2)
     gone = np.random.default_rng(1).random(y.shape) < 0.3
     gone[0] = True  # before anything was read

@@ -1,4 +1,4 @@
-"""What the checks require of arrays, Decisions and states, with words for what was expected and found."""
+"""Assertions on arrays, Decisions and states, with messages of what was expected and found."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 
 def require(holds: Any, expected: str, found: object) -> None:
-    """Raise AssertionError with what was expected and found unless it holds."""
+    """Raise AssertionError with what was expected and found unless the condition holds."""
     if not holds:
         raise AssertionError(f"expected: {expected}; found {shown(found)}")
 

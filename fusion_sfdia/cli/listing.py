@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from fusion_sfdia import registry
+from fusion_sfdia import registry, scenarios
 
 KINDS = ("plants", "detectors", "faults", "scenarios")
 DRAWN = "at random, with simulate --fault NAME[:QUANTITY]"
@@ -53,4 +53,4 @@ def entries(kind: str) -> list[dict[str, str]]:
             drawn = [{"name": name, "about": preset.description, "use": DRAWN} for name, preset in PRESETS.items()]
             return drawn + [{"name": name, "about": about, "use": LISTED} for name, about in FAULT_KINDS.items()]
         case _:
-            return [{"name": name, "about": registry.scenario(name).title} for name in registry.SCENARIOS]
+            return [{"name": name, "about": scenarios.scenario(name).title} for name in scenarios.SCENARIOS]

@@ -1,4 +1,4 @@
-"""The commands on logs of readings: `simulate` writes one, `diagnose` finds the faults in one."""
+"""The commands on logs of readings: `simulate` writes one, `diagnose` isolates the faults in one."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def add_simulate(commands: Any) -> None:
 
 def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
-    one = commands.add_parser("diagnose", help="find the faults in a log", allow_abbrev=False)
+    one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     one.add_argument(
         "--data", type=Path, required=True, metavar="LOG.csv", help="the log: a column a sensor, empty for missing"
     )
@@ -77,7 +77,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
 
     if chosen.out.is_dir():
         raise ValueError(f"{chosen.out} is a folder; name a file with --out")
-    if chosen.out.is_file() and not chosen.force:  # a device or a pipe is written to, not replaced
+    if chosen.out.is_file() and not chosen.force:  # a device or a pipe is written to directly
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
     model, named = plant(chosen.plant), [_fault(text) for text in chosen.fault]
     faults = load_faults(chosen.faults, model) if chosen.faults else []

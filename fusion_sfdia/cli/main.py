@@ -1,4 +1,4 @@
-"""The command line: list what there is, run scenarios, compare detectors, simulate a log, diagnose a log, measure the speed."""
+"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, measure the speed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what a command line asks for; return its exit code (see the parser's epilog)."""
+    """Run a command line; return its exit code (see the parser's epilog)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without π shows \\u03c0
             stream.reconfigure(errors="backslashreplace")
@@ -67,11 +67,11 @@ def _done(chosen: argparse.Namespace) -> int:
         code: int = chosen.work(chosen)
         sys.stdout.flush()
         return code
-    except BrokenPipeError:  # the reader of our output has had enough
+    except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        resumes = "; the same command goes on where it stood" if chosen.command in ("run", "compare") else ""
+        resumes = "; repeat the same command to continue" if chosen.command in ("run", "compare") else ""
         print(f"fusion-sfdia: interrupted{resumes}", file=sys.stderr)
         return 130
     except (ValueError, ArithmeticError, OSError, RuntimeError, MemoryError, ModuleNotFoundError) as error:

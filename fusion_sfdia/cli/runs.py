@@ -26,7 +26,12 @@ def add_compare(commands: Any) -> None:
         one.add_argument(
             f"--{what}", dest="set", action="append", default=[], type=f"{what}={{}}".format, metavar="A,B", help="only these"
         )
-    _add_common(one, seeds="runs of each fault", full="every sensor, and runs that decide: hours", folder="results/comparison")
+    _add_common(
+        one,
+        seeds="runs of each fault",
+        full="every sensor, and enough runs to rank detectors: hours",
+        folder="results/comparison",
+    )
     one.set_defaults(work=_compare)
 
 
@@ -48,14 +53,14 @@ def _add_common(one: argparse.ArgumentParser, *, seeds: str, full: str, folder: 
     one.add_argument(
         "--force",
         action="store_true",
-        help="write into a folder that is in use for something else; finished parts of another run that fit are taken up",
+        help="write into a folder that is in use for something else; finished parts of another run are reused where they fit",
     )
     one.add_argument("--json", action="store_true", help="print the rows of metrics.csv as JSON")
 
 
 def _run(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.experiments.runner import run_scenarios
-    from fusion_sfdia.registry import match_scenarios, scenario
+    from fusion_sfdia.scenarios import match_scenarios, scenario
 
     changes = _settings(chosen.set)
     names = match_scenarios(chosen.scenario)

@@ -83,7 +83,7 @@ class Areas:
         return len(self.network.topology.names), self.matrices.shape[1], self.slope.size
 
     def place(self, measures: str, owner: str) -> int:
-        """Where a sensor stands among the N n own readings and 2E shared ones; ValueError where it has no place."""
+        """Position of a sensor among the N n own readings and 2E shared ones; ValueError for a sensor of none of them."""
         known = self._places.get((measures, owner))
         if known is None:
             raise ValueError(

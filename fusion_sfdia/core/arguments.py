@@ -40,14 +40,15 @@ def whole(what: str, value: object, least: int) -> int:
 def probability(what: str, value: object) -> float:
     """Return a number strictly between 0 and 1; ValueError for anything else."""
     if not 0 < (p := number(what, value)) < 1:
-        raise ValueError(f"{what} is {value}; a probability strictly between 0 and 1 is expected")
+        raise ValueError(f"{what} is {value}; expected a probability strictly between 0 and 1")
     return p
 
 
 def floats(what: str, value: Any) -> Array:
-    """Return an array, or nested lists of numbers, as an array of floats, None and what is masked as NaN.
+    """Return an array, or nested lists of numbers, as an array of floats; None and masked entries become NaN.
 
-    ValueError for text, complex numbers, dates, whose numbers are nanoseconds or similar units, and rows of different lengths.
+    ValueError for text, complex numbers, dates (their numbers would be in nanoseconds or the like), and rows of different
+    lengths.
     """
     if type(value) is np.ndarray and value.dtype == np.float64:
         return value
@@ -55,7 +56,7 @@ def floats(what: str, value: Any) -> Array:
     try:
         given = np.asarray(value)
         if _dated(given):
-            cure = ": of dates the seconds since the first, (t - t[0]) / np.timedelta64(1, 's')"
+            cure = "; pass dates as seconds since the first, (t - t[0]) / np.timedelta64(1, 's')"
         elif isinstance(value, np.ma.MaskedArray):
             return np.ma.filled(value.astype(float), np.nan)
         elif given.dtype.kind in "biufO":
@@ -75,7 +76,7 @@ def batch_shape(batch: object) -> tuple[int, ...]:
     """Return the shape of a batch given as such or, where it has one axis, as its length; ValueError for anything else."""
     given = batch if isinstance(batch, tuple | list) else (batch,)
     if any(isinstance(b, bool) or not isinstance(b, int | np.integer) or b < 0 for b in given):
-        raise ValueError(f"batch is {shown(batch)}; expected a shape: () for a single run, (3,) or 3 for three side by side")
+        raise ValueError(f"batch is {shown(batch)}; expected a shape: () for a single run, (3,) or 3 for three runs")
     return tuple(int(b) for b in given)
 
 
@@ -83,4 +84,4 @@ def require_unique(what: str, names: Sequence[str]) -> None:
     """Raise ValueError where a name occurs twice."""
     twice = sorted(n for n, count in Counter(names).items() if count > 1)
     if twice:
-        raise ValueError(f"{what}: the names {', '.join(twice)} stand more than once; names must differ")
+        raise ValueError(f"{what}: the names {', '.join(twice)} occur more than once; names must differ")

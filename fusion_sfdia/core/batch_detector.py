@@ -1,4 +1,4 @@
-"""What detectors share: arguments checked at the border, one `State`, and a batch of at least one run.
+"""What detectors share: checked arguments, one `State`, and a batch of at least one run.
 
 A single run is stepped as a batch of one, so that both have the same bits: products of matrices round differently from those
 of vectors.
@@ -51,7 +51,7 @@ class BatchDetector(ABC):
             raise ValueError(f"plant is {shown(self.plant)}; expected a Plant")
         if not 0 < number("threshold_scale", self.threshold_scale) < np.inf:
             raise ValueError(
-                f"threshold_scale is {self.threshold_scale}; expected a positive number, 1 for thresholds as they are"
+                f"threshold_scale is {self.threshold_scale}; expected a positive number; 1 leaves the thresholds unchanged"
             )
 
     @abstractmethod
@@ -62,24 +62,24 @@ class BatchDetector(ABC):
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
         """The memory after the readings y (*batch, N) under the input u (*batch, m), of a batch with at least one axis.
 
-        diverged of the Decision: in this step.
+        `diverged` of the Decision states whether the estimate broke down in this step.
         """
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
-        """The detector with what it learns from healthy readings, at a rate of false alarms per step over all sensors.
+        """The detector fitted to healthy readings, at a false-alarm rate per step over all sensors.
 
-        healthy: a Recording, a Log, a pandas frame or (t, y, u), see `as_log`. settings: of the detector, by name. What is
-        learnt here are the thresholds, see `fit_thresholds`. ValueError where the readings are too few for the rate.
+        healthy: a Recording, a Log, a pandas frame or (t, y, u), see `as_log`. settings: of the detector, by name. By default
+        only the thresholds are fitted, see `fit_thresholds`. ValueError where the readings are too few for the rate.
         """
         return cls(plant, **settings).fit_thresholds(healthy, false_alarm)
 
     def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
-        """The detector with the threshold_scale at which healthy readings alarm at a rate per step over all sensors.
+        """The detector with the threshold_scale at which healthy readings alarm at a given rate per step over all sensors.
 
         healthy: as in `fit`. The scale is an order statistic of the scores after the first `warm_up` samples of each run,
         while nothing is isolated; runs in which the estimate diverges are left out. ValueError where they are too few for the
-        rate, less than one sample expected above the thresholds, and where no scale of the thresholds has that rate.
+        rate (less than one sample expected above the thresholds), and where no scale of the thresholds has that rate.
         """
         probability("false_alarm", false_alarm)
         whole("warm_up", warm_up, least=0)
@@ -95,12 +95,12 @@ class BatchDetector(ABC):
         if found.size * false_alarm < 1:
             raise ValueError(
                 f"{found.size} healthy samples cannot set thresholds that one in {1 / false_alarm:.0f} exceeds; give at least "
-                f"that many after the first {warm_up} of each run, or ask for a higher rate of false alarms"
+                f"that many after the first {warm_up} of each run, or choose a higher false-alarm rate"
             )
         if not 0 < (scale := float(order_statistic(found, false_alarm))) < np.inf:
             raise ValueError(
                 f"one score in {1 / false_alarm:.0f} of the healthy readings exceeds {scale:g}, so that no scale of the "
-                f"thresholds of {type(self).__name__} has that rate of false alarms; use the detector as it is"
+                f"thresholds of {type(self).__name__} has that false-alarm rate; use the detector unchanged"
             )
         return replace(self, threshold_scale=scale)
 
@@ -109,7 +109,7 @@ class BatchDetector(ABC):
         return self.plant.sensor_names
 
     def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
-        """State at time t of a batch of that shape (a number: of that many runs); ValueError for anything else, and unless
+        """State at time t of a batch of that shape (a number: that many runs); ValueError for anything else, and unless
         t is finite and seed an integer from 0 to 2^64 - 1.
         """
         shape, t, seed = batch_shape(batch), number("t", t), whole("seed", seed, least=0)
@@ -182,5 +182,5 @@ def _as_batch(a: Array) -> Array:
 
 
 def _as_single(a: Array) -> Array:
-    first: Array = a[0, ...]  # of one number too an array
+    first: Array = a[0, ...]  # an array even of a single number
     return first

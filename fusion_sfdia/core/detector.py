@@ -30,17 +30,16 @@ class Decision:
     """The result of one step; leading axes are the batch (and time, in a run).
 
     estimate: state estimate (..., n). covariance: of the estimate (..., n, n), or None where the method has none.
-    reconstruction: of the readings (..., N): as they came, but for missing ones and, where the method accommodates, isolated
-    ones, which are replaced by what the method expects of them.
-    residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf cannot judge yet.
-    isolated: (..., hypotheses) bool, the hypotheses held true. fault_size: (..., hypotheses), NaN where not isolated.
+    reconstruction: the readings (..., N), with missing ones and, where the method accommodates, isolated ones replaced by the
+    values that the method expects.
+    residual, threshold: (..., N) in sensor units; a residual of NaN was not evaluated, a threshold of inf allows no decision
+    yet. isolated: (..., hypotheses) bool, the isolated hypotheses. fault_size: (..., hypotheses), NaN where not isolated.
     nis: normalised innovation squared per reading used (...); 1 on average for a consistent filter, NaN where there is none.
-    diverged: (...) bool, the estimator has broken down or the model gave it no number, now or in an earlier step: every number
-    of this Decision is NaN and nothing is isolated.
-    guarded: (...) bool, the estimate, or a point of those that stand for it, left the limits of the model and was moved back.
-    capped: (...) bool, another sensor would have been isolated, had not as many been out already as the method allows.
-    absurd: (..., N) bool, readings taken as missing, absurd_input: (..., m) bool, inputs replaced (see `border`).
-    The last three may be a single False, where a method has no such limits.
+    diverged: (...) bool, the estimator has broken down or its model gave no finite value, now or in an earlier step: every
+    number of this Decision is NaN and nothing is isolated. guarded: (...) bool, the estimate, or one of its members or sigma
+    points, left the limits of the model and was moved back. capped: (...) bool, another sensor would be isolated, but as many
+    are left out already as the method allows. absurd: (..., N) bool, readings taken as missing, absurd_input: (..., m) bool,
+    inputs replaced (see `border`). The last three may be a single False, where a method has no such limits.
     """
 
     estimate: Array
@@ -94,7 +93,7 @@ class Detector(Protocol):
 
 
 def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return y as floats (*batch, N), NaN where missing or absurd, and u as (*batch, m), which may have been given once for all
+    """Return y as floats (*batch, N), NaN where missing or absurd, and u as (*batch, m), which may be given once for all
     runs.
 
     ValueError for anything but numbers, for other shapes, infinities and missing inputs.
@@ -130,7 +129,7 @@ def run(detector: Detector, state: State, *data: Any, covariance: bool = False) 
     """Step through t (K,), y (K, ..., N), u (K, ..., m); return the last state and the Decisions stacked over time.
 
     data: t, y, u, or a Log, a Recording or a pandas frame, see `as_log`. The first row of a frame with time stamps is at 0 s:
-    start it from init(..., t=-plant.dt). The covariances are left out unless asked for: they are the bulk of the memory.
+    start it from init(..., t=-plant.dt). The covariances are left out by default: they take most of the memory.
     ValueError where the data do not fit the plant, or their batch is not that of the state.
     """
     t, y, u = as_log(detector.plant, *data)

@@ -15,7 +15,7 @@ EXAMPLES = {"plant": "two-tanks", "detector": "kf-chi2 or chebyshev:paper"}
 
 
 def enter(known: dict[str, Any], kind: str, entry: Any) -> None:
-    """Register a NamedPlant or NamedDetector; ValueError for a name of another form, or taken by another source."""
+    """Register a NamedPlant or NamedDetector; ValueError for a name of another form, or one registered from another source."""
     if not NAME.fullmatch(entry.name):
         raise ValueError(f"{kind} {entry.name!r}: expected small letters, digits and hyphens, such as {EXAMPLES[kind]}")
     taken = known.get(entry.name)
@@ -27,7 +27,7 @@ def enter(known: dict[str, Any], kind: str, entry: Any) -> None:
 
 
 def take_up(point: EntryPoint, known: dict[str, Any], kind: str, entry: Callable[..., Any]) -> None:
-    """Register what an entry point names, unless its package has done so itself: before, or while it was loaded."""
+    """Register the object of an entry point, unless its package registers it itself, before or while it is loaded."""
 
     def registered() -> bool:
         return point.name in known and known[point.name].package == package_of(point.value)
@@ -44,12 +44,12 @@ def take_up(point: EntryPoint, known: dict[str, Any], kind: str, entry: Callable
 
 
 def deferred(thing: Any) -> Any:
-    """What makes a plant or builds a detector, imported when it is called where it is given as a text."""
+    """The function that makes a plant or builds a detector; one given as a text is imported when it is called."""
     return partial(call, thing, "") if isinstance(thing, str) else thing
 
 
 def itself(thing: Any) -> Any:
-    """The thing itself: partial(itself, plant) makes that plant."""
+    """Return the argument: partial(itself, plant) makes that plant."""
     return thing
 
 

@@ -1,4 +1,4 @@
-"""Which sensors are left out, how large their faults are, and when they are readmitted."""
+"""Exclusion of isolated sensors: the sizes of their faults, and their readmission."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ QUIET = 2  # samples in a row within the threshold before a sensor is readmitted
 
 
 class Exclusion(NamedTuple):
-    """Per sensor (..., N): out (bool), size of its fault, samples in that size, evidence of health, quiet samples in a row."""
+    """The exclusion of each sensor (..., N).
+
+    out: left out (bool). The others in order: size of its fault, samples in that size, evidence that it is healthy, and samples
+    in a row within the limit.
+    """
 
     out: Array
     size: Array

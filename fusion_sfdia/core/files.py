@@ -1,4 +1,4 @@
-"""Files and folders that are whole or absent: atomic writes, a folder's files together, and errors that name the cure."""
+"""Files and folders that are complete or absent: atomic writes, a folder's files together, and errors that name the cure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 CURES = {
-    errno.ENOENT: "name one that is there",
+    errno.ENOENT: "name an existing one",
     errno.EISDIR: "name a file, not a folder",
     errno.ENOTDIR: "name a place below folders, not below a file",
     errno.ENOSPC: "make room, or name another place",

@@ -1,4 +1,4 @@
-"""When an estimator has broken down, and how the rest of its batch goes on."""
+"""Divergence: when an estimator has broken down, and how the other runs of its batch continue."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def broken(x: Array, p: Array) -> Array:
 
 
 def keep_broken_out(diverged: Array, memory: Any, fresh: Any) -> Any:
-    """Return the memory with the diverged runs of the batch replaced by fresh ones: they are flagged, the others go on."""
+    """Return the memory with the diverged runs of the batch replaced by fresh ones: they are flagged, the others continue."""
     if not np.any(diverged):
         return memory
 
@@ -33,7 +33,7 @@ def keep_broken_out(diverged: Array, memory: Any, fresh: Any) -> Any:
 
 
 def without_broken(decision: Decision, diverged: Array) -> Decision:
-    """Return the decision flagged, with nothing that looks like a number where the filter has diverged (...)."""
+    """Return the decision flagged as diverged where the filter has (...): there every number is NaN and nothing is isolated."""
     if not np.any(diverged):
         return replace(decision, diverged=diverged)
     gone = diverged[..., None]

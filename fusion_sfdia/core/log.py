@@ -1,4 +1,4 @@
-"""Recorded readings in the forms in which they come: a Log or Recording, a pandas frame, or arrays."""
+"""Recorded readings in all accepted forms: a Log or Recording, a pandas frame, or arrays."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def as_log(
         if len(given) != 3:
             came = shown(given[0]) if len(given) == 1 else f"{len(given)} arguments"
             raise ValueError(
-                f"the readings are {came}; expected t, y and u, a Log, a Recording as of simulate, or a frame with "
+                f"the readings are {came}; expected t, y and u, a Log, a Recording as simulate returns it, or a frame with "
                 f"the columns time, {_some([*plant.sensor_names, *(s.name for s in plant.inputs)])}"
             )
         t, y, u = given
@@ -93,22 +93,22 @@ def require_same_names(plant: Plant, data: Any) -> None:
 def usual_inputs(where: str, plant: Plant, t: Array, columns: dict[str, int], stacklevel: int) -> Array:
     """Return the plant's operation (K, m) at the reading before each t, or dt before it where that is later.
 
-    A UserWarning, at that level of the stack, names the inputs that have no column, for which it stands.
+    A UserWarning, at that level of the stack, names the inputs without a column, for which the operation is used.
     """
     before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
     if assumed := [s.name for s in plant.inputs if s.name not in columns]:
-        source = "the nominal values" if plant.truth.operation is None else "the usual operation"
+        source = "the nominal values" if plant.truth.operation is None else "the usual inputs"
         warnings.warn(
-            f"{where}: no column for the inputs {_some(assumed)}; {source} of plant {plant.name!r} stand for them",
+            f"{where}: no column for the inputs {_some(assumed)}; {source} of plant {plant.name!r} are used instead",
             stacklevel=stacklevel,
         )
     return np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
 
 
 def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, other: bool, nominal: bool) -> dict[str, int]:
-    """Return where the column of each name stands in a header; ValueError for a header that does not fit the plant.
+    """Return the position of each name's column in a header; ValueError for a header that does not fit the plant.
 
-    absent, other, nominal: whether sensors without a column, columns of nothing and inputs without a column are taken.
+    absent, other, nominal: whether sensors without a column, columns of nothing and inputs without a column are accepted.
     """
     named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *plant.inputs)
     require_unique(f"columns of a log of plant {plant.name!r}", [c.name for c in named])
@@ -121,7 +121,7 @@ def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, 
             unknown.append(name)
             continue
         if name in found:
-            raise ValueError(f"{where}: the column {name!r} stands twice; leave one")
+            raise ValueError(f"{where}: the column {name!r} occurs twice; keep one")
         if unit is not None and unit != units[name]:
             raise ValueError(
                 f"{where}: column {name!r} is in {shown(unit)}, plant {plant.name!r} has it in {units[name]!r}; convert "
@@ -130,9 +130,9 @@ def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, 
         found[name] = i
     lacking = [n for n in (TIME.name, *plant.sensor_names) if n not in found]
     if TIME.name in lacking and len(header) == 1 and (mark := re.search("[;\t|]", header[0])):
-        raise ValueError(f"{where}: cells are separated by {mark[0]!r}; expected commas, and points in decimal numbers")
+        raise ValueError(f"{where}: cells are separated by {mark[0]!r}; expected commas, and decimal points")
     if TIME.name in lacking:
-        raise ValueError(f"{where}: no column 'time' among {_some(header)}; name the column of the times (s) so")
+        raise ValueError(f"{where}: no column 'time' among {_some(header)}; give the column of the times (s) that name")
     if lacking and not absent:
         raise ValueError(
             f"{where}: no column for the sensors {_some(lacking)} of plant {plant.name!r}; add them (empty where not read), "

@@ -167,7 +167,7 @@ class Network:
         return tuple(at.names[j] for j in at.neighbour[self.sides(at.index(name))])
 
     def change(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:
-        """What changes when nodes join and leave at the same time; the cost grows with their links only.
+        """The change when nodes join and leave at the same time; the cost grows with their links only.
 
         ValueError for an unknown node, one named twice, one to plug in that is plugged in, one to unplug that is not, or
         nothing to do.
@@ -192,7 +192,7 @@ class Network:
         return Change(nodes, plugged, sides[other], both[other], np.unique(at.node[sides[other]]))
 
     def switched(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Network:
-        """The network after nodes joined and left it, all at once; ValueError as of `change`."""
+        """The network after nodes joined and left it together; ValueError as in `change`."""
         return self.after(self.change(plug_in=plug_in, unplug=unplug))
 
     def after(self, change: Change) -> Network:

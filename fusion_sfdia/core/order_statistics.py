@@ -11,7 +11,7 @@ Array = NDArray[Any]
 
 
 def exceedance_rank(count: int, rate: float) -> int:
-    """Return k: of `count` exchangeable values a fresh one exceeds the k-th smallest with a probability of at most `rate`.
+    """Return k: a fresh value exceeds the k-th smallest of `count` exchangeable ones with a probability of at most `rate`.
 
     k = ceil((count + 1) (1 - rate)); larger than `count` where there are too few values for so low a rate.
     """

@@ -86,7 +86,7 @@ class Plant:
         require_shapes(self)
 
     def _take_from_states(self) -> None:
-        """Fill in x0 and the covariances that are not given; ValueError for a state that does not state its own."""
+        """Fill in x0 and the covariances that are not given; ValueError for a state whose signal does not give them."""
         for what, stated in (("x0", "nominal"), ("initial_cov", "initial_sigma"), ("process_cov", "process_sigma")):
             if getattr(self, what) is None:
                 values = [getattr(s, stated) for s in self.states]
@@ -179,7 +179,7 @@ class Plant:
 
     @cached_property
     def _complex_step_holds(self) -> tuple[bool, bool]:
-        """Whether it does for step and for output, at points about x0: at x0 itself a valve, for example, may not act."""
+        """Whether it agrees with differences for step and for output, at points about x0, where, for example, a valve acts."""
         spread = self.state_scale * np.random.default_rng(0).standard_normal((4, len(self.states)))
         x = self.x0 + (self.guard(self.x0 + spread)[0] - self.x0) / 2  # not on a limit of the model
         u, scale, given = self.input_at(0.0), self.state_scale, self.numerics

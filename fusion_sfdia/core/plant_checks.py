@@ -1,4 +1,4 @@
-"""What a plant is made of: its fields are of their kinds, and its functions take batches."""
+"""Checks of a plant's fields and functions: their types, and batches as leading axes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def require_kinds(plant: Plant) -> None:
-    """Raise ValueError unless signals, sensors, functions and groups are such."""
+    """Raise ValueError unless signals, sensors, functions and groups are of these types."""
     for what, kind in (("states", Signal), ("inputs", Signal), ("sensors", Sensor)):
         members = getattr(plant, what)
         if not isinstance(members, tuple | list) or not all(isinstance(m, kind) for m in members):

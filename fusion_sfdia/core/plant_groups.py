@@ -1,4 +1,4 @@
-"""The optional groups of a plant: its numerics, what stands for the real plant in simulations, and its structure."""
+"""The optional groups of a plant: its numerics, the truth of simulations, and its structure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Finer = Callable[[], "tuple[Plant, Callable[[Array], Array]]"]
 
 @dataclass(frozen=True)
 class Numerics:
-    """How a model is differentiated, and the steps for which it holds.
+    """The Jacobians of a model, and the steps for which it holds.
 
     step_jacobian(t_start, x, u, dt), (..., n, n), and output_jacobian(t, x, u), (..., N, n): None for the complex step, or
     central differences (to about 1e-10) where the complex step fails because of abs, sign, interp or the like. Both are
@@ -47,15 +47,15 @@ class Numerics:
 
 @dataclass(frozen=True)
 class Truth:
-    """What simulations take for the real plant; a detector uses its operation only, where an input is not known.
+    """The truth of simulations, which represents the real plant; a detector uses only its operation, for unknown inputs.
 
     operation(t): the input (m,) that acts from t on where none is given; None for the nominal values of the inputs.
     feedback(t, y, u): the input (..., m) that acts from t on in closed loop, by controllers that read y (..., N) at t and
     replace u (..., m); None in open loop.
     finer(): a high-fidelity model with the same sensors and inputs (a finer grid, for example) and the map from its states to
     those of the plant; None where there is none. Simulations take their readings from it unless another truth is given.
-    disturbed: whether process noise acts on the real plant, too, and on the healthy recordings to learn from. Otherwise the
-    process noise only stands for what the model neglects.
+    disturbed: whether process noise acts on the real plant, too, and on healthy recordings for fitting. Otherwise the
+    process noise only represents what the model neglects.
     Raises ValueError for an operation, feedback or finer that is no function.
     """
 
@@ -70,7 +70,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Structure:
-    """What is known of the equations one by one, in SI.
+    """The single equations of a plant, in SI.
 
     modules: the scalar equations as monitoring modules; areas: the linear areas, each with its own diagnoser. None where not
     stated; detectors that need them are then not applicable, and one diagnoser reads all sensors.

@@ -1,4 +1,4 @@
-"""How many arbitrary sensors may be isolated at once while the remaining ones still outvote them."""
+"""The number of arbitrary sensors that may be isolated together while the others still outvote them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LASTING = 100.0  # samples, our choice: a mode that keeps more than 1/e of an er
 
 
 def most_faults(plant: Plant) -> int:
-    """Return how many sensors may be left out at once by the plant's redundancy, at least 1.
+    """Return the number of sensors that the plant's redundancy allows to be left out together, at least 1.
 
     The N - k sensors that stay and the model's prediction, one vote more, must outnumber the k that are left out: k <= N / 2.
     Where more sensors contradict the model than agree with it, the model is suspect. A mode of the plant that does not decay
@@ -40,13 +40,13 @@ def most_faults(plant: Plant) -> int:
 
 
 def require_max_faults(plant: Plant, given: int | None) -> None:
-    """Raise ValueError for a number of faults that is not None, for `most_faults`, nor from 1 to less than the sensors."""
+    """Raise ValueError unless max_faults is None (then it is `most_faults`) or a number from 1 to less than the sensors."""
     if given is not None and not whole("max_faults", given, least=1) < len(plant.sensors):
-        raise ValueError(f"max_faults is {given}; plant {plant.name!r} has {len(plant.sensors)} sensors")
+        raise ValueError(f"max_faults is {given}; plant {plant.name!r} has {len(plant.sensors)} sensors, give fewer")
 
 
 def _seen(F: Array, H: Array) -> list[int]:
-    """How many sensors, the rows of H, see each mode of F that lasts."""
+    """The number of sensors, the rows of H, in which each lasting mode of F is observable."""
     found, lasting = [], [v for v in np.linalg.eigvals(F) if abs(v) > np.exp(-1 / LASTING) and v.imag >= 0]
     for k, value in enumerate(lasting):
         if any(abs(value - other) <= NEGLIGIBLE for other in lasting[:k]):

@@ -75,7 +75,7 @@ def source_of(thing: Any) -> str:
 
 
 def first_line(thing: Any) -> str:
-    """What a function or class states of itself: the first line of its docstring, without a full stop."""
+    """The first line of the docstring of a function or class, without a full stop."""
     return (getdoc(thing) or "").partition("\n")[0].removesuffix(".")
 
 
@@ -97,7 +97,7 @@ def _module(name: str) -> ModuleType:
 
 
 def _file(path: Path) -> ModuleType:
-    """The module of a file, imported once until the file changes, under a name of its own: two files may be called alike."""
+    """The module of a file, imported once until the file changes, under a unique name: two files may have the same one."""
     try:
         path = path.resolve(strict=True)
         source = path.read_bytes()

@@ -1,7 +1,7 @@
 """Fitted detectors on disk, without pickle: their class, their settings and arrays; the plant is given again.
 
-A file is what `write_arrays` writes: arrays, and a JSON text of the settings in which each array, and each object of settings,
-stands by its name. Reading one runs no code but the constructors of this package and of modules that are imported already.
+A file is written by `write_arrays`: arrays, and a JSON text of the settings, which refers to each array and each class by
+name. Reading one runs no code but the constructors of this package and of modules that are imported already.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def save_detector(path: str | Path, detector: Detector) -> None:
-    """Write a detector, a frozen dataclass, to a .npz file: all of it but its plant, of which a fingerprint is kept.
+    """Write a detector, a frozen dataclass, to a .npz file: without its plant, of which a fingerprint is saved.
 
-    Settings may be numbers, text, None, arrays, tuples, mappings by text, and dataclasses or named tuples of such.
+    Settings may be numbers, text, None, arrays, tuples, mappings with text keys, and dataclasses or named tuples of such.
     ValueError for a detector with anything else among its settings, such as a function, which only pickle keeps.
     """
     arrays: Arrays = {}
@@ -62,7 +62,7 @@ def load_detector(path: str | Path, plant: Plant) -> Any:
 
 
 def _packed(value: Any, plant: Plant, arrays: Arrays, where: str) -> Any:
-    """Return a value as JSON has it: plain ones as they are, others as {kind: content}; arrays are added to `arrays`."""
+    """Return a value as JSON: plain ones unchanged, others as {kind: content}; arrays are added to `arrays`."""
     if type(value) in (type(None), bool, int, float, str):
         return value
     if value is plant:

@@ -1,8 +1,8 @@
-"""What every detector carries from one reading to the next, and nested named tuples of arrays in general.
+"""The state of a detector between two readings, and nested named tuples of arrays in general.
 
 The memory of a method is a NamedTuple of arrays with the batch as leading axes. A field may be such a tuple itself (an
-`Exclusion`, a `Window`), or a plain tuple of arrays, one for each of several alike. `leaves` and `rebuilt` are the one place
-where the arrays are taken apart and put together: a batch is extended, a broken run is reset, a state is saved by them.
+`Exclusion`, a `Window`), or a plain tuple of arrays of the same kind. `leaves` and `rebuilt` take such tuples
+apart and put them together; batches, resets of broken runs and saved states use them.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _rebuilt(like: Any, remaining: Iterator[Any]) -> Any:
 
 
 def mapped(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
-    """The tuples with the function of each array, and of those at the same place in `others`, in place of the array.
+    """Apply a function to each array, and to those at the same place in `others`; return tuples nested alike.
 
     ValueError where the others have fewer or more arrays.
     """
@@ -65,7 +65,7 @@ def mapped(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
 
 
 def names(tree: Any, prefix: str = "") -> list[str]:
-    """The name of each array in the order of `leaves`: its field, behind those of the tuples around it ("exclusion.size")."""
+    """The name of each array in the order of `leaves`: its field after those of the enclosing tuples ("exclusion.size")."""
     found: list[str] = []
     for name, value in zip(getattr(tree, "_fields", map(str, range(len(tree)))), tree, strict=True):
         found += names(value, f"{prefix}{name}.") if isinstance(value, tuple) else [prefix + name]

@@ -19,7 +19,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import State, leaves, names, rebuilt
 
 OTHER_FIELDS = (
-    "has the state of another version, with other fields; go on with the version that saved it, or begin anew with the "
+    "has the state of another version, with other fields; continue with the version that saved it, or start from the "
     "detector's init"
 )
 
@@ -61,7 +61,7 @@ def _described(value: Any) -> str:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
-    """Write arrays to a .npz file that ends with a digest of all that stands before it; ValueError for arrays of objects."""
+    """Write arrays to a .npz file that ends with a digest of everything before it; ValueError for arrays of objects."""
     packed = io.BytesIO()
     save = np.savez_compressed if compress else np.savez
     save(packed, allow_pickle=False, **arrays)
@@ -108,7 +108,7 @@ def load_state(path: str | Path, detector: Detector) -> State:
             f"on {detector.plant.name!r}; build the detector as it was when the state was saved"
         )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what init warns of it has warned of before the state was saved
+        warnings.simplefilter("ignore")  # init has warned before the state was saved
         layout = detector.init()
     expected = names(layout)
     if set(arrays) != set(expected):

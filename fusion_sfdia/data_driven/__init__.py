@@ -1,1 +1,1 @@
-"""Detectors that learn from healthy readings alone."""
+"""Detectors that learn from healthy readings only."""

@@ -18,9 +18,11 @@ Array = NDArray[Any]
 
 
 class Reconstruction(NamedTuple):
-    """Of windows of readings (B, N, L + 1): x (B, D) in full, standardised. Of each sensor (B, N), 0 where it is not read now:
-    the error of its present reading against its reconstruction from the other sensors, and its contribution: the root of what
-    the index x' M x loses by that reconstruction.
+    """Results of windows of readings (B, N, L + 1).
+
+    x (B, D): standardised, missing readings filled in. Of each sensor (B, N), 0 where its present reading is missing: the error
+    of that reading against its reconstruction from the other sensors, and its contribution, the root of the decrease of the
+    index x' M x by that reconstruction.
     """
 
     x: Array
@@ -78,17 +80,17 @@ class ComponentModel:
         object.__setattr__(self, "noise", number("noise", self.noise))
         for what in ("scale", "variances", "noise"):
             if not np.all(np.asarray(value := getattr(self, what)) > 0):
-                raise ValueError(f"{what} is {shown(value)}; expected positive numbers, as of ComponentModel.fit")
+                raise ValueError(f"{what} is {shown(value)}; expected positive numbers; use ComponentModel.fit")
 
     @classmethod
     def fit(
         cls, plant: Plant, healthy: Any, lags: int = 0, components: int | None = None
     ) -> tuple[ComponentModel, Array, Array]:
-        """The model of healthy readings (see `healthy_readings`), the windows (M, N, L + 1) it is of, and others for limits.
+        """The model of healthy readings (see `healthy_readings`), its windows (M, N, L + 1), and others for limits.
 
         Readings are divided by the stated noise of their sensors. Windows are of blocks of 5 lags + 1 samples that alternate
         in time, so that no reading is in both; those with a missing reading are left out. components: how many are retained;
-        None for those whose variance exceeds `marchenko_pastur_edge`, which that of noise does not; D - 1 at most.
+        None for those whose variance exceeds `marchenko_pastur_edge`, the largest of noise alone; D - 1 at most.
         ValueError where there are too few windows; NotApplicableError for a plant of one sensor.
         """
         from sklearn.decomposition import PCA  # slow to import
@@ -113,8 +115,8 @@ class ComponentModel:
         retained, left = np.split(found.explained_variance_, [k])
         if not left.mean() > 0:
             raise ValueError(
-                f"beside {k} components the healthy readings of plant {plant.name!r} do not move, so that no noise is known; "
-                "record more, ask for fewer components, or use limits, which take sensors that never move"
+                f"the healthy readings of plant {plant.name!r} vary in {k} components only, so that their noise is unknown; "
+                "record more, choose fewer components, or use limits, which accept sensors that never move"
             )
         return cls(plant, centre, scale, found.components_[:k], retained, float(left.mean()), lags), train, judge
 

@@ -19,7 +19,7 @@ Array = NDArray[Any]
 
 
 class EwmaLimitsMemory(NamedTuple):
-    """Of each sensor (..., N) the last reading, NaN where missing, and the last within its limits, at first the centre; the
+    """For each sensor (..., N): the last reading, NaN where missing, and the last within its limits, at first the centre; the
     average z of its level, and the number n of readings in it.
     """
 
@@ -57,7 +57,7 @@ class EwmaLimits(BatchDetector):
         for what in ("centre", "level", "change", "average"):
             value = per_sensor(self.plant, what, getattr(self, what))
             if what != "centre" and not np.all(value > 0):
-                raise ValueError(f"{what} has limits of {value.min():g} and more; expected positive ones, as of EwmaLimits.fit")
+                raise ValueError(f"{what} has limits of {value.min():g} and more; expected positive ones; use EwmaLimits.fit")
             object.__setattr__(self, what, value)
         object.__setattr__(self, "weight", smoothing(self.weight))
 

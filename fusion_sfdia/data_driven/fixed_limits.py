@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 
 class FixedLimitsMemory(NamedTuple):
-    """Of each sensor (..., N) the last reading, NaN where missing, and the last within its limits, at first the centre."""
+    """For each sensor (..., N): the last reading, NaN where missing, and the last within its limits, at first the centre."""
 
     last: Array
     trusted: Array
@@ -50,19 +50,17 @@ class FixedLimits(BatchDetector):
         for what in ("centre", "level", "change"):
             value = per_sensor(self.plant, what, getattr(self, what))
             if what != "centre" and not np.all(value > 0):
-                raise ValueError(
-                    f"{what} has limits of {value.min():g} and more; expected positive ones, as of FixedLimits.fit"
-                )
+                raise ValueError(f"{what} has limits of {value.min():g} and more; expected positive ones; use FixedLimits.fit")
             object.__setattr__(self, what, value)
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, **settings: Any) -> Self:
         """Limits from healthy readings (see `healthy_readings`), at a rate of false alarms per step over all sensors.
 
-        The centre is the mean. A limit is a unit of the sensor and the check times a common factor. Of every other sample in
-        time: the largest deviation is the unit; of a sensor that never moved there, that of as many readings with its stated
-        noise (its bound, or a quantile of its sigma), at least its resolution. Of the rest: the factor is the order
-        statistic, at that rate, of the largest deviation of all sensors and both checks in their units. So 2 / false_alarm
+        The centre is the mean. A limit is a unit of the sensor and the check times a common factor. The unit is the largest
+        deviation in every other sample in time. A sensor that never moved there gets that of as many readings with its stated
+        noise (its bound, or a quantile of its sigma), at least its resolution. The factor is the order statistic, at that rate,
+        of the largest deviation of all sensors and both checks in these units, over the other samples. So 2 / false_alarm
         samples set limits for any number of sensors. ValueError where the data are fewer, or a sensor was never read.
         """
         probability("false_alarm", false_alarm)

@@ -20,7 +20,7 @@ Array = NDArray[Any]
 def without_model(
     plant: Plant, y: Array, reconstruction: Array, residual: Array, threshold: Array, isolated: Array
 ) -> Decision:
-    """The Decision of a detector without a model: the plant's x0 stands for an estimate.
+    """The Decision of a detector without a model: its estimate is the plant's x0.
 
     The size of a fault is the reading less its reconstruction.
     """
@@ -43,7 +43,8 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
     value = floats(what, value)
     if value.shape != plant.sensor_sigma.shape or not np.all(np.isfinite(value)):
         raise ValueError(
-            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of {plant.name!r}"
+            f"{what} has shape {value.shape}; expected {len(plant.sensors)} finite numbers, one a sensor of "
+            f"plant {plant.name!r}"
         )
     return value
 
@@ -51,7 +52,7 @@ def per_sensor(plant: Plant, what: str, value: Array) -> Array:
 def healthy_readings(plant: Plant, healthy: Any) -> Array:
     """Return healthy readings as (K, B, N), absurd ones as NaN.
 
-    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, as an array: these detectors use no more of it.
+    healthy: as `as_log` takes it, or the readings y (K, ..., N) alone, as an array: these detectors use nothing else.
     ValueError for other shapes, infinities, and sensors without a reading in every other sample. A sensor that never moves is
     accepted: a quantised reading at rest is healthy, too. See `noise_floor`.
     """
@@ -90,6 +91,6 @@ def upper_limit(values: Array, rate: float) -> float:
     if values.size * rate < 1:
         raise ValueError(
             f"{values.size} healthy samples cannot set a limit that one in {1 / rate:.0f} exceeds; give at least that many to "
-            "set limits (every other one is used for that), or ask for a higher rate of false alarms"
+            "set limits (every other one is used for that), or choose a higher false-alarm rate"
         )
     return float(order_statistic(values, rate))

@@ -30,7 +30,7 @@ class OneClass(ReconstructionDetector):
     The machine accepts what has p above a level, which is the limit of the statistic; its logarithm distinguishes readings that
     are so far away that p vanishes. M is the inverse covariance of `ComponentModel`, so that a distance is measured relative to
     the variation of healthy readings in its direction, and gamma = 1 / D, the usual inverse of the number of variables of
-    variance 1. `ReconstructionDetector` has how sensors are isolated.
+    variance 1. `ReconstructionDetector` isolates the sensors.
 
     support: w_j (S, D). weights: a_j (S,), positive. limit: of the statistic.
     """
@@ -51,14 +51,14 @@ class OneClass(ReconstructionDetector):
         object.__setattr__(self, "limit", number("limit", self.limit))
         for what in ("weights", "limit"):
             if not np.all(np.asarray(value := getattr(self, what)) > 0):
-                raise ValueError(f"{what} is {shown(value)}; expected positive numbers, as of OneClass.fit")
+                raise ValueError(f"{what} is {shown(value)}; expected positive numbers; use OneClass.fit")
 
     @classmethod
     def fit(cls, plant: Plant, healthy: Any, false_alarm: float = 1e-3, *, outliers: float = 0.1, **settings: Any) -> Self:
         """Model, machine and limit from healthy readings (see `healthy_readings`), at that rate of false alarms per step.
 
         Of the training half, at most TRAINED_ON samples evenly spread train the machine, of which at most the share `outliers`
-        (nu) is left outside: 0.1, chosen among 0.01, 0.1 and 0.5 on runs of other seeds than those compared; the other half
+        (nu) is rejected: 0.1, chosen among 0.01, 0.1 and 0.5 on runs of other seeds than those compared; the other half
         sets the limit as an order statistic. ValueError where the data are too few for the rate or the sensors,
         NotApplicableError for a plant of one sensor.
         """

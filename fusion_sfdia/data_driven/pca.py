@@ -26,8 +26,8 @@ class PrincipalComponents(ReconstructionDetector):
     T2 and SPE (Jackson and Mudholkar 1979) test whether there is any fault. c_i^2, the reconstruction-based contribution of a
     sensor (Alcala and Qin 2009), is also the generalised likelihood ratio of a fault of any size in that sensor, in which a
     small fault is not hidden by the noise of all other sensors. The statistic is the largest over its limit; an alarm is
-    raised beyond any. `ComponentModel` has the model, with the lags of dynamic components; `ReconstructionDetector` how sensors
-    are isolated. Readings are divided by the noise that their sensors state: divided by the standard deviation of a varying
+    raised beyond any. `ComponentModel` is the model, with the lags of dynamic components; `ReconstructionDetector` isolates
+    the sensors. Readings are divided by the noise that their sensors state: divided by the standard deviation of a varying
     operation, a fault would be hidden that is small against the variation, however large it is against the noise.
     """
 
@@ -40,7 +40,7 @@ class PrincipalComponents(ReconstructionDetector):
         for what in ("limit_t2", "limit_spe", "limit_contribution"):
             object.__setattr__(self, what, number(what, value := getattr(self, what)))
             if not getattr(self, what) > 0:
-                raise ValueError(f"{what} is {shown(value)}; expected a positive number, as of PrincipalComponents.fit")
+                raise ValueError(f"{what} is {shown(value)}; expected a positive number; use PrincipalComponents.fit")
 
     @classmethod
     def fit(

@@ -143,7 +143,7 @@ def missed_detection_rate(alarm: Array, active: Array) -> Estimate:
 def detection_delay(t: Array, alarm: Array, active: Array) -> Estimate:
     """Mean seconds from a fault's first sample to the first alarm during it, over the faults that are detected.
 
-    An alarm raised before the fault counts as one at its first sample. Read it beside missed_detection_rate.
+    An alarm raised before the fault counts as one at its first sample. Read it together with missed_detection_rate.
     """
     _faulty(alarm, active)
     return _delay(t, np.broadcast_to(alarm[..., None], active.shape), active)

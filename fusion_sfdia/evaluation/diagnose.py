@@ -1,4 +1,4 @@
-"""From a log of readings to a table of events, whatever the detector and whoever made the data."""
+"""From a log of readings to a table of events, with any detector."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 
-MOST_BRIDGES = 10_000  # steps in gaps, besides ten for each reading: a day's outage in steps of 10 s
+MOST_BRIDGES = 10_000  # steps in gaps, in addition to ten for each reading: a day's outage in steps of 10 s
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[
         parts = np.where(long, np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
     if np.sum(parts) > MOST_BRIDGES + 10 * t.size:
         raise ValueError(
-            f"{t.size} readings take {np.sum(parts):.5g} steps of {plant.dt:g} s, for they are up to {np.max(gaps):g} s apart; "
-            "give times in seconds, or cut the readings where nothing was read for long"
+            f"{t.size} readings take {np.sum(parts):.5g} steps of {plant.dt:g} s, as they are up to {np.max(gaps):g} s apart; "
+            "give times in seconds, or split the log at long gaps"
         )
     for k, step in enumerate(gaps / parts):
         try:
@@ -106,8 +106,8 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
     if silent:
         some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
-        whole = ": the diagnosis is the model's prediction alone" if len(silent) == y.shape[1] else ""
-        remarks.append(f"no reading at all of {some}{whole}; fill their columns to have them judged")
+        whole = ": the diagnosis is only the model's prediction" if len(silent) == y.shape[1] else ""
+        remarks.append(f"no readings of {some}{whole}; fill their columns to have them tested")
     thresholds = decisions.threshold[np.isfinite(decisions.residual)]
     if thresholds.size and np.all(np.isinf(thresholds)):
         remarks.append(
@@ -121,7 +121,7 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
         for i in np.flatnonzero(np.any(absurd, axis=0)) if absurd.shape == values.shape else ():
             where = np.flatnonzero(absurd[:, i])
             remarks.append(
-                f"{signals[i].name}: {where.size} of {t.size} values cannot be, the first {values[where[0], i]:g} "
+                f"{signals[i].name}: {where.size} of {t.size} values are impossible, the first {values[where[0], i]:g} "
                 f"{signals[i].unit} at {t[where[0]]:g} s; {fate}: leave such cells empty, or check units"
             )
     if np.any(decisions.capped):
@@ -133,7 +133,7 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
         )
     for flags, what, cure in (
         (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),
-        (decisions.diverged, "diverged and does not count", "check units, inputs and parameters, or cut the log before"),
+        (decisions.diverged, "diverged and is not valid", "check units, inputs and parameters, or cut the log before"),
     ):
         if np.any(flags):
             first = f"{np.sum(flags)} of {t.size} samples, first at {t[np.argmax(flags)]:g} s"

@@ -18,7 +18,7 @@ Array = NDArray[Any]
 
 
 class Response(NamedTuple):
-    """How a group of modules responds to a fault: share of runs that miss it; delay (s) in the others; its range."""
+    """Response of a group of modules to a fault: share of runs that miss it; delay (s) in the others; its range."""
 
     missed: Estimate
     delay: Estimate
@@ -86,7 +86,7 @@ def isolation_performance(t: Array, isolated: Array, active: Array, alarm: Array
 def exoneration_performance(t: Array, isolated: Array, alarm: Array) -> Estimate:
     """Return P^E, (24) and (26), as a fraction: the time mean from the first alarm on of the share of sensors not isolated.
 
-    It does not show whether a faulty sensor is among them: read it beside isolation_metrics.isolation_recall.
+    It does not show whether a faulty sensor is among them: read it together with isolation_metrics.isolation_recall.
     """
     return _from_first_alarm(t, 1 - isolated.mean(axis=-1), alarm)
 

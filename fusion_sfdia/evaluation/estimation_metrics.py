@@ -1,4 +1,4 @@
-"""How good estimates are: states, replaced readings, covariances, sizes of faults. Time first, then runs."""
+"""Accuracy of estimates: states, reconstructed readings, covariances, sizes of faults. Time first, then runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def rmse(estimate: Array, truth: Array, where: Array | None = None) -> Estimate:
 
     estimate, truth (K, B, n): give the columns of one quantity (measured_states), as units differ. where (K, B).
     The paper divides by N_s = L / ds = 20 though there are 21 nodes, which is 2.5 % more; here the entries are counted.
-    Accommodation: the error of Decision.reconstruction against that of the readings as they came (rmse_unaccommodated) and of
+    Accommodation: the error of Decision.reconstruction against that of the readings as received (rmse_unaccommodated) and of
     the healthy ones (rmse_healthy), each against the noise-free signal. Entries that are NaN (a missing reading, a
     diverged estimate) are left out.
     """
@@ -97,7 +97,7 @@ def fault_mape_percent(fault_size: Array, size: Array, isolated: Array, active: 
     """Mean of 100 |size_hat / size - 1| over the faulty sensor-samples that are isolated, with an interval over runs.
 
     All (K, B, N). Where a size is NaN (dropout, no estimate) or the true size is 0, the sample is left out: a fault that
-    is not isolated has no size, so read it beside isolation_recall.
+    is not isolated has no size, so read it together with isolation_recall.
     """
     require_shapes(fault_size=(fault_size, size.shape), isolated=(isolated, size.shape), active=(active, size.shape))
     counted = isolated & active & np.isfinite(fault_size) & np.isfinite(size) & (size != 0)

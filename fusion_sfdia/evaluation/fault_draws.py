@@ -94,7 +94,7 @@ def draw_faults(
     sensors = np.arange(len(plant.sensors)) if quantity is None else plant.quantities[quantity]
     first, last = int(np.ceil(window[0] / plant.dt - 1e-9)), int(np.floor(window[1] / plant.dt + 1e-9))
     if first > last:
-        raise ValueError(f"no multiple of dt = {plant.dt:g} s lies within the window {window}; widen it")
+        raise ValueError(f"no multiple of dt = {plant.dt:g} s is within the window {window}; widen it")
     low, high = (count, count) if isinstance(count, int) else count
     if not 1 <= low <= high:
         raise ValueError(f"count is {count}; expected at least 1, and low <= high")

@@ -1,4 +1,4 @@
-"""What sensor faults do to readings: the equations of FAULT_KINDS."""
+"""Effects of sensor faults on readings: the equations of FAULT_KINDS."""
 
 from __future__ import annotations
 

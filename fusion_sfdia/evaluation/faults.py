@@ -21,9 +21,9 @@ FAULT_KINDS = {
     "scale": "b y",
     "noise": "y + b e, e standard normal",
     "spikes": "y + b or y - b, at each sample with `probability`, else y",
-    "freeze": "the last reading before the onset; not found by its mean until the signal has moved by several sigma",
+    "freeze": "the last reading before the onset; its mean is not detectable until the signal has moved by several sigma",
     "dropout": "missing (NaN), at each sample with `probability`",
-    "replay": "the readings of the `period` seconds before the onset, again and again: an attack that hides what happens",
+    "replay": "the readings of the `period` seconds before the onset, repeated: an attack that hides changes of the plant",
 }
 WITHOUT_MAGNITUDE = ("freeze", "dropout", "replay")
 

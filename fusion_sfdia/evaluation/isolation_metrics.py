@@ -44,7 +44,7 @@ def isolation_confusion(isolated: Array, active: Array, where: Array | None = No
     Each sample is one entry in the row of every faulty sensor, or in row 0 where none is. It falls in its own column
     where the sensor is isolated; else evenly in the columns of the healthy sensors that are isolated, or in column 0
     where none is. A row adds up to its number of samples; only isolation_precision shows a healthy sensor that is isolated
-    beside the right one.
+    in addition to the faulty one.
     """
     counted = _counted(isolated, active, where)
     found, faulty = isolated[counted], active[counted]

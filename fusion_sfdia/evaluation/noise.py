@@ -47,23 +47,23 @@ def sensor_noise(sensors: tuple[Sensor, ...], seeds: tuple[int, ...], steps: int
 
 
 class ProcessNoise:
-    """One stream a seed; each step takes the next numbers of every stream."""
+    """Process noise of a plant, one stream a seed; each step takes the next numbers of every stream."""
 
-    def __init__(self, truth: Plant, seeds: tuple[int, ...]) -> None:
-        self.truth = truth
+    def __init__(self, plant: Plant, seeds: tuple[int, ...]) -> None:
+        self.plant = plant
         self.streams = [stream(s, "process noise") for s in seeds]
-        if truth.process_bound is not None and truth.process_cov.ndim == 2:
-            raise ValueError(f"plant {truth.name!r} has a process bound and a full process_cov; give variances or no bound")
+        if plant.process_bound is not None and plant.process_cov.ndim == 2:
+            raise ValueError(f"plant {plant.name!r} has a process bound and a full process_cov; give variances or no bound")
 
     def over(self, dt: float) -> Array:
         """Noise (B, 1, n) of a step of dt seconds: its covariance and its bound grow in proportion to dt."""
-        truth = self.truth
-        uniform = np.stack([_unit(r, (1, truth.x0.size)) for r in self.streams])
-        cov = truth.process_cov_over(dt)
+        plant = self.plant
+        uniform = np.stack([_unit(r, (1, plant.x0.size)) for r in self.streams])
+        cov = plant.process_cov_over(dt)
         if cov.ndim == 2:
             return np.asarray(ndtri(uniform) @ square_root(cov).T)
         sigma = np.sqrt(diagonal(cov))
-        if truth.process_bound is None:
+        if plant.process_bound is None:
             return np.asarray(sigma * ndtri(uniform))
-        bound = np.broadcast_to(truth.process_bound, sigma.shape) * (dt / truth.dt)
+        bound = np.broadcast_to(plant.process_bound, sigma.shape) * (dt / plant.dt)
         return _quantile(uniform, np.where((sigma == 0) & (bound > 0), np.inf, sigma), bound)

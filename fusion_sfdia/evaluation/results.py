@@ -23,7 +23,7 @@ NUMBERS = ("value", "low", "high", "published")
 
 @dataclass(frozen=True)
 class Published:
-    """A number as its authors state it, in the unit of the row beside which it stands; source names paper, table and page."""
+    """A number as its authors state it, in the unit of the row that it is compared with; source names paper, table and page."""
 
     value: float
     source: str
@@ -77,7 +77,7 @@ class Row:
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the published value lies within the interval; None where there is no published value or no interval."""
+        """Whether the published value is within the interval; None where there is no published value or no interval."""
         if self.published is None or not (math.isfinite(self.low) and math.isfinite(self.high)):
             return None
         return self.low <= self.published <= self.high
@@ -95,7 +95,7 @@ def row_of(
     *,
     condition: str = "",
 ) -> Row:
-    """Return the row of an estimate beside what is published of the same thing, if anything is."""
+    """Return the row of an estimate with the published value of the same quantity, if there is one."""
     value, source = (None, "") if published is None else (published.value, published.source)
     names = (scenario, plant, detector, fault, quantity, metric)
     return Row(*names, *estimate, published=value, source=source, condition=condition)

@@ -1,6 +1,6 @@
 """Simulated recordings: a truth model, its noise, and the readings that a detector receives.
 
-On one machine the recording of a seed is the same bits whatever other seeds are simulated with it: each draws from its own
+On one machine the recording of a seed is the same bits whatever other seeds are simulated with it: each seed has its own
 streams, and the plant steps a batch of shape (seeds, 1), so that a matrix product, too, is that of one seed.
 """
 
@@ -20,7 +20,7 @@ from fusion_sfdia.evaluation.noise import ProcessNoise, sensor_noise, square_roo
 
 Array = NDArray[Any]
 
-MOST_STEPS = 10**9  # more is a slip: a step takes at least a microsecond
+MOST_STEPS = 10**9  # more is taken for a mistake: a step takes at least a microsecond
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def simulate(
     those of `plant`; without it, and with states of other names, x is None. process_noise: whether the truth is disturbed
     by its process noise. start: "nominal" for the truth's x0, "sampled" from its initial covariance, or states (n',) or
     (B, n'). inputs: u as a function of the time from which it acts, or as (K, m); None for the truth's operation, in closed
-    loop where it has feedback, whose controllers get the readings as they are simulated here. It is held from one reading to
+    loop where it has feedback, whose controllers get the simulated readings. It is held from one reading to
     the next; until the first one the operation acts alone.
 
     Noise: Gaussian where a sigma is stated, uniform within the bound where only a bound is, Gaussian truncated to the
@@ -82,44 +82,46 @@ def simulate(
         if truth not in ("finer", "model"):
             raise ValueError(f"truth is {truth!r}; expected 'finer', 'model' or a plant")
         if truth == "finer" and plant.truth.finer is not None:
-            truth, to_states = plant.truth.finer()
+            source, to_states = plant.truth.finer()
         else:
-            truth = plant
-    elif not isinstance(truth, Plant):
+            source = plant
+    elif isinstance(truth, Plant):
+        source = truth
+    else:
         raise ValueError(f"truth is {truth!r}; expected 'finer', 'model' or a plant")
-    _require_fit(plant, truth)
+    _require_fit(plant, source)
     seeds = require_seeds(seeds)
     if not np.isfinite(t0):
         raise ValueError(f"t0 is {t0}; expected a finite time in s")
     t, dt = _times(plant, times, t0)
-    u = _inputs(plant, t - dt, truth.input_at if inputs is None else inputs)
-    closed = inputs is None and truth.truth.feedback is not None
-    x = _start(truth, start, seeds, t0)
-    n, steps, count = x.shape[-1], t.size, len(truth.sensors)
-    draws = ProcessNoise(truth, seeds) if process_noise else None
+    u = _inputs(plant, t - dt, source.input_at if inputs is None else inputs)
+    closed = inputs is None and source.truth.feedback is not None
+    x = _start(source, start, seeds, t0)
+    n, steps, count = x.shape[-1], t.size, len(source.sensors)
+    draws = ProcessNoise(source, seeds) if process_noise else None
     xs = np.empty((steps, len(seeds), n))
     signal = np.empty((steps, len(seeds), count))
-    noise = sensor_noise(truth.sensors, seeds, steps)
+    noise = sensor_noise(source.sensors, seeds, steps)
     before = t - dt
     if closed:
         u = np.repeat(u[:, None], len(seeds), axis=1)
     for k in range(steps):
         if closed and k > 0:
-            u[k] = _fed_back(truth, float(before[k]), signal[k - 1] + noise[k - 1], u[k])
+            u[k] = _fed_back(source, float(before[k]), signal[k - 1] + noise[k - 1], u[k])
         acting = u[k][:, None] if closed else u[k]
-        parts = 1 if truth.dt == plant.dt else int(np.ceil(float(dt[k]) / truth.dt - 1e-9))
+        parts = 1 if source.dt == plant.dt else int(np.ceil(float(dt[k]) / source.dt - 1e-9))
         part = float(dt[k]) / parts
-        truth.check_dt(part)
+        source.check_dt(part)
         for j in range(parts):
             with np.errstate(all="ignore"):
-                x = truth.step(float(before[k]) + j * part, x, acting, part)
+                x = source.step(float(before[k]) + j * part, x, acting, part)
             if draws is not None:
                 x = x + draws.over(part)
-            _require_inside(truth, x, seeds, float(before[k]) + (j + 1) * part)
+            _require_inside(source, x, seeds, float(before[k]) + (j + 1) * part)
         xs[k] = x[:, 0]
-        signal[k] = truth.output(float(t[k]), x, acting)[:, 0]
+        signal[k] = source.output(float(t[k]), x, acting)[:, 0]
     names = tuple(s.name for s in plant.states)
-    states: Array | None = xs if names == tuple(s.name for s in truth.states) else None
+    states: Array | None = xs if names == tuple(s.name for s in source.states) else None
     if to_states is not None:
         states = np.asarray(to_states(xs))
         if states.shape != (expected := (steps, len(seeds), len(names))):
@@ -137,16 +139,16 @@ def simulate(
     )
 
 
-def _require_fit(plant: Plant, truth: Plant) -> None:
+def _require_fit(plant: Plant, source: Plant) -> None:
     for what, own, other in (
-        ("sensors", plant.sensor_names, truth.sensor_names),
-        ("inputs", tuple(s.name for s in plant.inputs), tuple(s.name for s in truth.inputs)),
+        ("sensors", plant.sensor_names, source.sensor_names),
+        ("inputs", tuple(s.name for s in plant.inputs), tuple(s.name for s in source.inputs)),
     ):
         if own != other:
             raise ValueError(f"truth has the {what} {', '.join(other)}; expected those of the plant, {', '.join(own)}")
-    ratio = plant.dt / truth.dt
+    ratio = plant.dt / source.dt
     if not np.isclose(ratio, round(ratio), rtol=1e-9) or round(ratio) < 1:
-        raise ValueError(f"truth steps by {truth.dt:g} s; expected plant dt = {plant.dt:g} s divided by a whole number")
+        raise ValueError(f"truth steps by {source.dt:g} s; expected plant dt = {plant.dt:g} s divided by a whole number")
 
 
 def _times(plant: Plant, times: int | Array, t0: float) -> tuple[Array, Array]:
@@ -172,22 +174,22 @@ def _inputs(plant: Plant, before: Array, given: Callable[[float], Array] | Array
     return u
 
 
-def _fed_back(truth: Plant, t: float, y: Array, u: Array) -> Array:
-    """The input of each run (B, m) from its readings y (B, N); of shape (B, 1, ...) for the plant, as all else."""
-    feedback = truth.truth.feedback
+def _fed_back(source: Plant, t: float, y: Array, u: Array) -> Array:
+    """The input of each run (B, m) from its readings y (B, N); the plant's feedback gets shapes (B, 1, ...)."""
+    feedback = source.truth.feedback
     assert feedback is not None
     found = np.asarray(feedback(t, y[:, None], u[:, None]), dtype=float)
     if found.shape != (len(y), 1, u.shape[-1]) or not np.all(np.isfinite(found)):
         raise ValueError(
-            f"feedback of plant {truth.name!r} gives shape {found.shape} at {t:g} s; expected finite inputs "
+            f"feedback of plant {source.name!r} gives shape {found.shape} at {t:g} s; expected finite inputs "
             f"(..., {u.shape[-1]}) for readings {y[:, None].shape}"
         )
     return found[:, 0]
 
 
-def _start(truth: Plant, start: str | Array, seeds: tuple[int, ...], t0: float) -> Array:
+def _start(source: Plant, start: str | Array, seeds: tuple[int, ...], t0: float) -> Array:
     """States (B, 1, n) at t0."""
-    n = truth.x0.size
+    n = source.x0.size
     if not isinstance(start, str):
         given = np.asarray(start, dtype=float)
         if given.shape not in {(n,), (len(seeds), n)} or not np.all(np.isfinite(given)):
@@ -195,23 +197,23 @@ def _start(truth: Plant, start: str | Array, seeds: tuple[int, ...], t0: float) 
         return np.broadcast_to(given, (len(seeds), n))[:, None, :].copy()
     if start not in ("nominal", "sampled"):
         raise ValueError(f"start is {start!r}; expected 'nominal', 'sampled' or states")
-    x = np.broadcast_to(truth.x0, (len(seeds), 1, n))
+    x = np.broadcast_to(source.x0, (len(seeds), 1, n))
     if start == "sampled":
         xi = np.stack([stream(s, "initial state").standard_normal((1, n)) for s in seeds])
-        x = x + xi * np.sqrt(truth.initial_cov) if truth.initial_cov.ndim == 1 else x + xi @ square_root(truth.initial_cov).T
-        _require_inside(truth, x, seeds, t0)
+        x = x + xi * np.sqrt(source.initial_cov) if source.initial_cov.ndim == 1 else x + xi @ square_root(source.initial_cov).T
+        _require_inside(source, x, seeds, t0)
     return x.copy()
 
 
-def _require_inside(truth: Plant, x: Array, seeds: tuple[int, ...], t: float) -> None:
-    _, outside = truth.guard(x[:, 0])
+def _require_inside(source: Plant, x: Array, seeds: tuple[int, ...], t: float) -> None:
+    _, outside = source.guard(x[:, 0])
     if not np.any(outside):
         return
     b = int(np.flatnonzero(outside)[0])
-    low, high = truth.state_limits
+    low, high = source.state_limits
     i = int(np.flatnonzero(~((x[b, 0] >= low) & (x[b, 0] <= high)))[0])
-    state = truth.states[i]
+    state = source.states[i]
     raise ArithmeticError(
-        f"seed {seeds[b]} left the limits of {truth.name!r} at {t:g} s: {state.name} = {x[b, 0, i]:g} {state.unit}, limits "
+        f"seed {seeds[b]} left the limits of {source.name!r} at {t:g} s: {state.name} = {x[b, 0, i]:g} {state.unit}, limits "
         f"[{state.low:g}, {state.high:g}]; make inputs or start milder, lower the process noise, or widen the limits"
     )

@@ -49,7 +49,7 @@ def faulted(
 ) -> Faulted:
     """Simulate one run a seed with `count` random faults at once in each, none for faults=None.
 
-    Their onset lies after `settle` samples and early enough for a fault of 40 samples to end within the run.
+    Their onset is after `settle` samples and early enough for a fault of 40 samples to end within the run.
     """
     recording = simulate(
         plant, steps, seeds, truth=truth, to_states=to_states, process_noise=process_noise,

@@ -1,1 +1,1 @@
-"""Scenarios, and what runs them: workers or a cluster, parts that an interrupted run takes up again, results on disk."""
+"""Scenarios and their runs: workers or a cluster, resumable parts, results on disk."""

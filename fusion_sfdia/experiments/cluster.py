@@ -1,6 +1,6 @@
 """Pieces of work on the workers of a dask cluster that is already running; their arrays come back and are kept here.
 
-The cluster's own scheduler shares the pieces out and gives those of a worker that is lost to the others. Every piece runs with
+The cluster's own scheduler distributes the pieces and reassigns those of a lost worker. Every piece runs with
 one thread for linear algebra, so that its bits are those of a run on one machine of the same kind with the same libraries.
 
 A dask scheduler authenticates its clients only if its address is tls://, and tasks and answers are pickles, which run code
@@ -24,11 +24,11 @@ PATIENCE = 15.0  # seconds to wait for the scheduler, and for its first worker
 
 @contextmanager
 def connected(address: str) -> Iterator[Callable[[Sequence[Piece]], Iterator[Done]]]:
-    """Give what does pieces on the workers of the scheduler at `address` and tells of each when it is done, in any order.
+    """Give a function that does pieces of work on the scheduler's workers and yields each when it is done, in any order.
 
     Raises ModuleNotFoundError without the package `distributed`, ValueError for what is no address and where workers run other
-    code or libraries than this process, OSError where nothing answers or no worker comes, RuntimeError where the scheduler goes
-    away on the way.
+    code or libraries than this process, OSError where nothing answers or no worker comes, RuntimeError where the scheduler
+    disappears meanwhile.
     """
     try:
         from distributed import Client
@@ -69,16 +69,16 @@ def _work_off(client: Any, here: Mapping[str, Any], pieces: Sequence[Piece]) -> 
         arrays: Arrays = {}
         seconds = 0.0
         if future.status == "cancelled":
-            logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no traceback of a connection that is given up
+            logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no traceback of a closed connection
             raise RuntimeError(
-                "the dask scheduler went away, or dropped the work; what was finished is kept: start the cluster again, "
-                "and the same command goes on where it stood"
+                "the dask scheduler disappeared, or dropped the work; finished pieces are kept: start the cluster again "
+                "and repeat the same command to continue"
             )
         if future.status == "finished":
             arrays, seconds, error_text = future.result()
         elif isinstance(problem := future.exception(), OtherCodeError):  # a worker that joined after the others
             raise ValueError(f"a worker cannot do the work: {problem}; install the same there") from problem
-        else:  # lost: a worker died of it, too often for the scheduler
+        else:  # lost: more workers ended on it than the scheduler accepts
             error_text = f"{type(problem).__name__}: {problem}"
         future.release()
         if error_text is None:
@@ -87,7 +87,7 @@ def _work_off(client: Any, here: Mapping[str, Any], pieces: Sequence[Piece]) -> 
 
 
 class OtherCodeError(Exception):
-    """A worker's code or libraries are not those of the process that asks."""
+    """A worker's code or libraries differ from those of this process."""
 
 
 def _require_same(expected: Mapping[str, Any]) -> None:
@@ -98,6 +98,6 @@ def _require_same(expected: Mapping[str, Any]) -> None:
 
 
 def _done_alike(expected: Mapping[str, Any], work: Callable[[Task], Arrays], task: Task) -> tuple[Arrays, float, str | None]:
-    """On a worker: a piece of work, with the code and libraries that are expected or not at all."""
+    """On a worker: do a piece of work, only with the expected code and libraries."""
     _require_same(expected)
     return timed(work, task)

@@ -25,7 +25,7 @@ OWN_FILE = re.compile(r"metrics\.csv|report\.html|figures/[a-z0-9-]+\.(svg|png)"
 
 @dataclass(frozen=True)
 class Command:
-    """What a run computes. Two runs of the same command may share a folder: the second takes up what the first finished."""
+    """A run as defined by its command. Runs of one command may share a folder: the second reuses parts of the first."""
 
     scenarios: tuple[str, ...]
     seeds: int | None = None
@@ -78,7 +78,7 @@ def _lock(handle: int, path: Path) -> bool:
             return True
     with suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(handle), path.stat())
-    return False  # the one that held it has removed it since it was opened
+    return False  # its holder has removed it since it was opened
 
 
 def open_output(out: Path, command: Command, *, force: bool = False) -> None:
@@ -94,10 +94,10 @@ def open_output(out: Path, command: Command, *, force: bool = False) -> None:
     earlier = read_manifest(out)
     same = earlier is not None and earlier.get("command") == command.text
     if found and not same and not force:
-        what, cure = "files that are no run of fusion-sfdia", "write into it with --force"
+        what, cure = "files that are not a run of fusion-sfdia", "write into it with --force"
         if earlier is not None:
             what = f"another run ({earlier.get('command')})"
-            cure = "replace that run with --force, which takes up those of its finished parts that this run needs too"
+            cure = "replace that run with --force, which reuses its finished parts that this run needs"
         raise ValueError(f"{out} is already used: it holds {what}; name another folder with --out, or {cure}")
     kept = earlier if same and earlier else {"files": own_files(earlier or {})}
     try:
@@ -108,7 +108,7 @@ def open_output(out: Path, command: Command, *, force: bool = False) -> None:
 
 
 def read_manifest(out: Path) -> dict[str, Any] | None:
-    """Return the manifest of a folder; None where there is none of ours."""
+    """Return the manifest of a folder; None where it holds none of this package."""
     try:
         manifest = json.loads((out / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -124,7 +124,7 @@ def write_manifest(out: Path, manifest: dict[str, Any]) -> None:
 
 
 def own_files(manifest: dict[str, Any]) -> list[str]:
-    """Return the files a manifest lists, those alone that bear names of ours."""
+    """Return the files that a manifest lists, only those with names that a run writes."""
     return [name for name in manifest.get("files", ()) if isinstance(name, str) and OWN_FILE.fullmatch(name)]
 
 
@@ -135,7 +135,7 @@ def remove(out: Path, names: Iterable[str]) -> None:
 
 
 def remove_other_parts(out: Path, keep: set[str]) -> None:
-    """Remove parts that do not belong to the run, and what killed processes left of unfinished ones."""
+    """Remove parts that do not belong to the run, and unfinished ones of killed processes."""
     for path in (out / "parts").glob("*"):
         if path.name not in keep and PART_NAME.fullmatch(path.name):
             path.unlink(missing_ok=True)

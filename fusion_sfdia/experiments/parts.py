@@ -1,4 +1,4 @@
-"""Finished pieces of work on disk, named by everything that decides their bits, so that a run can be taken up again."""
+"""Finished pieces of work on disk, named by everything that decides their bits, so that a run can be resumed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def part_name(work: Callable[[Task], Arrays], task: Task) -> str:
 
 
 def decisive() -> dict[str, Any]:
-    """Return what decides the bits of any piece of work beside its task: code, libraries, kind of machine."""
+    """Return what decides the bits of any piece of work besides its task: code, libraries, kind of machine."""
     found = versions()
     return {
         "version": fusion_sfdia.__version__,
@@ -46,7 +46,7 @@ def decisive() -> dict[str, Any]:
 
 
 def write_part(path: Path, arrays: Arrays) -> None:
-    """Write a piece's arrays, whole or not at all; TypeError for anything but arrays of numbers, booleans and text."""
+    """Write a piece's arrays, completely or not at all; TypeError for anything but arrays of numbers, booleans and text."""
     plain: dict[str, Array] = {}
     for name, array in arrays.items():
         plain[name] = np.asarray(array)

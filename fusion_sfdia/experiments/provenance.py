@@ -31,7 +31,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def sources_digest() -> str:
-    """A digest of the package's sources and data, the same however it is installed: parts of an older code are not taken up."""
+    """A digest of the package's sources and data, the same however it is installed: parts of older code are not reused."""
     found = {}
     for package in (fusion_sfdia, models, benchmarks):
         folder = Path(package.__path__[0])

@@ -1,4 +1,4 @@
-"""Run scenarios on all cores: finished pieces are kept, so an interrupted run goes on where it stood, with the same bits.
+"""Run scenarios on all cores: finished pieces are kept, so an interrupted run can be resumed, with the same bits.
 
 The bits of metrics.csv do not depend on the number of workers: see `workers`. Another processor rounds otherwise.
 """
@@ -57,7 +57,7 @@ class Outcome:
 
 @dataclass
 class _Plan:
-    """A scenario with its settings, its size and its tasks by the names of their parts; what failed and how long it took."""
+    """A scenario with its settings, its size and its tasks by the names of their parts; its errors and its time."""
 
     scenario: Scenario
     settings: Settings
@@ -168,9 +168,9 @@ def _plans(scenarios: Sequence[Scenario], seeds: int | None, full: bool, changes
 
 
 def _work_off(plans: list[_Plan], out: Path, work_off: WorkOff) -> list[str]:
-    """Do what is not there yet, once for all the scenarios that ask for it; its time counts for the first of them.
+    """Do the missing parts, once for all scenarios that share them; the time counts for the first of them.
 
-    Returns a line for each part that is there and damaged, which is done again.
+    Returns a line for each damaged part, which is computed again.
     """
     asking: dict[str, list[_Plan]] = {}
     for plan in plans:
@@ -242,7 +242,7 @@ def _label(task: Task) -> str:
 
 @contextmanager
 def _progress(total: int, done: int) -> Iterator[Progress]:
-    """A bar on a terminal, nothing elsewhere."""
+    """A progress bar on a terminal, nothing elsewhere."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:

@@ -19,7 +19,7 @@ Setting = bool | int | float | str | tuple[Any, ...]
 Settings = Mapping[str, Any]  # of Setting
 Task = Mapping[str, Any]
 
-USUAL = (1e-6, 1e6)  # from where to where numbers of settings go, unless a scenario has bounds of its own
+USUAL = (1e-6, 1e6)  # least and largest number of a setting, unless its scenario states other bounds
 LONGEST = 1000  # characters of a setting that is a text, such as a path
 YES, NO = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 
@@ -30,9 +30,9 @@ class Scenario:
 
     settings: names and defaults, which `--set name=value` overrides; a value has the type of its default, a tuple the
     type of its first entry. seeds: runs by default; full_seeds: the size of the paper, with `--full`.
-    bounds: the least and the most that a number of a setting may be, where that is not USUAL, or 1 for a whole number.
+    bounds: the least and largest value of a setting, where they are not USUAL, or at least 1 for a whole number.
     optional: the settings that may be an empty tuple.
-    full: what else `--full` sets, beside the size: settings of the whole paper, unless `--set` names them.
+    full: what `--full` sets in addition to the size: settings of the whole paper, unless `--set` names them.
     tasks(settings, seeds): the independent pieces of work, each a mapping of JSON values that decides all its bits.
     work(task): one piece, in a process of its own: arrays only, and on one machine the same bits for the same task. Scenarios
     with the same work share the pieces whose tasks are equal.
@@ -63,7 +63,7 @@ class Scenario:
 def adjust(scenario: Scenario, changes: Mapping[str, str], *, full: bool = False) -> dict[str, Setting]:
     """Return the scenario's settings, or those of the whole paper, with some changed, given as text.
 
-    Raises ValueError for unknown names, wrong types, numbers out of bounds, and tuples that are empty or name a thing twice.
+    Raises ValueError for unknown names, wrong types, numbers out of bounds, and tuples that are empty or repeat a value.
     """
     unknown = [k for k in changes if k not in scenario.settings]
     if unknown:
@@ -83,7 +83,7 @@ def _changed(scenario: Scenario, key: str, text: str, default: Setting) -> Setti
     if not (found or key in scenario.optional):
         raise ValueError(f"setting {key} is empty; expected at least one value, such as {setting_text(like)}")
     if twice := [v for v in found if found.count(v) > 1]:
-        raise ValueError(f"setting {key} is {shown(text)}; expected each value once, {shown(twice[0])} stands twice")
+        raise ValueError(f"setting {key} is {shown(text)}; expected each value once, {shown(twice[0])} occurs twice")
     return found
 
 

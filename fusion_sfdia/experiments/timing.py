@@ -30,7 +30,7 @@ def best_times(
     time.thread_time, for calls that are always interrupted on a busy machine.
     """
     if not 0 < seconds < math.inf:
-        raise ValueError(f"seconds is {seconds}; a positive time is expected")
+        raise ValueError(f"seconds is {seconds}; expected a positive time")
     for call in calls.values():
         call()
     taken: dict[Key, list[float]] = {name: [] for name in calls}

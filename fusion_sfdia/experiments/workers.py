@@ -25,7 +25,7 @@ from fusion_sfdia.experiments.scenario import Arrays, Task
 
 
 class Piece(NamedTuple):
-    """What is to be done, and the file that takes the arrays."""
+    """A piece of work to do, and the file for its arrays."""
 
     path: Path
     work: Callable[[Task], Arrays]
@@ -52,7 +52,7 @@ def work_off(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
         yield from parallel(delayed(_do)(piece, os.getpid()) for piece in pieces)
     except BrokenProcessPool as error:
         raise RuntimeError(
-            "a worker process was killed, most often for want of memory; what it finished is kept: run the same command "
+            "a worker process was killed, usually for lack of memory; finished pieces are kept: run the same command "
             f"again with fewer workers than {workers}"
         ) from error
 

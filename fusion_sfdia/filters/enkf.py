@@ -74,7 +74,7 @@ def update(settings: EnKFSettings, E: Array, h: Model, y: Array, R: Array, rng: 
     """Return the members (..., Ne, n) after the readings y (..., N), NaN where missing; R is (N,) or (N, N).
 
     Numbers are drawn for missing readings too, so that a gap does not shift the stream. Without any reading the members
-    stay as they are, without inflation.
+    do not change and are not inflated.
     """
     size = E.shape[-2]
     if size != settings.size:
@@ -142,7 +142,7 @@ def _localised(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R: Arra
 
 
 def rotation(size: int, rng: np.random.Generator, batch: tuple[int, ...] = ()) -> Array:
-    """Random orthogonal matrices (*batch, size, size) that keep the vector of ones: they turn anomalies, not the mean."""
+    """Random orthogonal matrices (*batch, size, size) that keep the vector of ones: they rotate anomalies and keep the mean."""
     q, r = np.linalg.qr(rng.standard_normal((*batch, size - 1, size - 1)))
     q = q * np.sign(np.diagonal(r, axis1=-2, axis2=-1))[..., None, :]
     ones = np.full((size, 1), 1.0)

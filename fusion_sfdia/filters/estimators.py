@@ -1,10 +1,7 @@
-"""The three filters of the banks behind one face: start, predict, joint, and what a bank does with their state.
+"""The three filters of the banks with one interface: start, predict, joint, assimilate.
 
-A core is what a filter carries from step to step: a GaussianState of the extended and unscented filters, an EnsembleState of
-the ensemble filter. Each keeps the plant's limits: a prediction starts from the state moved into them, told
-as `guarded`. An estimate whose step ends in no number, or most of whose points' steps do, stays where it is. It is `guarded`
-where the model has a number for the plant's x0 (a faulty reading has pulled the estimate to where the model does not hold,
-and the next may pull it back), and `lost` where it has none: then the detector calls it diverged.
+A core is what a filter carries from step to step: a GaussianState for the extended and unscented filters, an EnsembleState
+for the ensemble filter. Predictions keep the plant's limits, see `guarded_steps`.
 """
 
 from __future__ import annotations
@@ -19,28 +16,31 @@ from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import ekf, enkf, gaussian, ukf
 from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.filters.guarded_steps import guarded_points, guarded_step, readings_of
 
 Array = NDArray[Any]
 Core = Any  # GaussianState or EnsembleState
 
 
 class GaussianState(NamedTuple):
-    """Of a filter that carries moments: mean x (..., n) and covariance P (..., n, n) after the last readings."""
+    """State of a filter that carries moments: mean x (..., n) and covariance P (..., n, n) after the last readings."""
 
     x: Array
     P: Array
 
 
 class EnsembleState(NamedTuple):
-    """Of an ensemble filter: the members (..., M, n) after the last readings."""
+    """State of an ensemble filter: the members (..., M, n) after the last readings."""
 
     members: Array
 
 
 class Prior(NamedTuple):
-    """A filter between its two halves: core before the reading, whether the estimate or a point of it had to be moved into the
-    plant's limits (...), whether the model gave it no number (...), and, where the filter has them, the Jacobian of the step
-    and the sigma points that wait for the reading.
+    """A filter after its prediction and before its update.
+
+    core: predicted. guarded (...): whether the estimate, or a point of it, had to be moved into the plant's limits. lost (...):
+    whether the model gives no finite value, see `guarded_steps`. tangent: Jacobian of the step, propagated: sigma points for
+    the update; None for filters without them.
     """
 
     core: Core
@@ -54,9 +54,9 @@ class Estimator(Protocol):
     """A Kalman filter as a bank needs it; rng serves those that draw random numbers.
 
     start: the core of a batch at the plant's x0. predict: over [t_start, t_start + dt] with input u. joint: of state and
-    readings at t. assimilate: the core after the readings y (NaN: not used) with noise
-    covariance noise_gain R, its mean x and its covariance scaled by cov_gain to p; x and p are the bank's result for it.
-    consistent: whether S = H P H' + R and C = P H' hold in its joint Gaussian.
+    readings at t. assimilate: the core after the readings y (NaN: not used) with noise covariance noise_gain R; its mean is
+    moved to x and its covariance scaled by cov_gain to p, the bank's results for it. consistent: whether S = H P H' + R and
+    C = P H' hold in its joint Gaussian.
     """
 
     @property
@@ -70,7 +70,7 @@ class Estimator(Protocol):
 
 
 class Reading(NamedTuple):
-    """What an update uses: time, readings (NaN: not used), input, and by how much the bank scales R and the covariance."""
+    """An update: time, readings (NaN: not used), input, and the factors of the bank on R and on the covariance."""
 
     t: float
     y: Array
@@ -79,80 +79,21 @@ class Reading(NamedTuple):
     cov_gain: float = 1.0
 
 
-class Stepped(NamedTuple):
-    """States (..., n) within the plant's limits from which a step began, and those at which it ended, `start` itself where it
-    ended in no number; whether a state had to be moved into the limits (...); whether its step ended in no number (...);
-    whether a step from the plant's x0 does so too (...).
-    """
-
-    start: Array
-    ahead: Array
-    moved: Array
-    stuck: Array
-    lost: Array
-
-
-def guarded_step(plant: Plant, t_start: float, x: Array, u: Array, dt: float) -> Stepped:
-    """Step the states x (..., n) from within the plant's limits; ValueError where the plant's step changes their shape."""
-    start, moved = plant.guard(x)
-    ahead = np.asarray(plant.step(t_start, start, u, dt))
-    if ahead.shape != start.shape:
-        raise ValueError(
-            f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; expected the same: "
-            "a batch is leading axes"
-        )
-    stuck = ~np.all(np.isfinite(ahead), axis=-1)
-    if not np.any(stuck):
-        return Stepped(start, ahead, moved, stuck, stuck)
-    return Stepped(start, np.where(stuck[..., None], start, ahead), moved, stuck, stuck & ~_holds(plant, t_start, u, dt))
-
-
-def _holds(plant: Plant, t_start: float, u: Array, dt: float) -> Array:
-    """Whether the model has a number for the plant's x0 under the inputs u (..., m)."""
-    x = np.broadcast_to(plant.x0, (*u.shape[:-1], plant.x0.size))
-    return np.asarray(np.all(np.isfinite(plant.step(t_start, x, u, dt)), axis=-1))
-
-
-def guarded_points(plant: Plant, t_start: float, x: Array, u: Array, dt: float) -> Stepped:
-    """Step the points x (..., M, n) that together stand for an estimate, under its input u (..., m); moved and lost are (...).
-
-    They are stuck where more than half of them have no step. A point without one goes along with the mean of the others,
-    else it would spread them by all that they have moved.
-    """
-    start, ahead, moved, stuck, lost = guarded_step(plant, t_start, x, np.expand_dims(u, -2), dt)
-    if np.any(stuck):
-        sound = np.maximum(np.sum(~stuck, axis=-1), 1)[..., None]
-        drift = np.sum(ahead - start, axis=-2) / sound  # those without a step have not moved
-        ahead = np.where(stuck[..., None], start + drift[..., None, :], ahead)
-    most = 2 * np.sum(stuck, axis=-1) > x.shape[-2]
-    return Stepped(start, ahead, np.any(moved, axis=-1), np.any(stuck, axis=-1), most & np.any(lost, axis=-1))
-
-
-def readings_of(plant: Plant, t: float, x: Array, u: Array) -> Array:
-    """Return the readings (..., N) of the plant in states x (..., n); ValueError where its output has another shape."""
-    y = np.asarray(plant.output(t, x, u))
-    if y.shape != (expected := (*x.shape[:-1], len(plant.sensors))):
-        raise ValueError(
-            f"output of plant {plant.name!r} gives shape {y.shape} for states {x.shape}; expected {expected}, a column a sensor"
-        )
-    return y
-
-
 def require_filter(estimator: object) -> None:
-    """Raise ValueError for anything but an estimator, as for its class in place of an instance."""
+    """Raise ValueError for anything but an estimator; a class in place of its instance is refused too."""
     if isinstance(estimator, type) or not hasattr(estimator, "assimilate"):
         raise ValueError(f"estimator is {shown(estimator)}; expected Extended(), Unscented() or Ensemble()")
 
 
 def require_consistent(estimator: object) -> None:
-    """Raise ValueError for anything but a filter whose mean and covariance are consistent: no ensemble, no other gain."""
+    """Raise ValueError unless the estimator carries a mean and covariance of the optimal gain; an ensemble does not."""
     require_filter(estimator)
     if isinstance(estimator, Ensemble) or not estimator.consistent:  # type: ignore[attr-defined]
         raise ValueError(f"{estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)")
 
 
 class _Moments:
-    """What the filters that carry mean and covariance share."""
+    """Common to the filters that carry mean and covariance."""
 
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
         n = plant.x0.size
@@ -172,7 +113,7 @@ class Extended(_Moments):
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         start, ahead, moved, stuck, lost = guarded_step(plant, t_start, core.x, u, dt)
         jacobian = plant.step_jacobian_at(t_start, start, u, dt)
-        if np.any(beyond := moved | stuck):  # beyond its limits the model has no slope to speak of
+        if np.any(beyond := moved | stuck):  # outside its limits the model has no usable Jacobian
             jacobian = np.where(beyond[..., None, None], np.eye(start.shape[-1]), jacobian)
         x, p = ekf.predict(start, core.P, lambda s: ahead, jacobian, plant.process_cov_over(dt))
         return Prior(GaussianState(x, p), beyond, lost, tangent=jacobian)
@@ -187,8 +128,8 @@ class Extended(_Moments):
 class Unscented(_Moments):
     """The unscented Kalman filter (Shaheen 2024, sec. III-C3).
 
-    redraw: draw new sigma points from the predicted moments before the reading, as the textbook does; without, the
-    propagated points serve again as the paper prints it, and the gain does not know of the process noise.
+    redraw: whether new sigma points are drawn from the predicted moments before the update, as in textbooks. Without it, the
+    propagated points are used again, as the paper prints it, and the gain neglects the process noise.
     """
 
     points: ukf.SigmaPoints = field(default_factory=ukf.SigmaPoints)
@@ -247,5 +188,5 @@ class Ensemble:
 
 
 def step_stream(seed: Array | int, step: Array | int) -> np.random.Generator:
-    """The generator of one step of one seed (Philox, the step in the highest counter word): no step repeats another's."""
+    """The generator of one step of one seed (Philox, the step in the highest counter word); no two steps share numbers."""
     return np.random.Generator(np.random.Philox(key=int(seed), counter=[0, 0, 0, int(step)]))

@@ -153,7 +153,7 @@ def _linear(source: KalmanFilter) -> tuple[Array | None, tuple[Signal, ...]]:
     if source.alpha != 1.0:
         raise ValueError(f"alpha is {source.alpha}; a plant has no fading memory: set alpha = 1 and enlarge Q instead")
     if np.any(source.M):
-        raise ValueError("M is not zero; a plant has no noise common to states and readings: fold it into F and Q")
+        raise ValueError("M is not zero; a plant has no noise common to states and readings: include it in F and Q")
     return _inputs(source.B, np.size(source.x))
 
 
@@ -178,7 +178,7 @@ def _timed(source: UnscentedKalmanFilter | EnsembleKalmanFilter, dt: float | Non
         _require_plain(source)
     own = float(source._dt if isinstance(source, UnscentedKalmanFilter) else source.dt)
     if dt is not None and dt != own:
-        raise ValueError(f"dt is {dt} s, the filter's is {own} s; omit it")
+        raise ValueError(f"dt is {dt} s, the filter's is {own} s; leave it out")
     return _Model(f=partial(_without_input, source.fx), h=source.hx, dt=own)
 
 

@@ -2,7 +2,8 @@
 
 A covariance that is the same for a whole batch (Q, R, P0) may be given as its diagonal (n,). The factorisations are
 LAPACK's Cholesky ones, whose success and accuracy do not change under a diagonal scaling of the matrix (Higham, Accuracy
-and Stability of Numerical Algorithms, 2nd ed., Theorems 10.5 to 10.7): Pa or bar makes no difference beyond rounding.
+and Stability of Numerical Algorithms, 2nd ed., Theorems 10.5 to 10.7): units such as Pa or bar make no difference beyond
+rounding.
 """
 
 from __future__ import annotations

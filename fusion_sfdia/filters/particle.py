@@ -32,7 +32,7 @@ class Particles(NamedTuple):
 
     @property
     def effective_size(self) -> Array:
-        """Effective sample size 1 / sum w^2 (...): that many equal weights estimate equally well (Kong, Liu and Wong 1994)."""
+        """Effective sample size 1 / sum w^2 (...), a number of equal weights with that accuracy (Kong, Liu and Wong 1994)."""
         return np.asarray(1.0 / np.sum(self.weights**2, axis=-1))
 
     @property

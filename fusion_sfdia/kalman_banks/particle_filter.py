@@ -27,8 +27,9 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters import particle
-from fusion_sfdia.filters.estimators import guarded_points, readings_of, step_stream
+from fusion_sfdia.filters.estimators import step_stream
 from fusion_sfdia.filters.gaussian import add, whiten
+from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of
 from fusion_sfdia.filters.particle import Particles
 
 Array = NDArray[Any]

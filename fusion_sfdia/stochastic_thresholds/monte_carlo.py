@@ -9,8 +9,9 @@ import numpy as np
 from fusion_sfdia.core.arguments import Array, whole
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import gaussian
-from fusion_sfdia.filters.estimators import Core, GaussianState, Prior, Reading, guarded_points, readings_of
+from fusion_sfdia.filters.estimators import Core, GaussianState, Prior, Reading
 from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of
 
 
 @dataclass(frozen=True)

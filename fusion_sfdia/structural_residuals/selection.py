@@ -1,4 +1,4 @@
-"""Which residuals to run: those whose states forget errors, and of these the simplest with the isolability of all."""
+"""Selection of residuals: those that are stable, and of these the simplest with the isolability of all."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def usable(plant: Plant) -> tuple[Residual, ...]:
 
     Stability is that of a step of plant.dt at the nominal values. A target that is a state without it, as where a level
     integrates measured flows, gets the feedback of its observer. A residual that would integrate the noise of other
-    sensors for ever is not used.
+    sensors without bound is not used.
     """
     found = computable(plant)
     forget = _forget(plant, found)

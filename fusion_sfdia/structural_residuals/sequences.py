@@ -39,7 +39,7 @@ class Sequences:
 
     @cached_property
     def integrated(self) -> Array:
-        """Which states each residual integrates (R, S)."""
+        """Whether each residual integrates each state (R, S)."""
         return np.array([[v in r.integrated for v in self.modules.states] for r in self.residuals], bool)
 
     @cached_property

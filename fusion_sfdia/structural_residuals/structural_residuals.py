@@ -46,12 +46,12 @@ class StructuralMemory(NamedTuple):
 class StructuralResiduals(BatchDetector):
     """Residuals of a plant that states its scalar equations, each with a limit, in standard deviations of its target's noise.
 
-    limits: (R,), as of `fit`. A residual is computed when all readings it takes are there, and is CONTRADICTION where its
-    equations have no value at them; its states are integrated with the last readings in place of missing ones. What is shown
-    of a sensor is the residual of the largest ratio to its limit among those that read it, as so many deviations of its own.
+    limits: (R,), see `fit`. A residual is computed when none of its readings is missing, and is CONTRADICTION where its
+    equations have no value at them; its states are integrated with the last readings in place of missing ones. The
+    residual reported for a sensor has the largest ratio to its limit among those that read it, in deviations of its own noise.
 
-    isolated: the smallest diagnosis of the residuals beyond their limits, of at most max_faults sensors, where there is one
-    alone; none where several are as small. A silent residual clears no sensor: how much of a fault it shows depends on the
+    isolated: the smallest diagnosis of the residuals beyond their limits, of at most max_faults sensors, if it is unique;
+    else none. A residual within its limit exonerates no sensor: how much of a fault it shows depends on the
     equations and on time. reconstruction: of isolated and missing readings the value computed without them, or else the last
     trusted, at first nominal. fault_size: reading less reconstruction. No state is estimated: estimate is the plant's x0.
     """
@@ -64,13 +64,13 @@ class StructuralResiduals(BatchDetector):
         super().__post_init__()
         measured = {s.measures for s in self.plant.sensors} & set(modules_of(self.plant).equations)
         if not self.residuals or not all(isinstance(r, Residual) for r in self.residuals):
-            raise ValueError(f"residuals is {shown(self.residuals)}; expected some, as of selected(plant)")
+            raise ValueError(f"residuals is {shown(self.residuals)}; expected some; use selected(plant)")
         if unread := sorted({v for r in self.residuals for v in (*r.read, r.target)} - measured):
             raise ValueError(f"residuals read {', '.join(unread)}, which plant {self.plant.name!r} does not measure")
         object.__setattr__(self, "limits", floats("limits", self.limits))
         if self.limits.shape != (len(self.residuals),) or not np.all(self.limits > 0):
             raise ValueError(
-                f"limits has shape {self.limits.shape}; expected {len(self.residuals)} positive numbers, one a residual, as of "
+                f"limits has shape {self.limits.shape}; expected {len(self.residuals)} positive numbers, one a residual; use "
                 "StructuralResiduals.fit"
             )
         whole("max_faults", self.max_faults, least=1)
@@ -100,7 +100,7 @@ class StructuralResiduals(BatchDetector):
         if len(rest) * false_alarm < 1 or not len(units):
             raise ValueError(
                 f"{len(rest)} complete healthy samples cannot set limits that one in {1 / false_alarm:.0f} exceeds; give twice "
-                "that many (every other one is used for that), or ask for a higher rate of false alarms"
+                "that many (every other one is used for that), or choose a higher false-alarm rate"
             )
         unit = order_statistic(units, false_alarm / len(residuals))
         if not np.all(unit > 0):
@@ -204,7 +204,7 @@ class StructuralResiduals(BatchDetector):
         return after, Decision(**{name: a.reshape(*batch, *a.shape[1:]) for name, a in decision.items()})
 
     def _diagnosed(self, fired: Array) -> Array:
-        """The smallest diagnosis (B, N) of residuals that fire (B, R), empty where several are as small or it is too large."""
+        """The smallest diagnosis (B, N) of residuals that fire (B, R), empty where it is not unique or too large."""
         found = np.zeros((len(fired), self._reads.shape[1]), bool)
         rows = np.flatnonzero(fired.any(axis=1))
         for chosen, unexplained in self._candidates:

@@ -1,4 +1,4 @@
-"""The checks of plants and detectors find what they are for."""
+"""The checks of plants and detectors detect broken contracts."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def wrong_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
         (replace(CHAIN, x0=np.ones(3), states=LOW_STATES), "x0 of plant 'chain' is outside"),
     ],
 )  # fmt: skip
-def test_a_plant_that_breaks_the_contract_is_found(plant: Plant, message: str) -> None:
+def test_a_plant_that_breaks_the_contract_fails(plant: Plant, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check_plant(plant)
 
@@ -85,7 +85,7 @@ class Broken(CentralFilter):
         ("takes anything", "expected: ValueError for readings"),
     ],
 )
-def test_a_detector_that_breaks_the_contract_is_found(way: str, message: str) -> None:
+def test_a_detector_that_breaks_the_contract_fails(way: str, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check_detector(partial(Broken, way=way), CHAIN)
 

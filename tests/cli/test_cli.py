@@ -16,7 +16,7 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from fusion_sfdia import __version__, registry
+from fusion_sfdia import __version__, scenarios
 from fusion_sfdia.cli import listing
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
@@ -26,7 +26,7 @@ PLANT = gas_pipeline()
 
 @pytest.fixture(autouse=True)
 def toys(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(registry, "SCENARIOS", {"toy/mean": "toy_scenario:TOY"})
+    monkeypatch.setattr(scenarios, "SCENARIOS", {"toy/mean": "toy_scenario:TOY"})
     monkeypatch.chdir(tmp_path)
 
 
@@ -72,7 +72,7 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
     trap = tmp_path / "trap"
     once = ("run", "toy/mean", "--seeds", "2", "--workers", "1", "--set", f"trap={trap}", "--set", "figure=no", "--out", "x")
     trap.write_text("interrupt")
-    assert call(capsys, *once) == (130, "", "fusion-sfdia: interrupted; the same command goes on where it stood\n")
+    assert call(capsys, *once) == (130, "", "fusion-sfdia: interrupted; repeat the same command to continue\n")
     trap.write_text("fail")
     code, _, err = call(capsys, *once)
     assert code == 1
@@ -122,7 +122,7 @@ def test_a_damaged_part_is_a_note(capsys: pytest.CaptureFixture[str]) -> None:
         (("simulate", "--out", "x.csv", "--fault", "weak-bias", "--steps", "5"), "ask for at least 70"),
         (("simulate", "--out", "."), ". is a folder; name a file"),
         (("simulate", "--out", "file/x.csv"), "file/x.csv: Not a directory; name a place below folders"),
-        (("simulate", "--out", "x.csv", "--faults", "absent.toml"), "absent.toml: No such file or directory; name one that"),
+        (("simulate", "--out", "x.csv", "--faults", "absent.toml"), "absent.toml: No such file or directory; name an existing"),
         (("simulate", "--out", "x.csv", "--faults", "file"), "file"),
         (("simulate", "--out", "x.csv", "--faults", "."), ".: Is a directory; name a file"),
         (("diagnose", "--data", "absent.csv"), "absent.csv: No such file or directory"),
@@ -212,8 +212,8 @@ INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
 @pytest.mark.parametrize(
     ("change", "exits", "reported"),
     [
-        (filled(1, "", len(PLANT.sensors)), 0, "warning: no reading at all of p_0, p_1, .* and 55 more: the diagnosis is the"),
-        (filled(1, ""), 0, "warning: no reading at all of p_0; fill"),
+        (filled(1, "", len(PLANT.sensors)), 0, "warning: no readings of p_0, p_1, .* and 55 more: the diagnosis is the"),
+        (filled(1, ""), 0, "warning: no readings of p_0; fill"),
         (lambda rows: rows.pop(6), 0, ""),  # a gap is stepped through
         (
             filled(INLET, "2e6"),
@@ -245,7 +245,7 @@ def test_a_model_without_numbers_fails_the_diagnosis(
     capsys.readouterr()
     monkeypatch.setattr("fusion_sfdia.models.gas_pipeline.equations.advance", lambda x, *_: np.full_like(x, np.nan))
     code, _, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
-    assert code == 1 and re.search(r"diverged and does not count in \d+ of 12 samples, first at", err)
+    assert code == 1 and re.search(r"diverged and is not valid in \d+ of 12 samples, first at", err)
 
 
 def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

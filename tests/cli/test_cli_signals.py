@@ -1,4 +1,4 @@
-"""A campaign that is ended from outside: what is finished stays, no worker is left behind."""
+"""A campaign that is ended by a signal: finished parts stay, no worker remains."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ PROGRAM = """
 import os, signal, sys
 import numpy as np
 from toy_scenario import toy
-from fusion_sfdia import registry
+from fusion_sfdia import scenarios
 from fusion_sfdia.cli.main import main
 
 def work(*arguments):
     if arguments[-1]["detector"] == "b":
-        with open("alive", "w") as told:  # open until this process has ended
-            told.write("x")
-            told.flush()
+        with open("alive", "w") as alive:  # open until this process has ended
+            alive.write("x")
+            alive.flush()
             signal.pause()
     return {"mean": np.zeros(2)}
 
 SCENARIO = toy(work=work)
 if __name__ == "__main__":
-    registry.SCENARIOS = {"toy/mean": "program:SCENARIO"}
+    scenarios.SCENARIOS = {"toy/mean": "program:SCENARIO"}
     sys.exit(main(["run", "toy/mean", "--workers", "2", "--out", "out"]))
 """
 PATIENCE = 60  # s, after which the test fails instead of hanging
@@ -43,9 +43,9 @@ def read(pipe: int, size: int) -> bytes:
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize(
-    ("sent", "code", "said"), [(signal.SIGTERM, 130, "the same command goes on"), (signal.SIGKILL, -9, "")]
+    ("sent", "code", "message"), [(signal.SIGTERM, 130, "repeat the same command"), (signal.SIGKILL, -9, "")]
 )
-def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, code: int, said: str) -> None:
+def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, code: int, message: str) -> None:
     (tmp_path / "program.py").write_text(PROGRAM)
     os.mkfifo(tmp_path / "alive")
     pipe = os.open(tmp_path / "alive", os.O_RDONLY | os.O_NONBLOCK)
@@ -59,5 +59,5 @@ def test_no_worker_outlives_the_command(tmp_path: Path, root: Path, sent: int, c
     os.close(pipe)
     _, err = command.communicate(timeout=PATIENCE)
     assert command.returncode == code
-    assert said in err and "Traceback" not in err
+    assert message in err and "Traceback" not in err
     assert len(list((tmp_path / "out" / "parts").glob("*.npz"))) == 3

@@ -43,11 +43,11 @@ SLOW = {("gas-pipeline", "fusing-ukf"), ("gas-pipeline", "fusing-enkf")}  # seve
 SLOW |= {("power-network", f"fusing-{kind}") for kind in ("ekf", "ukf", "enkf")}
 
 # Faults of 30 sigma that a method misses, by quantity. Shaheen 2024, (20), adds MPa to kg/s, so the extended filter's bank
-# sees a pressure fault but blames another sensor; the printed unscented update leaves the process noise out of its gain,
+# detects a pressure fault but isolates another sensor; the printed unscented update leaves the process noise out of its gain,
 # which dies away with the covariance that the mixture divides by the number of sensors: it follows no reading any more. On
 # the engine the sum is of kg, MPa, K and N m, and S(4){2} reads what depends on no state: no filter differs without it.
 # In the power network a valve moves by 1/R = 12 to 20 times what the speed does: by the sum the fault of an angle is a
-# valve's, and one Kalman filter, which takes on 0.9 of a wrong speed at once, blames valve and turbine from then on. An
+# valve's, and one Kalman filter, which follows a wrong speed by 0.9 in one step, isolates valve and turbine from then on. An
 # ensemble of 40 has no covariance of 60 states. Fixed limits are as wide as the operation moves the readings, on the pipeline
 # by 465 sigma of pressure and 60 of mass flow: what stays within them shows by its onset alone, of a moving average too. On the
 # network the statistic of a one-class machine, of all 94 readings, hides what is 30 sigma of one reading and 7 to 9 of what the
@@ -75,7 +75,7 @@ MISSED = {
     ("marine-engine", "structural-residuals"): {"pressure"},
 }
 FITTED = (FusingBank, FixedLimits, EwmaLimits, PrincipalComponents, OneClass, StructuralResiduals)  # limits from healthy data
-NAMELESS = {"chebyshev:corrected", "chebyshev:paper"}  # as published it tells that there is a fault, not of which sensor
+NAMELESS = {"chebyshev:corrected", "chebyshev:paper"}  # as published it detects a fault and does not isolate its sensor
 SETTLED = 20  # samples in which the filters forget their initial covariance
 LATER = {("power-network", "dynamic-pca"): 40}  # more of them: it learns from a network whose disturbances have built up
 
@@ -101,7 +101,7 @@ def pairs() -> Iterator[object]:
     for plant in plants():
         for name in registry.detectors():
             if name.startswith(OF_MODULES) and plant not in WITH_MODULES:
-                continue  # it has no scalar equations to monitor, see the test that says so
+                continue  # it has no scalar equations to monitor, see the test of that
             if name in OF_INPUTS and plant == "chain":
                 continue
             marks = [pytest.mark.slow] if (plant, name) in SLOW else []
@@ -232,16 +232,16 @@ def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, st
         assert during[0, i] and np.all(d.alarm[onset : onset + 20, run_index][during[:, i]])
         if pair[1].startswith("adaptive-threshold"):
             continue  # its diagnosis sets hold every sensor whose fault would explain the decisions
-        # at most two of the twenty samples name another sensor, too
+        # at most two of the twenty samples isolate another sensor, too
         assert np.sum(np.any(np.delete(during, i, axis=-1), axis=-1)) <= 2
         size = d.fault_size[onset, run_index, i] / plant.sensor_sigma[i]
-        # reading less what the others say: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
+        # reading less its estimate: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
         assert size == pytest.approx(30.0, abs=4 * np.sqrt(2))
     assert missed == (set(chosen) if pair[1] in NAMELESS else MISSED.get(pair, set()))
 
 
 @every_pair
-def test_wrong_readings_inputs_and_times_are_named(pair: tuple[str, str]) -> None:
+def test_wrong_readings_inputs_and_times_are_refused(pair: tuple[str, str]) -> None:
     detector, plant = detector_of(*pair), plant_of(pair[0])
     times, ys, us = healthy(pair[0], 2, 1)
     t, y, u = float(times[0]), ys[0, 0], us[0, 0]

@@ -1,4 +1,4 @@
-"""A model that gives no numbers is told as diverged, never as numbers or events, and the rest of the batch does not notice."""
+"""A model without finite values is reported as diverged, without numbers or events, and does not affect its batch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.trials import faulted, outcome
 from fusion_sfdia.filters.enkf import EnKFSettings
-from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented, guarded_points
+from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
+from fusion_sfdia.filters.guarded_steps import guarded_points
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
@@ -77,7 +78,7 @@ def test_it_is_diverged_from_there_on_and_alone(detector: Detector, what: str, v
 
 @every_detector
 @pytest.mark.parametrize("what", ["step", "output"])
-def test_a_single_run_without_any_numbers_says_so_at_once(detector: Detector, what: str) -> None:
+def test_a_single_run_without_finite_values_diverges_immediately(detector: Detector, what: str) -> None:
     detector = failing(detector, what, np.nan)
     t, _, y, u = readings(PLANT, 4, 1, seed=2)
     _, d = run(detector, detector.init(), t, 2 * y[:, 0], np.full_like(u[:, 0], FAILS))
@@ -94,7 +95,7 @@ def test_points_without_a_step_go_along_with_the_others(count: int) -> None:
     stepped = guarded_points(broken, 0.0, points, u, 1.0)
     assert stepped.stuck == (count > 0) and not stepped.lost and np.isfinite(stepped.ahead).all()
     np.testing.assert_array_equal(stepped.ahead[count:], 0.5 * points[count:] + 3.0)
-    if 0 < count < 5:  # those without a step go along with the others, to the rounding of a mean
+    if 0 < count < 5:  # stuck points move with the others, to the rounding of a mean
         drift = np.mean(0.5 * points[count:] + 3.0 - points[count:], axis=0)
         np.testing.assert_allclose(stepped.ahead[:count], points[:count] + drift, rtol=1e-14)
 
@@ -102,7 +103,7 @@ def test_points_without_a_step_go_along_with_the_others(count: int) -> None:
 @pytest.mark.parametrize(
     "estimator", [Unscented(SigmaPoints(alpha=1.0)), Unscented(), Ensemble()], ids=["ukf", "ukf-narrow", "enkf"]
 )
-def test_a_point_of_many_is_told_as_guarded_and_does_not_spoil_the_estimate(estimator: Estimator) -> None:
+def test_a_stuck_point_is_reported_as_guarded_and_does_not_spoil_the_estimate(estimator: Estimator) -> None:
     plant = chain(6)
     worst: list[float] = []
 
@@ -170,7 +171,7 @@ def test_the_gas_pipeline_is_a_plant_too() -> None:
     u = recording.u_of_runs.copy()
     u[3:, 1, 0] = 1.5e6  # Pa, within its limits
     beyond = u.copy()
-    beyond[3:, 1, 0] = -1e9  # Pa, beyond physics: the usual input stands for it
+    beyond[3:, 1, 0] = -1e9  # Pa, beyond physics: the usual input replaces it
     for detector in (LeaveOneOutBank(plant), CentralFilter(plant, Ensemble())):
         _, d = run(detector, detector.init((2,)), recording.t, recording.y, u)
         assert d.diverged[3:, 1].all() and not d.diverged[:, 0].any() and np.isfinite(d.estimate[:, 0]).all()

@@ -1,4 +1,4 @@
-"""One way to learn, for every registered detector: from healthy readings at a rate of false alarms, by class and by name."""
+"""One way to fit every registered detector: from healthy readings at a rate of false alarms, by class and by name."""
 
 from __future__ import annotations
 
@@ -88,7 +88,9 @@ def test_saved_and_loaded_it_decides_with_the_same_bits(name: str, tmp_path: Pat
 
 @every_detector
 def test_too_few_readings_for_the_rate_are_a_clear_error(name: str) -> None:
-    with pytest.raises(ValueError, match=r"healthy (samples|scores) cannot set .*; give .*(higher rate|larger one)"):
+    with pytest.raises(
+        ValueError, match=r"healthy (samples|scores) cannot set .*; give .*(higher rate|higher false-alarm rate|larger one)"
+    ):
         fit(name, PLANT, healthy(0, 2), 1e-4)
 
 
@@ -109,7 +111,7 @@ def test_thresholds_are_the_order_statistic_of_the_scores() -> None:
     assert np.sum(d.score[20:] > 1) == 1000 - np.ceil(1001 * 0.95)
     with pytest.raises(ValueError, match=r"1000 healthy samples cannot set thresholds that one in 2000 exceeds"):
         detector.fit_thresholds((t, y, u), 5e-4)
-    for bad, message in ((1.0, "false_alarm is 1.0; a probability"), (0.1, "warm_up is -1")):
+    for bad, message in ((1.0, "false_alarm is 1.0; expected a probability"), (0.1, "warm_up is -1")):
         with pytest.raises(ValueError, match=message):
             detector.fit_thresholds((t, y, u), bad, -1)
     with pytest.raises(ValueError, match=r"exceeds 0, so that no scale of the thresholds of CentralFilter has that rate"):
@@ -140,5 +142,7 @@ def test_diagnose_takes_a_detector_by_name() -> None:
         diagnose("kf-chi", recording, plant=PLANT)
     with pytest.raises(ValueError, match=r"unknown plant 'tanks'"):
         fit("kf-chi2", "tanks")
-    with pytest.raises(ValueError, match=r"plant is given beside a detector, which has its own, 'two-tanks'; leave plant out"):
+    with pytest.raises(
+        ValueError, match=r"plant is given together with a detector, which has its own, 'two-tanks'; leave plant out"
+    ):
         diagnose(CentralFilter(tanks()), recording, plant=PLANT)

@@ -1,4 +1,4 @@
-"""The notebooks run from top to bottom and say what is committed in them."""
+"""The notebooks run from top to bottom and give the committed outputs."""
 
 import re
 from decimal import Decimal
@@ -25,8 +25,8 @@ def pictures(cell: NotebookNode) -> list[NotebookNode]:
     return [o for o in cell.outputs if "image/png" in o.get("data", {})]
 
 
-def told(cell: NotebookNode) -> str:
-    """What a cell says in text, not of its pictures; a cell tagged `varies` (times, of this machine) may say anything."""
+def printed(cell: NotebookNode) -> str:
+    """The text output of a cell, without pictures; that of a cell tagged `varies` (times on this machine) is not compared."""
     if "varies" in cell.metadata.get("tags", []):
         return ""
     texts = [o for o in cell.outputs if o not in pictures(cell)]
@@ -34,8 +34,8 @@ def told(cell: NotebookNode) -> str:
 
 
 def same(a: str, b: str) -> bool:
-    """Whether two texts say the same, figures after the point up to one in the last place: another processor adds up
-    in another order, and a sum that lies on the edge of two roundings goes to either.
+    """Whether two texts agree, figures after the point up to one in the last place: another processor adds up
+    in another order, and a sum near the edge of two roundings may round to either.
     """
     if " ".join(NUMBER.sub("#", a).split()) != " ".join(NUMBER.sub("#", b).split()):
         return False
@@ -72,7 +72,7 @@ def test_a_committed_notebook_is_small_and_portable(path: Path) -> None:
 
 @pytest.mark.slow
 @each
-def test_a_fresh_kernel_says_what_is_committed(path: Path) -> None:
+def test_a_fresh_kernel_gives_the_committed_outputs(path: Path) -> None:
     committed = nbformat.read(path, as_version=4)
     fresh = nbformat.from_dict(committed)
     place = {"metadata": {"path": str(path.parent)}}
@@ -80,4 +80,4 @@ def test_a_fresh_kernel_says_what_is_committed(path: Path) -> None:
     for before, now in zip(code(committed), code(fresh), strict=True):
         assert not [o for o in now.outputs if o.get("name") == "stderr"], now.outputs
         assert len(pictures(before)) == len(pictures(now)), before.source
-        assert same(told(before), told(now)), f"committed:\n{told(before)}\nnow:\n{told(now)}\nrun `make notebooks`"
+        assert same(printed(before), printed(now)), f"committed:\n{printed(before)}\nnow:\n{printed(now)}\nrun `make notebooks`"

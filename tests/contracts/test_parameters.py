@@ -1,4 +1,4 @@
-"""A function has few positional parameters: more of them are one thing, a named tuple, and are mistaken for each other."""
+"""A function has few positional parameters: more would be confused with each other and belong into a named tuple."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def test_pickled_physics_give_the_same_bits() -> None:
 
 @pytest.mark.slow
 def test_a_pool_of_processes_takes_plants_and_detectors() -> None:
-    """In fresh processes, which know nothing but what the pickle says."""
+    """In fresh processes, which have the pickle only."""
     plant = registry.plant("two-tanks")
     detector = registry.detector("loo-glr", plant)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:

@@ -1,4 +1,4 @@
-"""The README's library example runs as it stands and finds the fault it makes."""
+"""The README's library example runs unchanged and isolates its fault."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The results pages, and the README's table, show what the committed numbers beside them state; links lead somewhere."""
+"""The results pages, and the README's table, agree with the committed numbers; links lead somewhere."""
 
 import csv
 import importlib

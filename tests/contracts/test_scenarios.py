@@ -13,9 +13,10 @@ from fusion_sfdia.evaluation.results import read_rows, write_rows
 from fusion_sfdia.experiments.parts import read_part, write_part
 from fusion_sfdia.experiments.scenario import Arrays, Task
 from fusion_sfdia.experiments.workers import Piece, work_off
-from fusion_sfdia.registry import GROUPS, SCENARIOS, detectors, scenario
+from fusion_sfdia.registry import detectors
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.plots import style
+from fusion_sfdia.scenarios import GROUPS, SCENARIOS, scenario
 
 NAMES = [name for name in SCENARIOS if name != "comparison"]  # has tests of its own
 PLANTS = {"pipeline": "gas-pipeline", "engine": "marine-engine", "network": "power-network"}

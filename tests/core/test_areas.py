@@ -1,4 +1,4 @@
-"""Areas of a network: what is refused, and where their sensors stand."""
+"""Areas of a network: what is refused, and the positions of their sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What callers hand over: taken where it can mean one thing only, refused in one line that names it where not."""
+"""Arguments of callers: accepted where unambiguous, otherwise refused in one line that names the argument."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_lists_make_the_same_plant() -> None:
         (lambda: SigmaPoints(alpha="1"), "alpha is '1'; expected a number"),  # type: ignore[arg-type]
     ],
 )  # fmt: skip
-def test_a_wrong_setting_is_named(make: Callable[[], object], message: str) -> None:
+def test_a_wrong_setting_is_refused_by_name(make: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message) as error:
         make()
     one_line(error)
@@ -152,7 +152,7 @@ def test_settings_may_be_arrays() -> None:
 
 
 @every_detector
-def test_a_start_that_makes_no_sense_is_named(detector: Detector) -> None:
+def test_an_impossible_start_is_refused(detector: Detector) -> None:
     for arguments, message in (
         ({"batch": 2.5}, "batch is 2.5; expected"), ({"batch": -1}, "batch is -1"), ({"seed": -1}, "seed is -1; expected"),
         ({"seed": 1.5}, "seed is 1.5"), ({"seed": None}, "seed is None"), ({"seed": 2**64}, "a seed below 2.64"),
@@ -165,7 +165,7 @@ def test_a_start_that_makes_no_sense_is_named(detector: Detector) -> None:
 
 
 @every_detector
-def test_readings_come_as_lists_and_anything_else_is_named(detector: Detector) -> None:
+def test_readings_may_be_lists_and_anything_else_is_refused(detector: Detector) -> None:
     y, u = PLANT.output(5.0, PLANT.x0, PLANT.input_at(0.0)), PLANT.input_at(0.0)
     state = detector.init()
     _, expected = detector.step(state, 5.0, np.where(np.arange(4) == 2, np.nan, y), u)
@@ -217,7 +217,7 @@ def test_the_state_of_another_detector_is_refused(detector: Detector) -> None:
         ({"output_jacobian": lambda t, x, u: np.eye(2)}, r"output_jacobian .* gives shape \(2, 2\); expected .*4, 2"),
     ],
 )  # fmt: skip
-def test_a_model_of_another_width_is_named(detector: Detector, change: dict[str, Any], message: str) -> None:
+def test_a_model_of_another_width_is_refused(detector: Detector, change: dict[str, Any], message: str) -> None:
     if "jacobian" not in message:
         with pytest.raises(ValueError, match=message):  # at once; Jacobians, which not all filters take, at their first use
             replace(PLANT, **change)
@@ -289,7 +289,7 @@ def test_dates_are_not_read_as_seconds(dates: Any, tmp_path: Path) -> None:
         lambda: bank.fit_thresholds((dates, y, u)),
     ):
         with pytest.raises(
-            ValueError, match=r"expected an array of numbers: of dates the seconds since the first, .*timedelta64"
+            ValueError, match=r"expected an array of numbers; pass dates as seconds since the first, .*timedelta64"
         ):
             read()
     for read in (lambda: detector.step(detector.init(), dates[0], y[0], u[0]), lambda: detector.init(t=dates[0])):

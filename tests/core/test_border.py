@@ -1,4 +1,4 @@
-"""Readings that no instrument can show and inputs that no plant can have: where the limits are, and what stands for them."""
+"""Absurd readings and inputs: their limits, and what replaces them."""
 
 from __future__ import annotations
 

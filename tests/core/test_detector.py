@@ -41,7 +41,7 @@ def test_an_alarm_is_a_residual_above_its_threshold_or_a_hypothesis_held() -> No
     assert not decision([np.nan, np.nan], [2.0, 2.0], [False, False]).alarm
 
 
-def test_stacking_puts_time_first_and_leaves_covariances_out_unless_asked() -> None:
+def test_stacking_puts_time_first_and_keeps_covariances_on_request_only() -> None:
     one = decision([1.0, 2.0], [2.0, 2.0], [False, True])
     with_cov = replace(one, covariance=np.eye(2))
     many = stack([with_cov] * 3)
@@ -102,7 +102,7 @@ def test_irregular_times_are_steps_of_their_own_length() -> None:
         (np.zeros(4), np.array([np.inf]), (), "u has values that are not finite"),
     ],
 )
-def test_readings_that_do_not_fit_are_named(y: np.ndarray, u: np.ndarray, batch: tuple[int, ...], message: str) -> None:
+def test_readings_that_do_not_fit_are_refused(y: np.ndarray, u: np.ndarray, batch: tuple[int, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         check_reading(tanks(), y, u, batch)
 

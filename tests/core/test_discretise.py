@@ -74,7 +74,7 @@ def test_the_exponential_midpoint_rule_is_of_order_2() -> None:
 
 
 @pytest.mark.parametrize("decay", [np.ones(1), np.array([1.0, 0.0]), np.array([1.0, np.nan])])
-def test_rates_of_decay_that_do_not_fit_are_named(decay: np.ndarray) -> None:
+def test_rates_of_decay_that_do_not_fit_are_refused(decay: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"decay of 'two-tanks' is .*; expected 2 positive rates in 1/s, one a state"):
         discretise(
             tank_physics(),
@@ -263,6 +263,6 @@ def test_the_largest_step_keeps_a_tenth_of_its_noise() -> None:
     assert leak(0.0).numerics.max_dt == np.inf  # a pure integrator: exact for any step
     assert leak(5.0).numerics.max_dt == 1.0  # dt is the user's own choice
     assert leak(0.02, max_dt=7.0).numerics.max_dt == 7.0
-    # two tanks at rest, by hand: |A| of [[-r, 0], [r, -r]] is r (1 + sqrt 5) / 2, with r = 1 / 167 s
+    # two tanks at rest, checked by hand: |A| of [[-r, 0], [r, -r]] is r (1 + sqrt 5) / 2, with r = 1 / 167 s
     r = 6e-4 / (2 * 0.05)
     assert tanks().numerics.max_dt == pytest.approx(0.1 / (r * (1 + np.sqrt(5)) / 2), rel=1e-7)

@@ -1,4 +1,4 @@
-"""Leaving out and readmitting, against a literal one: one sensor at a time, likelihoods by SciPy."""
+"""Leaving out and readmitting, against a literal implementation: one sensor at a time, likelihoods by SciPy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Sensor:
         if not self.out or np.isnan(error):
             return
         deviation = np.sqrt(variance)
-        if error**2 > LIMIT * variance:  # no healthy sensor reads this: its evidence is void
+        if error**2 > LIMIT * variance:  # beyond the limit of healthy readings: the evidence is reset
             self.evidence, self.quiet = 0.0, 0
         else:
             assumed = self.size if abs(self.size) > deviation else np.copysign(deviation, self.size)

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and errors name them."""
+"""Files are written completely or not at all, and errors name them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def test_a_file_takes_its_name_when_the_block_ends_well(mode: str, tmp_path: Pat
         assert not path.exists()
     assert path.read_bytes() == (content if isinstance(content, bytes) else content.encode())
     assert [p.name for p in path.parent.iterdir()] == ["file"]
-    beside = tmp_path / "beside"
-    beside.touch()
-    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(beside.stat().st_mode)
+    usual = tmp_path / "usual"
+    usual.touch()
+    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(usual.stat().st_mode)
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])

@@ -1,4 +1,4 @@
-"""When an estimator counts as broken down, and what is left of its batch; literal arrays."""
+"""When an estimator has broken down, and how the other runs of its batch continue; literal arrays."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def test_times_that_could_be_misread_are_refused() -> None:
             as_log(PLANT, data.assign(time=times))
     with pytest.raises(ValueError, match=r"no column 'time' among"):
         as_log(PLANT, data.drop(columns="time"))  # the index counts rows
-    with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers: of dates the seconds since the first"):
+    with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers; pass dates as seconds since the first"):
         as_log(PLANT, stamps.to_numpy(), *arrays()[1:])
 
 
@@ -145,7 +145,9 @@ def test_columns_keep_the_policy_of_read_log() -> None:
     assert np.all(np.isnan(as_log(PLANT, without_sensor, absent_sensors=True).y[:, 0]))
     with pytest.raises(ValueError, match=r"no column for the inputs 'inflow' .*nominal_inputs=True"):
         diagnose(DETECTOR, without_input)
-    with pytest.warns(UserWarning, match=r"no column for the inputs 'inflow'; the nominal values of plant .* stand") as warned:
+    with pytest.warns(
+        UserWarning, match=r"no column for the inputs 'inflow'; the nominal values of plant .* are used"
+    ) as warned:
         assumed = as_log(PLANT, without_input, nominal_inputs=True)
     assert warned[0].filename == __file__
     np.testing.assert_array_equal(assumed.u[:, 0], PLANT.inputs[0].nominal)
@@ -154,7 +156,7 @@ def test_columns_keep_the_policy_of_read_log() -> None:
     np.testing.assert_array_equal(as_log(PLANT, data.assign(remark="fine"), other_columns=True).u, arrays().u)
     with pytest.raises(ValueError, match=r"column 'l2' is in 'mm', plant 'two-tanks' has it in 'm'"):
         as_log(PLANT, data.rename(columns={"l2 [m]": "l2 [mm]"}))
-    with pytest.raises(ValueError, match=r"the column 'l1' stands twice"):
+    with pytest.raises(ValueError, match=r"the column 'l1' occurs twice"):
         as_log(PLANT, data.assign(**{"l1 [m]": data["l1"]}))
     with pytest.raises(ValueError, match=r"the frame, column l1: its type is .*; expected numbers, .*pandas.to_numeric"):
         as_log(PLANT, data.assign(l1="high"))
@@ -163,14 +165,14 @@ def test_columns_keep_the_policy_of_read_log() -> None:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ((None,), "the readings are None; expected t, y and u, a Log, a Recording as of simulate, or a frame"),
+        ((None,), "the readings are None; expected t, y and u, a Log, a Recording as simulate returns it, or a frame"),
         ((np.ones((4, 4)),), "the readings are array"),
         ((np.arange(4.0), np.ones((4, 4))), "the readings are 2 arguments; expected t, y and u"),
         ((np.arange(4.0), np.ones(4), np.ones((4, 1))), r"t \(4,\), y \(4,\), u \(4, 1\) do not fit; expected \(K,\)"),
         ((np.arange(0.0), np.ones((0, 4)), np.ones((0, 1))), "there are no readings: t is empty"),
     ],
 )
-def test_anything_else_is_named(data: tuple[Array, ...], message: str) -> None:
+def test_anything_else_is_refused(data: tuple[Array, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         as_log(PLANT, *data)
 

@@ -72,7 +72,7 @@ def test_a_change_is_what_differs_afterwards() -> None:
 @pytest.mark.parametrize(
     ("names", "links", "message"),
     [
-        (("a", "b", "a"), [("a", "b")], "the names a stand more than once"),
+        (("a", "b", "a"), [("a", "b")], "the names a occur more than once"),
         (("a", "b"), [("a", "x")], "unknown nodes x; known: a, b"),
         (("a", "b"), [("a", "b"), ("b", "b")], "joins b to itself"),
         (("a", "b", "c"), [("a", "b"), ("c", "b"), ("b", "a")], "a and b are linked more than once"),
@@ -98,7 +98,7 @@ def test_links_that_are_no_positions(links: np.ndarray) -> None:
         (("a",), (), "'a' is plugged in already"),
         ((), ("d",), "'d' is unplugged already"),
         (("x",), (), "unknown node 'x'; known: a, b, c, d"),
-        (("d",), ("d",), "the names d stand more than once"),
+        (("d",), ("d",), "the names d occur more than once"),
     ],
 )
 def test_a_switch_that_does_not_fit(plug_in: tuple[str, ...], unplug: tuple[str, ...], message: str) -> None:

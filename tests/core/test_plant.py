@@ -24,7 +24,7 @@ NAN, INF = float("nan"), float("inf")
 @pytest.mark.parametrize(
     "limits", [{"nominal": 2.0, "high": 1.0}, {"nominal": -1.0, "low": 0.0}, {"nominal": NAN}, {"nominal": INF}]
 )
-def test_a_signal_lies_within_its_limits(limits: dict[str, float]) -> None:
+def test_a_nominal_value_is_within_its_limits(limits: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"signal 'p': nominal .* is not finite and within"):
         Signal("p", "Pa", **limits)
 
@@ -51,9 +51,9 @@ def test_a_sensor_without_noise_is_refused_and_one_figure_gives_the_other() -> N
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"states": (Signal("level_1"), Signal("level_1"))}, "the names level_1 stand more than once"),
-        ({"inputs": (Signal("level_1"),)}, "the names level_1 stand more than once"),
-        ({"algebraic": (Signal("level_2"), Signal("inflow"))}, "the names inflow, level_2 stand more than once"),
+        ({"states": (Signal("level_1"), Signal("level_1"))}, "the names level_1 occur more than once"),
+        ({"inputs": (Signal("level_1"),)}, "the names level_1 occur more than once"),
+        ({"algebraic": (Signal("level_2"), Signal("inflow"))}, "the names inflow, level_2 occur more than once"),
         ({"phi": None}, "algebraic variables and phi go together"),
         ({"algebraic": ()}, "algebraic variables and phi go together"),
     ],
@@ -66,9 +66,9 @@ def test_physics_that_does_not_fit_together_is_refused(change: dict[str, Any], m
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"states": (Signal("a"), Signal("a"), Signal("b"))}, "plant 'chain': the names a stand more than once"),
-        ({"inputs": (Signal("x0"),)}, "plant 'chain': the names x0 stand more than once"),
-        ({"sensors": (Sensor("s", "x0", sigma=1.0),) * 2}, "sensors of plant 'chain': the names s stand more than once"),
+        ({"states": (Signal("a"), Signal("a"), Signal("b"))}, "plant 'chain': the names a occur more than once"),
+        ({"inputs": (Signal("x0"),)}, "plant 'chain': the names x0 occur more than once"),
+        ({"sensors": (Sensor("s", "x0", sigma=1.0),) * 2}, "sensors of plant 'chain': the names s occur more than once"),
         ({"sensors": ()}, "3 states and 0 sensors; give at least one of each"),
         ({"dt": 0.0}, "dt is 0.0 s; it must be positive and finite"),
         ({"dt": NAN}, "dt is nan s; it must be positive and finite"),
@@ -92,7 +92,7 @@ def test_a_plant_that_does_not_fit_together_is_refused(change: dict[str, Any], m
 def test_a_singular_covariance_is_one_and_its_definiteness_is_judged_free_of_units() -> None:
     require_covariance("P", np.ones((2, 2)), 2)
     require_covariance("P", np.zeros(2), 2)
-    # in raw units the smallest eigenvalue, -1e-6, would drown beside 1e12
+    # in raw units the smallest eigenvalue, -1e-6, would vanish next to 1e12
     with pytest.raises(ValueError, match="not symmetric positive semi-definite"):
         require_covariance("P", np.array([[1e12, 2.0], [2.0, 1e-12]]), 2)
     np.testing.assert_array_equal(diagonal(np.diag([1.0, 2.0])), [1.0, 2.0])
@@ -138,7 +138,7 @@ def test_another_unit_scales_bounds_and_stated_jacobians_and_refuses_no_scale() 
         bounded.in_units({"c": ("V", 1.0)})
 
 
-def test_guard_moves_what_is_outside_and_tells() -> None:
+def test_guard_moves_states_into_the_limits_and_reports_it() -> None:
     x, moved = tanks().guard(np.array([[1.0, 2.0], [-1.0, 2.0], [1.0, 9.0]]))
     np.testing.assert_array_equal(x, [[1.0, 2.0], [0.01, 2.0], [1.0, 3.0]])
     np.testing.assert_array_equal(moved, [False, True, True])

@@ -1,4 +1,4 @@
-"""How many sensors may be out at once: laws of majorities on plants whose modes are known, against all subsets."""
+"""How many sensors may be left out at once: majorities on plants with known modes, against all subsets."""
 
 from __future__ import annotations
 

@@ -64,7 +64,9 @@ def test_files_of_one_name_are_two_modules(tmp_path: Path) -> None:
         ("needy:x", "module needy fails while it is imported: ModuleNotFoundError: No module named 'no_such'; install what"),
     ],
 )
-def test_what_cannot_be_loaded_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reference: str, message: str) -> None:
+def test_an_error_names_what_cannot_be_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reference: str, message: str
+) -> None:
     (tmp_path / "broken.py").write_text("x = (\n")
     (tmp_path / "needy.py").write_text("import no_such\n")
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Files that are whole or absent, and detector states that are matched with their detector."""
+"""Files that are complete or absent, and detector states that are matched with their detector."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -114,7 +114,9 @@ def test_the_state_of_another_version_is_one_clear_error(tmp_path: Path) -> None
     fewer = {name: a for name, a in own.items() if name != "memory.window.a"}
     for arrays in (positions, renamed, fewer, {**own, "memory.extra": np.zeros(1)}):
         write_arrays(path, {**stated, **arrays})
-        with pytest.raises(ValueError, match=r"state\.npz has the state of another version, with other fields; go on") as error:
+        with pytest.raises(
+            ValueError, match=r"state\.npz has the state of another version, with other fields; continue"
+        ) as error:
             load_state(path, detector)
         assert "\n" not in str(error.value)
     write_arrays(path, {**stated, **own})

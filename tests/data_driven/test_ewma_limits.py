@@ -1,4 +1,4 @@
-"""Limits with a moving average: by hand, at which rate they are crossed, and how soon small biases are found."""
+"""Limits with a moving average: checked by hand, their false-alarm rate, and delays of small biases."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_limits_and_rate_of_gaussian_readings() -> None:
     assert np.mean(judged(detector, fresh).alarm[20:]) <= binom(2000, 0.05).ppf(0.999) / 2000
 
 
-def test_a_small_bias_that_lasts_is_found_where_fixed_limits_are_not_crossed() -> None:
+def test_a_small_lasting_bias_is_detected_where_fixed_limits_are_not_crossed() -> None:
     """1.5 sigma: 4.5 deviations of the average, of 1/3 sigma each; single readings stay within limits of some 4 sigma."""
     plant = chain(6)
     rng = np.random.default_rng(2)
@@ -106,7 +106,7 @@ def test_what_is_refused() -> None:
     for arguments, settings, message in (
         ((y[..., :3], 0.1), {}, r"y has shape \(100, 2, 3\)"),
         ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 1500 exceeds"),
-        ((y, 0), {}, "false_alarm is 0; a probability"),
+        ((y, 0), {}, "false_alarm is 0; expected a probability"),
         ((y, 0.1), {"weight": 1.0}, "weight is 1.0; expected the share of the present reading, above 0 and below 1"),
         ((y, 0.1), {"weight": "0.2"}, "weight is '0.2'; expected a number"),
     ):
@@ -114,7 +114,7 @@ def test_what_is_refused() -> None:
             EwmaLimits.fit(PLANT, *arguments, **settings)  # type: ignore[arg-type]
     for change, message in (
         ({"centre": np.ones(3)}, r"centre has shape \(3,\)"),
-        ({"average": np.zeros(4)}, "average has limits of 0 and more; expected positive ones, as of EwmaLimits.fit"),
+        ({"average": np.zeros(4)}, "average has limits of 0 and more; expected positive ones; use EwmaLimits.fit"),
         ({"weight": 0.0}, "weight is 0.0; expected the share"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -1,4 +1,4 @@
-"""Fixed limits: what they learn, at which rate they are crossed, and what they cannot see."""
+"""Fixed limits: what they learn, their false-alarm rate, and which faults they miss."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_after_a_missing_reading_only_the_level_is_checked() -> None:
     np.testing.assert_array_equal(first.reconstruction[0], CENTRE)
 
 
-def test_all_that_violate_are_named_at_once() -> None:
+def test_all_violating_sensors_are_isolated_together() -> None:
     y = CENTRE + np.array([4.0, -5.0, 0.0, 6.0]) * PLANT.sensor_sigma
     d = judged(DETECTOR, y[None])
     np.testing.assert_array_equal(d.isolated[0], [True, True, False, True])
@@ -116,7 +116,7 @@ def test_a_sensor_that_never_moves_is_limited_by_the_noise_that_it_declares() ->
 
 
 def test_limits_follow_the_movement_of_the_operation_and_then_hide_what_is_smaller() -> None:
-    """A level that swings by 100 sigma: a bias of 30 sigma is named at its onset and not after it."""
+    """A level that swings by 100 sigma: a bias of 30 sigma is isolated at its onset and not after it."""
     plant = chain(2)
     swing = 100.0 * np.sin(2 * np.pi * np.arange(2000) / 200)
     train = noise(plant, 2000, 2)
@@ -170,7 +170,7 @@ def test_what_is_refused() -> None:
             FixedLimits.fit(PLANT, bad, 0.1)
     with pytest.raises(ValueError, match="100 healthy samples cannot set a limit that one in 1000 exceeds"):
         FixedLimits.fit(PLANT, y, 1e-3)
-    with pytest.raises(ValueError, match="false_alarm is 0; a probability"):
+    with pytest.raises(ValueError, match="false_alarm is 0; expected a probability"):
         FixedLimits.fit(PLANT, y, 0)
     for change, message in (
         ({"centre": np.ones(3)}, r"centre has shape \(3,\); expected 4 finite numbers, one a sensor of plant 'two-tanks'"),

@@ -90,14 +90,14 @@ def test_what_is_refused() -> None:
     y = data(100, 2)
     for arguments, settings, message in (
         ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 1000 exceeds"),
-        ((y, 0.0), {}, "false_alarm is 0.0; a probability"),
-        ((y, 0.1), {"outliers": 1.0}, "outliers is 1.0; a probability strictly between 0 and 1"),
+        ((y, 0.0), {}, "false_alarm is 0.0; expected a probability"),
+        ((y, 0.1), {"outliers": 1.0}, "outliers is 1.0; expected a probability strictly between 0 and 1"),
     ):
         with pytest.raises(ValueError, match=message):
             OneClass.fit(PLANT, *arguments, **settings)
     for change, message in (
         ({"support": np.ones((3, 5))}, r"support has shape \(3, 5\) for .* weights; expected \(S, 6\) and \(S,\)"),
-        ({"weights": -DETECTOR.weights}, "weights is .*; expected positive numbers, as of OneClass.fit"),
+        ({"weights": -DETECTOR.weights}, "weights is .*; expected positive numbers; use OneClass.fit"),
         ({"limit": 0.0}, "limit is 0.0; expected positive"),
         ({"limit": None}, "limit is None; expected a number"),
     ):

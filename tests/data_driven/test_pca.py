@@ -237,7 +237,7 @@ def test_one_and_several_faults_are_isolated_with_their_sizes() -> None:
         wrong[:, sensors] += [8.0, -9.0][: len(sensors)]
         d = judged(DETECTOR, wrong)
         exact = np.all(d.isolated == np.isin(np.arange(6), sensors), axis=-1)
-        # noise of 0.3: of six readings two causes and two faults are to be told apart, which leaves two
+        # noise of 0.3: of six readings two causes and two faults are to be distinguished, which leaves two
         assert exact.mean() > 0.9
         error = d.fault_size[exact][:, sensors] - [8.0, -9.0][: len(sensors)]
         sensitivity = np.linalg.inv(MODEL.precision[np.ix_(sensors, sensors)])
@@ -256,7 +256,7 @@ def test_none_is_isolated_where_no_reconstruction_explains_the_readings() -> Non
 
 
 def test_what_moves_together_is_learnt_from_an_operation_that_moves() -> None:
-    """A flow 8 sigma wrong while the inflow swings it by 15: its limits hide it, its level tells it."""
+    """A flow 8 sigma wrong while the inflow swings it by 15: its limits hide it, its level shows it."""
     plant = two_tanks(swing=0.2)
     healthy = simulate(plant, 480, range(30), truth="model")
     fresh = simulate(plant, 480, [100])
@@ -269,13 +269,13 @@ def test_what_moves_together_is_learnt_from_an_operation_that_moves() -> None:
     # upper and lower tank, of which the lower one lags; what flows curve by is a small third
     assert np.all(detector.model.variances[:2] > 50) and np.all(detector.model.variances[2:] < 1.2)
     d = run(detector, detector.init(), fresh.t, y, fresh.u)[1]
-    # the flow is told by the level's noise and its own, sqrt(1.25) sigma, and two tanks leave SPE two readings: 8 sigma are
-    # beyond its limit by several sigma. Whether level or flow is wrong, their disagreement does not say.
+    # the flow is known up to the level's noise and its own, sqrt(1.25) sigma, and two tanks leave SPE two readings: 8 sigma are
+    # beyond its limit by several sigma. Whether level or flow is wrong, their disagreement does not show.
     assert np.mean(d.alarm) > 0.99 and np.mean(d.isolated[:, [0, 2]].any(axis=-1)) > 0.95
     assert np.mean(d.isolated[:, 2]) > np.mean(d.isolated[:, 0]) > 0.1 and np.mean(d.isolated[:, [1, 3]]) < 0.05
 
 
-def test_a_small_fault_is_found_however_far_the_operation_moves() -> None:
+def test_a_small_fault_is_detected_however_far_the_operation_moves() -> None:
     """Readings in units of their noise: movement 1000 times as large hides nothing that the sensors' relations show."""
     far = data(2000, 2) + 1000 * np.random.default_rng(1).standard_normal((2000, 2, 2)) @ MIX
     detector = PrincipalComponents.fit(PLANT, far, 0.02)
@@ -292,7 +292,7 @@ def test_as_many_components_as_are_asked_for() -> None:
 
 @pytest.mark.parametrize("components", [None, 0])
 def test_readings_without_any_noise_are_refused_with_the_cure(components: int | None) -> None:
-    with pytest.raises(ValueError, match=r"beside 0 components the healthy readings .* do not move.*use limits"):
+    with pytest.raises(ValueError, match=r"the healthy readings .* vary in 0 components only.*use limits"):
         PrincipalComponents.fit(PLANT, np.full((500, 2, 6), 3.0), 0.02, components=components)
 
 
@@ -300,7 +300,7 @@ def test_what_is_refused() -> None:
     y = data(100, 2)
     for arguments, settings, message in (
         ((y, 1e-3), {}, "100 healthy samples cannot set a limit that one in 3000 exceeds"),
-        ((y, 1.5), {}, "false_alarm is 1.5; a probability"),
+        ((y, 1.5), {}, "false_alarm is 1.5; expected a probability"),
         ((y, 0.1), {"components": 6}, "components is 6; expected fewer than the 6 readings of a window"),
         ((y, 0.1), {"components": -1}, "components is -1; expected a whole number of at least 0"),
         ((y, 0.1), {"max_faults": 0}, "max_faults is 0; expected a whole number"),

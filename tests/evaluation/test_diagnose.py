@@ -94,7 +94,7 @@ def test_events_of_one_sensor_close_together_are_one() -> None:
     assert joined[0].size == pytest.approx(15.0, abs=1e-6)  # the median of what is known
 
 
-def test_shapes_and_times_that_do_not_fit_are_named() -> None:
+def test_shapes_and_times_that_do_not_fit_are_refused() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 6, 2, seed=0)
     detector, y, u, batch = CentralFilter(plant), y[:, 0], u[:, 0], y
@@ -158,7 +158,7 @@ def test_a_long_gap_is_stepped_through_without_readings(limits: dict) -> None:
         diagnose(detector, milliseconds, np.ones((20, 4)), np.ones((20, 1)))
 
 
-def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
+def test_limits_of_a_diagnosis_are_warned_of() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 30, 1, seed=0)
     y, u = y[:, 0], u[:, 0]
@@ -166,9 +166,9 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
         diagnose(FusingBank(plant, Extended(), thresholds=(np.inf,) * 4), t, y, u)
     detector, silent, nothing = CentralFilter(plant), y.copy(), np.full_like(y, np.nan)
     silent[:, 1] = np.nan
-    with pytest.warns(DiagnosisWarning, match="no reading at all of l2; fill"):
+    with pytest.warns(DiagnosisWarning, match="no readings of l2; fill"):
         diagnose(detector, t, silent, u)
-    with pytest.warns(DiagnosisWarning, match="no reading at all of l1, l2, q12, q2: .* the model's prediction alone"):
+    with pytest.warns(DiagnosisWarning, match="no readings of l1, l2, q12, q2: .* only the model's prediction"):
         diagnose(detector, t, nothing, u)
     flooded = y.copy()
     flooded[10:12, 0] = 100.0  # m: pulls the estimate above the 3 m of the tank
@@ -178,19 +178,20 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
         diagnose(detector, t, flooded, u)
     drained = u.copy()
     drained[10:20] = -0.05  # m3/s: the tanks would be empty within a step, which has no number then
-    with pytest.warns(DiagnosisWarning) as told:
+    with pytest.warns(DiagnosisWarning) as warned:
         found = diagnose(detector, t, y, drained)
-    assert [str(w.message) for w in told] == [
-        "inflow: 10 of 30 values cannot be, the first -0.05 m3/s at 55 s; replaced by the plant's usual input: leave such "
+    assert [str(w.message) for w in warned] == [
+        "inflow: 10 of 30 values are impossible, the first -0.05 m3/s at 55 s; replaced by the plant's usual input: leave such "
         "cells empty, or check units"
     ]
     assert not found.decisions.diverged.any() and not found.events
     impossible = y.copy()
     impossible[[4, 7], 2] = [1e303, -1e30]
-    with pytest.warns(DiagnosisWarning) as told:
+    with pytest.warns(DiagnosisWarning) as warned:
         found = diagnose(detector, t, impossible, u)
-    assert [str(w.message) for w in told] == [
-        "q12: 2 of 30 values cannot be, the first 1e+303 m3/s at 25 s; taken as missing: leave such cells empty, or check units"
+    assert [str(w.message) for w in warned] == [
+        "q12: 2 of 30 values are impossible, the first 1e+303 m3/s at 25 s; taken as missing: leave such cells empty, or check "
+        "units"
     ]
     assert np.argwhere(found.decisions.absurd).tolist() == [[4, 2], [7, 2]] and not found.events
     biased = y + np.array([20.0, -20.0, 20.0, 0.0]) * plant.sensor_sigma * (t > 50)[:, None]
@@ -201,12 +202,12 @@ def test_a_diagnosis_that_says_less_than_it_seems_warns() -> None:
         found = diagnose(LeaveOneOutBank(plant, window=1), t, biased, u)
     assert found.decisions.isolated[10:].sum(axis=-1).max() == 2
     broken = replace(plant, output=lambda t, x, u: plant.output(t, x, u) * (np.nan if t > 50 else 1))
-    with pytest.warns(DiagnosisWarning, match="diverged and does not count in 20 of 30 samples, first at 55 s"):
+    with pytest.warns(DiagnosisWarning, match="diverged and is not valid in 20 of 30 samples, first at 55 s"):
         found = diagnose(CentralFilter(broken), t, y, u)
     assert found.decisions.diverged.sum() == 20 and not found.decisions.isolated[10:].any()
 
 
-def test_a_frozen_reading_is_found_once_the_signal_has_moved() -> None:
+def test_a_frozen_reading_is_detected_once_the_signal_has_moved() -> None:
     """Within the hour pressures move by more than a hundred sigma and temperatures by half of one (see FAULT_KINDS)."""
     plant = gas_pipeline()
     recording = simulate(plant, 120, [0])

@@ -1,4 +1,4 @@
-"""Indicators of distributed diagnosis: cases by hand, the paper's timeline, intervals against SciPy."""
+"""Indicators of distributed diagnosis: cases checked by hand, the paper's timeline, intervals against SciPy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ T = np.arange(10001) * STEP
 
 
 def campaign(runs: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Latched decisions and active faults of K24's scenario as told in sec. VII, the same in each run."""
+    """Latched decisions and active faults of K24's scenario as described in sec. VII, the same in each run."""
     decisions = np.zeros((T.size, runs, len(K24_LOCAL)), bool)
     for module, time in {"E(2,3)": 20.0, "E(3,1)": 45.06, "E(3,3)": 69.9, "E(4,2)": 70.01}.items():
         decisions[round(time / STEP), :, list(K24_LOCAL).index(module)] = True
@@ -44,15 +44,15 @@ def test_isolation_and_exoneration_on_the_papers_timeline():
     alarm = decisions.any(axis=-1)
     u = isolation_performance(T, isolated, active, alarm)
     e = exoneration_performance(T, isolated, alarm)
-    # from 20, 45.06, 69.9, 70.01 s on; between 45 and 45.06 s f1(3) acts unnamed, which |S_0|/|S^F| as printed counts as
-    # named and so comes to 50.03 %
+    # from 20, 45.06, 69.9, 70.01 s on; between 45 and 45.06 s f1(3) is not isolated, which |S_0|/|S^F| as printed counts as
+    # isolated and so gives 50.03 %
     length = np.array([25.06, 24.84, 0.11, 29.99])
     named, faulty = np.array([2, 4, 5, 6]), np.array([1, 2, 2, 3])
     assert u.value == pytest.approx(length @ (faulty / named) / 80, abs=1e-9)
     assert e.value == pytest.approx(length @ (1 - named / 10) / 80, abs=1e-9)
     assert (round(100 * u.value, 1), round(100 * e.value, 1)) == (50.0, 58.8)
     assert u.n == e.n == 3 and u.low == u.high == u.value
-    assert 51.16 - 0.81 > 100 * u.value  # the timeline of the one run that is shown lies below the published mean
+    assert 51.16 - 0.81 > 100 * u.value  # the timeline of the one run that is shown is below the published mean
     assert abs(100 * e.value - 57.83) < 2.93
 
 
@@ -63,7 +63,7 @@ def test_isolation_counts_by_hand():
     isolated = np.zeros_like(active)
     isolated[1:, 0, :2] = True  # one right, one wrong
     isolated[3:, 0, 1] = False  # from 4 s exact
-    isolated[2, 1, 1] = True  # only a wrong one, from 3 to 4 s; then nothing is named
+    isolated[2, 1, 1] = True  # only a wrong one, from 3 to 4 s; then nothing is isolated
     alarm = np.zeros((5, 3), bool)
     alarm[1, 0] = alarm[2, 1] = True  # run 2 has none
     u = isolation_performance(t, isolated, active, alarm)

@@ -1,4 +1,4 @@
-"""Faults: each kind by hand, the published definitions sample by sample, random draws, files, bad input."""
+"""Faults: each kind checked by hand, the published definitions sample by sample, random draws, files, bad input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs: what is written is read back to the bit; what is wrong is named by file, row and column."""
+"""Logs: what is written is read back to the bit; an error names file, row and column."""
 
 from __future__ import annotations
 
@@ -54,7 +54,9 @@ def test_inputs_without_a_column_are_assumed_only_where_that_is_asked_for(tmp_pa
     path = log(tmp_path, HEADER + "\n" + ROW)
     with pytest.raises(ValueError, match=r"no column for the inputs 'inflow' of plant 'two-tanks'; .* --nominal-inputs"):
         read_log(path, tanks())
-    with pytest.warns(UserWarning, match=r"no column for the inputs 'inflow'; the nominal values of plant 'two-tanks' stand"):
+    with pytest.warns(
+        UserWarning, match=r"no column for the inputs 'inflow'; the nominal values of plant 'two-tanks' are used"
+    ):
         found = read_log(path, tanks(), nominal_inputs=True)
     np.testing.assert_array_equal(found.u, [[6e-4]])
 
@@ -62,7 +64,7 @@ def test_inputs_without_a_column_are_assumed_only_where_that_is_asked_for(tmp_pa
 def test_inputs_default_to_the_plants_operation_since_the_reading_before(tmp_path):
     plant = changed(tanks(), operation=lambda t: np.array([t]))
     path = log(tmp_path, HEADER + "\n10,1,1,1,1\n12,1,1,1,1\n17,1,1,1,1\n40,1,1,1,1\n")
-    with pytest.warns(UserWarning, match="the usual operation of plant"):
+    with pytest.warns(UserWarning, match="the usual inputs of plant"):
         found = read_log(path, plant, nominal_inputs=True)
     np.testing.assert_array_equal(found.u, [[5], [10], [12], [35]])
     given_input = read_log(log(tmp_path, HEADER + ",inflow\n10,1,1,1,1,7e-4\n"), plant)
@@ -90,9 +92,9 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         ("t,l1,l2,q12,q2\n" + ROW, "no column 'time'"),
         ("time;l1;l2;q12;q2\n1;1;1;1;1", "cells are separated by ';'; expected commas"),
         ("time [s]\tl1\n1\t1", "cells are separated by '\\\\t'; expected commas"),
-        ("t" * 200 + "\n1", f"no column 'time' among '{'t' * 20}...'; name the column"),
+        ("t" * 200 + "\n1", f"no column 'time' among '{'t' * 20}...'; give the column"),
         (HEADER.replace("l1", "l1 [mm]") + "\n" + ROW, "column 'l1' is in 'mm', plant 'two-tanks' has it in 'm'"),
-        (HEADER.replace("l2", "l1") + "\n" + ROW, "the column 'l1' stands twice"),
+        (HEADER.replace("l2", "l1") + "\n" + ROW, "the column 'l1' occurs twice"),
         (HEADER + "\n" + ROW + "\n2,1.0,high,1,1", r"row 3, column l2: 'high'; expected a finite number, or nothing"),
         (HEADER + "\n1,1.0,inf,1,1", "row 2, column l2: 'inf'"),
         (HEADER + "\n1,1.0,1_0,1,1", "row 2, column l2: '1_0'; expected a finite number"),
@@ -106,7 +108,7 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         (HEADER + '\n1,"1.0,1,1,1', "not a CSV text file"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path, text, message):
+def test_an_error_names_file_row_and_column(tmp_path, text, message):
     path = log(tmp_path, text)
     with pytest.raises(ValueError, match=message) as caught:
         read_log(path, tanks(), nominal_inputs=True)

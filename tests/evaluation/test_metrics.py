@@ -1,4 +1,4 @@
-"""Metrics: cases counted by hand, what must hold of every interval, scikit-learn and SciPy as oracles."""
+"""Metrics: cases counted by hand, laws of every interval, scikit-learn and SciPy as oracles."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_events_at_the_ends_and_twice_on_one_sensor():
 
 def test_trial_accuracy_counted_by_hand():
     alarm, isolated, active = case()
-    # run 0 right; run 1: sensor 1 on 2 of the 3 samples that name any, sensor 0 on 2 of 3 too: wrong; run 2: false alarm
+    # run 0 right; run 1: sensor 1 on 2 of the 3 samples that isolate any, sensor 0 on 2 of 3 too: wrong; run 2: false alarm
     assert detection.trial_accuracy(alarm, isolated, active)[0::3] == (pytest.approx(1 / 3), 3)
     isolated[5, 1, 0] = False
     assert detection.trial_accuracy(alarm, isolated, active).value == pytest.approx(2 / 3)
@@ -116,14 +116,14 @@ def test_trial_accuracy_counted_by_hand():
     assert detection.trial_accuracy(alarm, isolated, active).value == pytest.approx(2 / 3)
 
 
-def test_a_run_is_judged_by_the_sensor_named_most_not_by_the_exact_set():
+def test_a_run_is_judged_by_the_sensor_isolated_most_not_by_the_exact_set():
     active = np.zeros((6, 4, 3), bool)
     active[2:6, :, 0] = True
     active[2:6, 3, 1] = True  # two faults in the last run
     alarm, isolated = active.any(axis=-1), active.copy()
     isolated[2:5, 0, 1] = True  # a healthy one, too, in 3 of 4 samples: the faulty one still leads
     isolated[2:6, 1, 2] = True  # a tie is not right
-    isolated[0:2, 2, 1] = True  # what is named before the fault does not count
+    isolated[0:2, 2, 1] = True  # isolation before the fault does not count
     isolated[2:6, 3, 2] = [True, False, False, False]
     assert detection.judged_right(alarm, isolated, active).tolist() == [True, False, True, True]
     isolated[2:6, 3, 1] = [False, False, False, True]  # the second faulty sensor as often as a healthy one
@@ -250,12 +250,12 @@ def test_one_run_has_a_value_without_an_interval():
     assert (value, n) == (1.5, 1)
     assert np.isnan([low, high]).all()
     rate = rate_over_runs(np.array([5]), np.array([10]))
-    # Wilson's interval of p = 1/2 from a single trial, 1/2 -+ z / (2 sqrt(1 + z^2)): one run says next to nothing
+    # Wilson's interval of p = 1/2 from a single trial, 1/2 -+ z / (2 sqrt(1 + z^2)): one run is hardly informative
     half = 1.959964 / (2 * np.sqrt(1 + 1.959964**2))
     assert (rate.low, rate.high) == (pytest.approx(0.5 - half, abs=1e-6), pytest.approx(0.5 + half, abs=1e-6))
 
 
-def test_shapes_that_do_not_fit_are_named():
+def test_shapes_that_do_not_fit_are_refused():
     alarm, isolated, active = case()
     with pytest.raises(ValueError, match=r"alarm has shape \(3, 6\), expected \(6, 3\)"):
         detection.detection_probability(alarm.T, active)
@@ -335,7 +335,7 @@ def test_interval_of_a_mean_covers_the_truth():
 
 
 def test_interval_of_a_median_covers_the_truth_and_repeats():
-    """Exponential runs, 40 of them: BCa errs by O(1/B), about 0.03 for a median, beside three standard errors of 0.011."""
+    """Exponential runs, 40 of them: BCa errs by O(1/B), about 0.03 for a median, plus three standard errors of 0.011."""
     rng = np.random.default_rng(8)
     covered = 0
     for _ in range(400):

@@ -49,7 +49,7 @@ def test_a_seed_gives_the_same_bits_alone_and_in_any_batch(plant):
     np.testing.assert_array_equal(longer.y[:40], alone.y)
 
 
-def test_switching_one_randomness_on_leaves_the_others_as_they_were():
+def test_switching_one_randomness_on_does_not_change_the_others():
     plant = chain(4)
     plain = simulate(plant, 20, [1, 2])
     noisy = simulate(plant, 20, [1, 2], process_noise=True)
@@ -63,7 +63,7 @@ def test_switching_one_randomness_on_leaves_the_others_as_they_were():
 
 
 def test_timing_of_states_inputs_and_models():
-    """Each model is called with the time it may know, u[k] is the input that acts from t[k] - dt to t[k]."""
+    """Each model is called with the time at which it acts, u[k] is the input that acts from t[k] - dt to t[k]."""
     called, seen = [], []
 
     def step(t, x, u, dt):
@@ -108,7 +108,7 @@ def test_feedback_acts_on_the_last_readings_of_each_run():
     before = found.t[:-1, None, None]
     np.testing.assert_array_equal(found.u[1:], before - 0.5 * found.y[:-1] + before)
     np.testing.assert_array_equal(found.x[1:], found.x[:-1] + found.u[1:])
-    assert simulate(plant, 4, [0, 1], inputs=np.ones((4, 1))).u.shape == (4, 1)  # what is given acts as it is
+    assert simulate(plant, 4, [0, 1], inputs=np.ones((4, 1))).u.shape == (4, 1)  # given inputs act unchanged
     assert simulate(open_loop, 4, [0, 1], truth=plant).u.shape == (4, 2, 1)  # it is the truth that is controlled
     in_other_units = simulate(plant.in_units({"s": ("m", 1000.0)}), 4, [0, 1])
     np.testing.assert_allclose(in_other_units.u, found.u, rtol=1e-9)  # of noise by inversion of quantiles

@@ -1,4 +1,4 @@
-"""A log that none of us made: a valve whose command and position part, behind a flow sensor that drifts with temperature."""
+"""A log from another model: a valve whose command and position part, behind a flow sensor that drifts with temperature."""
 
 from pathlib import Path
 from typing import Any
@@ -62,12 +62,12 @@ def test_the_noises_of_the_plant_are_those_of_the_log(shared_fixtures: Path) -> 
     assert found["step"] <= np.sqrt(plant.process_cov[0]) <= 2 * found["step"]
 
 
-def test_the_stuck_valve_is_named_and_the_drift_of_the_flow_sensor_taken_out(shared_fixtures: Path) -> None:
+def test_the_stuck_valve_is_isolated_and_the_drift_of_the_flow_sensor_removed(shared_fixtures: Path) -> None:
     log = read(shared_fixtures)
     y = np.stack([log["m_flow"], log["cmd"]], axis=1)
     u = np.stack([log["dp"], log["T_in"]], axis=1)
     plant = valve()
-    with pytest.warns(DiagnosisWarning, match="moved back in 2 of 121 samples"):  # nearly closed: the command is believed
+    with pytest.warns(DiagnosisWarning, match="moved back in 2 of 121 samples"):  # nearly closed: the command is used
         diagnosis = diagnose(LeaveOneOutBank(plant, window=1), log["Time"] + 3.0, y, u)
     estimate = diagnosis.decisions.estimate
     truth = log["m_flow_real"]
@@ -77,8 +77,8 @@ def test_the_stuck_valve_is_named_and_the_drift_of_the_flow_sensor_taken_out(sha
     # less than half of the raw error; the drift is 0.01 / K
     assert accommodated <= 0.06
     assert 0.007 <= estimate[-1, 1] <= 0.0135
-    # 60 % open for good while 80 to 100 % is asked: named to the end. Earlier, with two instruments and an opening that may
-    # move by itself, a disagreement does not say which of the two is wrong.
+    # 60 % open for good while 80 to 100 % is asked: isolated to the end. Earlier, with two instruments and an opening that may
+    # move by itself, a disagreement does not show which of the two is wrong.
     last = diagnosis.events[-1]
     assert last.hypothesis == "command" and last.open and abs(last.start - 177.0) <= 6.0
     assert diagnosis.decisions.fault_size[-1, 1] == pytest.approx(0.1, abs=0.03)  # 100 % asked, 90 % open

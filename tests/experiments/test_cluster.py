@@ -1,4 +1,4 @@
-"""Pieces of work on a dask cluster: the bytes of a run on this machine, though a worker is killed on the way."""
+"""Pieces of work on a dask cluster: the bytes of a run on this machine, although a worker is killed meanwhile."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_a_scheduler_that_goes_away_is_reported_once_and_the_run_goes_on_elsewhe
         passing.close()
 
     monkeypatch.setattr(on_cluster, "write_part", write_then_close)
-    with pytest.raises(RuntimeError, match=r"scheduler went away.*what was finished is kept.*the same command goes on"):
+    with pytest.raises(RuntimeError, match=r"scheduler disappeared.*finished pieces are kept.*repeat the same command"):
         run_scenarios([TOY], tmp_path / "out", changes=changes, scheduler=passing.scheduler_address)
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]  # no traceback of the connection
     kept = len(parts_of(tmp_path / "out"))
@@ -157,7 +157,9 @@ def test_a_worker_with_other_code_that_joins_later_is_refused(tmp_path: Path, cl
         assert [done.error for done in work_off([piece])] == [None] and piece.path.exists()
 
 
-def test_what_is_no_cluster_is_said(tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_of_a_cluster_are_reported(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(on_cluster, "PATIENCE", 0.2)
     with pytest.raises(ValueError, match="workers and a scheduler's address; expected one of them"):
         run_scenarios([TOY], tmp_path, workers=2, scheduler="tcp://127.0.0.1:1")

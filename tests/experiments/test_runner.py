@@ -118,10 +118,10 @@ def test_folders(tmp_path: Path) -> None:
     empty.mkdir()
     run(empty)
     before = (empty / "metrics.csv").read_bytes()
-    run(empty)  # the same command: taken up, nothing changes
+    run(empty)  # the same command: resumed, nothing changes
     assert manifest(empty)["scenarios"][0]["resumed"] == 2
     assert (empty / "metrics.csv").read_bytes() == before
-    with pytest.raises(ValueError, match=r"already used: it holds another run .*--seeds 2.*--force, which takes up .*parts"):
+    with pytest.raises(ValueError, match=r"already used: it holds another run .*--seeds 2.*--force, which reuses .*parts"):
         run(empty, seeds=4)
     assert (empty / "metrics.csv").read_bytes() == before
     run(empty, seeds=4, force=True)
@@ -131,7 +131,7 @@ def test_folders(tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.tex").write_text("mine")
-    with pytest.raises(ValueError, match=r"already used: it holds files that are no run of fusion-sfdia.*--force"):
+    with pytest.raises(ValueError, match=r"already used: it holds files that are not a run of fusion-sfdia.*--force"):
         run(mine)
     assert files(mine) == {"thesis.tex": b"mine"}
     run(mine, force=True)
@@ -303,7 +303,7 @@ def test_parts(tmp_path: Path) -> None:
         ({"changes": {"size": "99999999999999999999"}}, "expected a whole number"),
         ({"changes": {"size": "9" * 5000}}, r"size is '9+\.\.\.; expected"),
         ({"changes": {"levels": ","}}, "setting levels is empty; expected at least one value, such as high"),
-        ({"changes": {"levels": "low,high,low"}}, "expected each value once, 'low' stands twice"),
+        ({"changes": {"levels": "low,high,low"}}, "expected each value once, 'low' occurs twice"),
         ({"changes": {"trap": "a\0b"}}, "expected at most 1000 printable characters"),
         ({"changes": {"rate": "nan"}}, "setting rate is 'nan'; expected a number from 1e-06 to 1000000, such as 0.5"),
         ({"changes": {"figure": "perhaps"}}, "expected true or false"),
@@ -342,7 +342,7 @@ def test_rows_come_back_to_the_bit(tmp_path: Path) -> None:
     third = 1 / 3
     rows = [
         Row("s", "p", "d", "none", 'a, "quoted"\nline', "auc", third, third - 1e-17, np.nextafter(third, 1), 50),
-        Row("s", "p", "d", "f", "all", "rmse", float("inf"), published=0.1, source="Nobody 1999, Table I, p. 1"),
+        Row("s", "p", "d", "f", "all", "rmse", float("inf"), published=0.1, source="Author 1999, Table I, p. 1"),
         Row("s", "p", "d", "f", "all", "rmse", float("nan"), condition="noise 5 %, finer grid"),
     ]
     write_rows(tmp_path / "metrics.csv", rows)
@@ -353,7 +353,7 @@ def test_rows_come_back_to_the_bit(tmp_path: Path) -> None:
     objects = json.loads(as_json(rows))
     assert [r["value"] for r in objects] == [third, "inf", None]
     assert [r["condition"] for r in objects] == ["", "", "noise 5 %, finer grid"]
-    assert objects[1]["source"] == "Nobody 1999, Table I, p. 1"
+    assert objects[1]["source"] == "Author 1999, Table I, p. 1"
     (tmp_path / "metrics.csv").write_text(text.replace("50", "many"), encoding="utf-8")
     with pytest.raises(ValueError, match="row 2"):
         read_rows(tmp_path / "metrics.csv")

@@ -6,7 +6,7 @@ import pytest
 
 from fusion_sfdia.experiments.parts import part_name
 from fusion_sfdia.experiments.scenario import adjust
-from fusion_sfdia.registry import SCENARIOS, scenario
+from fusion_sfdia.scenarios import SCENARIOS, scenario
 
 SENSELESS = (  # for any setting
     "-1", "-0.5", "0.0000000001", "1e308", "1e-308", "1e400", "nan", "inf", "-inf", "99999999999999999999", "1_0", "１２",

@@ -1,4 +1,4 @@
-"""Numbers by others that the filters must meet: a published pendulum, the Lorenz tables of data assimilation, filterpy."""
+"""Reference numbers for the filters: a published pendulum, the Lorenz tables of data assimilation, filterpy."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def stepper(slope: Callable[[Array], Array], dt: float, substeps: int) -> Callab
 
 
 class Twin:
-    """Independent runs side by side: a truth without model noise, read everywhere after every step with variance R.
+    """A batch of independent runs: a truth without model noise, read everywhere after every step with variance R.
 
     `rmse` is the root mean square error over the states, averaged over the steps after `burn`, one number a run. The systems
     are chaotic, so rounding makes other runs on another machine: limits leave four standard errors.

@@ -117,7 +117,7 @@ def test_extended_kalman_filter(given: bool, tolerance: float) -> None:
         jacobians = {"h_jacobian": lambda x: reading_jacobian(x[:, 0]), "f_jacobian": pendulum_jacobian}
     plant = plant_from_filterpy(source, dt=DT, h=column_reading, **jacobians)
     x, P = run_ekf(plant, readings())
-    np.testing.assert_array_equal(source.x, [[0.8], [0.1]])  # the user's filter is left alone
+    np.testing.assert_array_equal(source.x, [[0.8], [0.1]])  # the user's filter is unchanged
     for y in readings():
         source.predict()
         source.update(y[:, None], lambda x: reading_jacobian(x[:, 0]), column_reading)
@@ -211,7 +211,7 @@ def broken(kind: str) -> tuple[Any, dict[str, Any]]:
     ("kind", "message"),
     [
         ("fading", "alpha is 1.02.*set alpha = 1"),
-        ("cross", "M is not zero.*fold it"),
+        ("cross", "M is not zero.*include it"),
         ("correlated", "R is not diagonal.*whiten"),
         ("names", "1 sensor and 2 state names; the filter has 2 readings"),
         ("no h", "pass it as h="),

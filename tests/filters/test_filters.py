@@ -138,7 +138,7 @@ def test_the_filter_is_consistent() -> None:
     assert abs(nees.mean() - 1) < 4 * np.sqrt(2 / (3 * runs))
 
 
-def test_a_diverged_element_leaves_the_others_alone() -> None:
+def test_a_diverged_element_does_not_affect_the_others() -> None:
     x, P = np.zeros((3, 3)), np.broadcast_to(np.eye(3), (3, 3, 3)).copy()
     P[1] = NAN
     y = np.ones((3, 2))

@@ -39,7 +39,7 @@ def test_moments_relative_to_the_centre_are_the_usual_weighted_sums(settings: tu
     np.testing.assert_allclose(joint.C, e.T @ (Wc[:, None] * z), rtol=0, atol=3 * cancel)
 
 
-def test_without_redraw_the_readings_do_not_know_of_the_process_noise() -> None:
+def test_without_redraw_the_readings_lack_the_process_noise() -> None:
     """As Shaheen 2024 prints it: S and C are those of F P F', while P is F P F' + Q; redrawn, all of F P F' + Q."""
     points, P = SigmaPoints(0.5), np.eye(3)
     x, predicted, propagated = ukf.predict(points, np.ones(3), P, f, Q)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import scipy.linalg  # noqa: F401  (loads SciPy's OpenBLAS, beside NumPy's)
+import scipy.linalg  # noqa: F401  (loads SciPy's OpenBLAS, in addition to NumPy's)
 from numpy._core._multiarray_umath import __cpu_features__ as features
 from threadpoolctl import threadpool_info
 

@@ -22,7 +22,7 @@ def samples(box: Interval, n: int, seed: int) -> np.ndarray:
 
 
 def covered(points: np.ndarray, boxes: Interval) -> np.ndarray:
-    """Whether each point (n, d) lies in one of the boxes (m, d)."""
+    """Whether each point (n, d) is in one of the boxes (m, d)."""
     return np.all((boxes.lo <= points[:, None]) & (points[:, None] <= boxes.hi), axis=-1).any(axis=-1)
 
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.experiments.scenario import Arrays, Task
-from fusion_sfdia.registry import scenario
 from fusion_sfdia.report.content import Summary
+from fusion_sfdia.scenarios import scenario
 
 PIPELINE = {"steps": 75}
 SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings that differ from the default

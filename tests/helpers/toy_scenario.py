@@ -52,7 +52,7 @@ def summarise(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary
             by_detector[detector] = values = np.concatenate(found)
             half = 1.96 * float(values.std()) / math.sqrt(values.size)
             mean = float(values.mean())
-            published = {"published": mean + half / 2, "source": "Nobody 1999, Table I, p. 1"} if detector == "a" else {}
+            published = {"published": mean + half / 2, "source": "Author 1999, Table I, p. 1"} if detector == "a" else {}
             rows.append(
                 Row(
                     "toy/mean",

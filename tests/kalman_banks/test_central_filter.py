@@ -100,5 +100,5 @@ def test_divergence_is_flagged_and_the_other_runs_of_the_batch_continue() -> Non
 
 @pytest.mark.parametrize("false_alarm", [0.0, 1.0, -0.1, float("nan")])
 def test_a_budget_is_a_probability(false_alarm: float) -> None:
-    with pytest.raises(ValueError, match=f"false_alarm is {false_alarm}; a probability strictly between 0 and 1"):
+    with pytest.raises(ValueError, match=f"false_alarm is {false_alarm}; expected a probability strictly between 0 and 1"):
         CentralFilter(chain(2), false_alarm=false_alarm)

@@ -48,7 +48,7 @@ def test_present_thresholds_and_missing_readings_have_no_effect() -> None:
 @pytest.mark.parametrize("false_alarm", [0.0, 1.0, -0.5, float("nan")])
 def test_a_rate_is_a_probability(false_alarm: float) -> None:
     t, _, y, u = readings(chain(4), 30, 1, seed=0)
-    with pytest.raises(ValueError, match="a probability strictly between 0 and 1 is expected"):
+    with pytest.raises(ValueError, match="expected a probability strictly between 0 and 1"):
         FusingBank.fit(chain(4), (t, y, u), false_alarm, estimator=Extended())
 
 

@@ -1,4 +1,4 @@
-"""Plants and detectors of other packages: found by their entry points, listed, checked, and used by name."""
+"""Plants and detectors of other packages: discovered by their entry points, listed, checked, and used by name."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def test_the_selection_isolates_what_all_usable_residuals_do_by_the_toolbox(name
         if (found := residual_of(plant, mso)) is not None:
             sets[found] = mso
     kept = [replace(r, feedback=False) for r in usable(plant)]
-    theirs = model.IsolabilityAnalysisArrs([sets[r] for r in kept])  # 1: cannot be told apart
+    theirs = model.IsolabilityAnalysisArrs([sets[r] for r in kept])  # 1: not isolable from each other
     chosen = model.IsolabilityAnalysisArrs([sets[replace(r, feedback=False)] for r in selected(plant)])
     np.testing.assert_array_equal(chosen, theirs)
     ours = isolable(reads(plant, selected(plant)))

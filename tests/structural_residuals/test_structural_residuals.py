@@ -1,4 +1,4 @@
-"""Structural residuals: structure by hand and against the toolbox, residuals on the truth, diagnoses, limits, bad input."""
+"""Structural residuals: structure against the toolbox, residuals on the truth, diagnoses, limits, bad input."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_residual_of_two_tanks_by_hand() -> None:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_at_rest_a_residual_is_zero_and_knows_no_reading_that_it_does_not_use(name: str) -> None:
+def test_at_rest_a_residual_is_zero_and_depends_only_on_the_readings_it_uses(name: str) -> None:
     plant = plant_of(name)
     residuals = usable(plant)
     detector = StructuralResiduals(plant, residuals, np.ones(len(residuals)))
@@ -142,7 +142,7 @@ def test_false_alarms_are_as_rare_as_asked_for() -> None:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_a_bias_has_a_name_where_the_structure_tells_it_from_all_others(name: str) -> None:
+def test_a_bias_is_isolated_where_the_structure_allows(name: str) -> None:
     detector, plant = detector_of(name), plant_of(name)
     n = len(plant.sensors)
     recording = simulate(plant, 40, [7], truth="model")
@@ -185,7 +185,7 @@ def test_the_diagnosis_is_the_only_smallest_hitting_set() -> None:
         assert set(map(int, np.flatnonzero(found))) == expected
 
 
-def test_a_missing_reading_leaves_out_what_reads_it() -> None:
+def test_a_missing_reading_leaves_out_the_residuals_that_use_it() -> None:
     plant = plant_of("marine-engine")
     detector = detector_of("marine-engine")
     recording = simulate(plant, 10, [5])
@@ -198,7 +198,7 @@ def test_a_missing_reading_leaves_out_what_reads_it() -> None:
     np.testing.assert_array_equal(d.reconstruction[4:, 3], np.full(6, y[3, 3]))  # only its own reading computes it
 
 
-def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plant_without_equations_and_a_missing_package_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="does not state its scalar equations"):
         registry.detector("structural-residuals", chain(3))
     monkeypatch.setitem(sys.modules, "faultdiagnosistoolbox", None)
@@ -206,7 +206,7 @@ def test_a_plant_without_equations_and_a_missing_package_are_named(monkeypatch: 
         registry.detector("structural-residuals", plant_of("two-tanks"))
 
 
-def test_bad_settings_and_data_are_named() -> None:
+def test_bad_settings_and_data_are_refused() -> None:
     plant, detector = plant_of("two-tanks"), detector_of("two-tanks")
     y, u = np.ones((10, 3, 4)), np.full((10, 3, 1), INFLOW)
     for residuals, limits, message in (

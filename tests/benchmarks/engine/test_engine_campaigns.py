@@ -20,7 +20,7 @@ from fusion_sfdia.benchmarks.engine.support.trials import BIN, NAMES
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.plant import SENSORS
-from fusion_sfdia.registry import scenario
+from fusion_sfdia.scenarios import scenario
 
 
 def readings(seeds: range, steps: int = 60) -> np.ndarray:

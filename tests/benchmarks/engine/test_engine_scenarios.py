@@ -35,7 +35,7 @@ from fusion_sfdia.models.marine_engine.published import (
     minimum_fault,
     signatures,
 )
-from fusion_sfdia.registry import scenario
+from fusion_sfdia.scenarios import scenario
 
 
 def value(rows: list[Row], **expected: str) -> float:

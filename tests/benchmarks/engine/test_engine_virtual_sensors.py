@@ -25,7 +25,7 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
 from fusion_sfdia.models.marine_engine.published import Offset
-from fusion_sfdia.registry import scenario
+from fusion_sfdia.scenarios import scenario
 
 NAME = "engine/virtual-sensors"
 

@@ -11,8 +11,8 @@ import pytest
 
 from fusion_sfdia.benchmarks.network import scale as network_scale
 from fusion_sfdia.experiments.timing import best_times
-from fusion_sfdia.registry import scenario
 from fusion_sfdia.report.content import Summary
+from fusion_sfdia.scenarios import scenario
 
 SCALE = scenario("network/scale")
 

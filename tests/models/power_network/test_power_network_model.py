@@ -134,7 +134,7 @@ def test_other_constants_change_one_area() -> None:
     ("settings", "message"),
     [
         ({"unplugged": ["16"]}, "unknown node '16'"),
-        ({"unplugged": ["4", "4"]}, "the names 4 stand more than once"),
+        ({"unplugged": ["4", "4"]}, "the names 4 occur more than once"),
         ({"noise": "large"}, "noise is 'large'; known: lit, small"),
         ({"discretisation": "euler"}, "known: area-by-area, exact"),
         ({"dt": 0.0}, "positive and finite"),

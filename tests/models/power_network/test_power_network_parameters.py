@@ -80,7 +80,7 @@ def test_load_steps_come_in_order_of_time() -> None:
         ('"4-13" = {', '"4-4" = {', "joins 4 to itself"),
         ('"4-13" = {', '"4" = {', "two areas each"),
         ('"14-15" = {', '"13-1" = {', "no link leads to 15"),
-        ('"14", "15"]', '"14", "14"]', "the names 14 stand more than once"),
+        ('"14", "15"]', '"14", "14"]', "the names 14 occur more than once"),
         ('"14", "15"]', '"14", "1-5"]', "without a hyphen"),
         ('"14", "15"]', '"14"]', "one for each of 14 areas"),
         ("inertia = { values = [12,", "inertia = { values = [-12,", "inertia of area 1 is -12"),
