@@ -6,6 +6,8 @@ from fusion_sfdia.checks.detectors import check_detector as check_detector
 from fusion_sfdia.checks.plants import check_plant as check_plant
 from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
 from fusion_sfdia.comparison.compare import compare as compare
+from fusion_sfdia.core.batch_detector import BatchDetector as BatchDetector
+from fusion_sfdia.core.batch_detector import TimeStep as TimeStep
 from fusion_sfdia.core.detector import Decision as Decision
 from fusion_sfdia.core.detector import Detector as Detector
 from fusion_sfdia.core.detector import MissingPackageError as MissingPackageError
@@ -26,6 +28,7 @@ from fusion_sfdia.core.saved_detectors import load_detector as load_detector
 from fusion_sfdia.core.saved_detectors import save_detector as save_detector
 from fusion_sfdia.core.signals import Sensor as Sensor
 from fusion_sfdia.core.signals import Signal as Signal
+from fusion_sfdia.core.state import State as State
 from fusion_sfdia.core.storage import load_state as load_state
 from fusion_sfdia.core.storage import save_state as save_state
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits as EwmaLimits

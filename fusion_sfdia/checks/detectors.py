@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from fusion_sfdia import registry
@@ -34,8 +34,9 @@ from fusion_sfdia.checks.require import (
     require_same_state,
     scaled,
 )
+from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import Decision, Detector, run
-from fusion_sfdia.core.state import State, leaves, mapped
+from fusion_sfdia.core.state import State, leaves, mapped, names
 from fusion_sfdia.core.storage import load_state, save_state
 
 Array = NDArray[Any]
@@ -58,19 +59,18 @@ def check_detector(detector: Any, plant: Any = "two-tanks") -> None:
 
 def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
     """The state is a tuple of arrays; a Decision has the shapes of its docstring, of a batch and of a single run."""
-    plant, names = detector.plant, detector.hypotheses
+    plant, hypotheses = detector.plant, detector.hypotheses
     n, count = len(plant.states), len(plant.sensors)
-    require(names[:count] == plant.sensor_names, "its hypotheses begin with the plant's sensors", names)
-    require(len(set(names)) == len(names), "its hypotheses differ", names)
+    require(hypotheses[:count] == plant.sensor_names, "its hypotheses begin with the plant's sensors", hypotheses)
+    require(len(set(hypotheses)) == len(hypotheses), "its hypotheses differ", hypotheses)
     shapes = {
-        "estimate": (n,), "residual": (count,), "threshold": (count,), "isolated": (len(names),), "fault_size": (len(names),),
-        "absurd": (count,), "absurd_input": (len(plant.inputs),), "diverged": (), "guarded": (), "nis": (), "capped": (),
+        "estimate": (n,), "residual": (count,), "threshold": (count,), "absurd": (count,), "absurd_input": (len(plant.inputs),),
+        "isolated": (len(hypotheses),), "fault_size": (len(hypotheses),), "diverged": (), "guarded": (), "nis": (), "capped": (),
     }  # fmt: skip
     t, y, u = healthy(3, 2)
     for batch in ((), (2,)):
         state = detector.init(batch)
-        arrays = isinstance(state, State) and all(isinstance(a, np.ndarray) and a.dtype != object for a in leaves(state))
-        require(arrays, "its state is a State of arrays of numbers", type(state))
+        _require_state(detector, batch, state)
         for k in range(3):
             state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
         for f in fields(Decision):
@@ -85,6 +85,24 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
         require(np.all(d.threshold > 0), "thresholds are positive", d.threshold)
         require(np.all(np.isfinite(d.estimate)), "the estimate is finite", d.estimate)
         assert_array_equal(np.isnan(d.fault_size), ~d.isolated, "a fault has a size where it is isolated, and NaN elsewhere")
+
+
+def _require_state(detector: Detector, batch: tuple[int, ...], state: Any) -> None:
+    """Raise AssertionError unless init(batch) gave a State whose memory is a tuple of arrays (*batch, ...)."""
+    require(isinstance(state, State), "init gives a State", type(state))
+    memory = "the memory of a detector is a NamedTuple of arrays of numbers"
+    require(isinstance(state.memory, tuple), memory, type(state.memory))
+    for name, a in zip(names(state), leaves(state), strict=True):
+        if not isinstance(a, np.ndarray) or a.dtype == object:
+            raise AssertionError(f"expected: {memory}, and so is its State; found {name} = {shown(a)}")
+    require(state.diverged.shape == batch, f"diverged has the shape {batch} after init({batch})", state.diverged.shape)
+    for name, a, one in zip(names(state.memory), leaves(state.memory), leaves(detector.init().memory), strict=True):
+        require(
+            a.shape == (expected := (*batch, *one.shape)),
+            f"the memory that _start gives for a batch {batch} has {name} of the shape {expected}: the batch, then "
+            f"{one.shape} of a single run",
+            a.shape,
+        )
 
 
 def the_same_seed_gives_the_same_bits(detector: Detector, healthy: Healthy) -> None:
@@ -133,8 +151,14 @@ def thresholds_scale(detector: Detector, healthy: Healthy) -> None:
     _, a = run(detector, detector.init((2,)), t, y, u)
     _, b = run(twice, twice.init((2,)), t, y, u)
     quiet = ~np.any(a.alarm, axis=0)  # a sensor left out after an alarm changes the following numbers
+    one, two = a.threshold[:, quiet], b.threshold[:, quiet]
     # some roundings; a detector that reports the larger of two residuals may report the other at a tie
-    assert_allclose(b.threshold[:, quiet], 2 * a.threshold[:, quiet], rtol=1e-12, err_msg="threshold_scale=2")
+    wrong = ~np.isclose(two, 2 * one, rtol=1e-12, atol=0.0, equal_nan=True)
+    if wrong.any():
+        raise AssertionError(
+            f"the thresholds do not scale with threshold_scale: {one[wrong][0]:g} at 1, {two[wrong][0]:g} at 2; multiply all "
+            "thresholds by threshold_scale"
+        )
     require_refused("threshold_scale of 0", scaled, detector, 0.0)
 
 

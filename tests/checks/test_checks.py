@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from toy_plants import Array, chain, changed
 
-from fusion_sfdia import CentralFilter, Decision, Plant, check_detector, check_plant
-from fusion_sfdia.core.state import State, leaves
+from fusion_sfdia import BatchDetector, CentralFilter, Decision, Plant, State, TimeStep, check_detector, check_plant
+from fusion_sfdia.core.state import leaves
 
 CHAIN = chain(3)
 LOW_STATES = tuple(replace(state, low=-0.5, high=0.5) for state in CHAIN.states)
@@ -88,6 +88,51 @@ class Broken(CentralFilter):
 def test_a_detector_that_breaks_the_contract_fails(way: str, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
         check_detector(partial(Broken, way=way), CHAIN)
+
+
+class Unlike(NamedTuple):
+    x: Array
+
+
+@dataclass(frozen=True)
+class Fixed(BatchDetector):
+    """Fixed limits about x0, with a mistake in its thresholds or its memory."""
+
+    way: str = ""
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> Any:
+        if self.way == "list":
+            return [np.zeros(batch)]
+        if self.way == "number":
+            return Unlike(0.0)  # type: ignore[arg-type]  # the mistake
+        return Unlike(np.zeros(3 if self.way == "no batch" else (*batch, 3)))
+
+    def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
+        runs, scale = y.shape[:-1], 1.0 if self.way == "constant" else self.threshold_scale
+        none = np.zeros(runs, bool)
+        return memory, Decision(
+            estimate=np.zeros((*runs, 3)), reconstruction=np.nan_to_num(y), residual=y, threshold=np.full(y.shape, 50.0 * scale),
+            isolated=np.zeros(y.shape, bool), fault_size=np.full(y.shape, np.nan), diverged=none, guarded=none,
+            nis=np.full(runs, np.nan),
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        ("constant", "the thresholds do not scale with threshold_scale: 50 at 1, 50 at 2; multiply all thresholds by"),
+        ("list", "expected: the memory of a detector is a NamedTuple of arrays of numbers; found <class 'list'>"),
+        ("number", "a NamedTuple of arrays of numbers, .*found memory.x = 0.0"),
+        ("no batch", r"_start gives for a batch \(2,\) has x of the shape \(2, 3\): .* of a single run; found \(3,\)"),
+    ],
+)
+def test_a_mistake_is_stated_with_its_cure(way: str, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_detector(partial(Fixed, way=way), CHAIN)
+
+
+def test_fixed_limits_without_a_mistake_pass() -> None:
+    check_detector(Fixed, CHAIN)
 
 
 def test_a_detector_that_keeps_it_passes() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rounding import rounding
 
+from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.core.plant import Array
 from fusion_sfdia.models.power_network.diagnosis import network_areas
 from fusion_sfdia.models.power_network.model import network_model
@@ -129,17 +130,54 @@ def test_weights_minimise_the_variance_and_do_not_depend_on_the_receiver() -> No
     ahead = predict(unlike, now, zero, zero, 0.0, "corrected")
     np.testing.assert_array_equal(ahead.estimate_shared, ahead.estimate[:, AT.neighbour, 0])
     i = AT.index("5")
-    copies = AREAS.opposite[AREAS.network.sides(i)]
-    v = np.array([unlike.noise[i, 0], *unlike.shared_noise[copies]])
-    y = np.array([now.held[0, i, 0], *now.held_shared[0, copies]])
-    a, drive = unlike.matrices[i, 0, 0], ahead.estimate[0, i, 0] - unlike.matrices[i, 0, 0] * np.sum(y / v) / np.sum(1 / v)
-    only = Diagnosers(*(x.copy() for x in now))
-    only.held[0, i, 0], only.held_shared[0, copies] = 0.0, 0.0
-    np.testing.assert_allclose(predict(unlike, only, zero, zero, 0.0, "corrected").estimate[0, i, 0], drive, atol=1e-12)
-    floor = ahead.deviation[0, i, 0] ** 2
-    for _ in range(20):  # any other weights give a larger variance
+    v, _, a, rest = noises_of(unlike, i)
+    best = (1 / v) / np.sum(1 / v)
+    variance = ahead.deviation[0, i, 0] ** 2
+    np.testing.assert_allclose(variance, a**2 * best**2 @ v + rest, rtol=SUMMED)
+    for _ in range(20):  # any other weights give a larger variance, by a^2 sum v_j (W_j - best_j)^2
         W = rng.dirichlet(np.ones(v.size))
-        assert floor - a**2 / np.sum(1 / v) + a**2 * np.sum(W**2 * v) >= floor
+        assert a**2 * W**2 @ v + rest > variance * (1 + SUMMED)
+
+
+SUMMED = 50 * float(np.finfo(float).eps)  # relative: sums of some ten positive terms of four roundings each
+
+
+def noises_of(areas: Areas, i: int) -> tuple[Array, Array, float, float]:
+    """Of area i: sigma_j^2 of the readings of z_i, own first; v_j as printed; a; the terms of Var[chi_i] without W."""
+    sides, row = areas.network.sides(i), areas.matrices[i, 0]
+    n, a = areas.noise.shape[-1], row[0]
+    sigma2 = np.array([areas.noise[i, 0], *areas.shared_noise[areas.opposite[sides]]])
+    drive = row[1:n] ** 2 @ areas.noise[i, 1:] + row[n + 1] ** 2 * (areas.slope[sides] ** 2 @ areas.shared_noise[sides])
+    process = areas.process_variance[i, 0]
+    return sigma2, a**2 * sigma2 + drive + process + sigma2, a, drive + process + sigma2[0]
+
+
+@pytest.mark.parametrize("mode", ["corrected", "paper"])
+def test_each_reading_has_its_weight_in_the_estimate(mode: str) -> None:
+    """(17): the estimate is linear in the readings; the share of z_i as read by area j is a (1 / v_j) / sum (1 / v)."""
+    rng, i, zero = np.random.default_rng(4), AT.index("5"), np.zeros((1, 15))
+    shared_noise = rng.uniform(1e-6, 1e-1, 34)
+    unlike = replace(AREAS, noise=rng.uniform(1e-4, 1e-1, AREAS.noise.shape), shared_noise=shared_noise)
+    at_zero = take(predict(unlike, initial_state(unlike, (1,)), zero, zero, 0.0, mode), np.zeros((1, 15, 4)), np.zeros((1, 34)))
+    copies = AREAS.opposite[AREAS.network.sides(i)]
+
+    def estimate(reading: int) -> float:
+        """Of z_i, where this reading of it is 1 and all others are 0."""
+        held, held_shared = at_zero.held.copy(), at_zero.held_shared.copy()
+        if reading == 0:
+            held[0, i, 0] = 1.0
+        else:
+            held_shared[0, copies[reading - 1]] = 1.0
+        now = at_zero._replace(held=held, held_shared=held_shared)
+        return float(predict(unlike, now, zero, zero, 0.0, mode).estimate[0, i, 0])
+
+    sigma2, printed, a, rest = noises_of(unlike, i)
+    v = printed if mode == "paper" else sigma2
+    W = (1 / v) / np.sum(1 / v)
+    np.testing.assert_allclose([estimate(j) for j in range(v.size)], a * W, rtol=SUMMED)
+    variance = predict(unlike, at_zero, zero, zero, 0.0, mode).deviation[0, i, 0] ** 2
+    expected = W**2 @ printed if mode == "paper" else a**2 * W**2 @ sigma2 + rest  # (15) as printed, and corrected
+    np.testing.assert_allclose(variance, expected, rtol=SUMMED)
 
 
 def test_equations_take_scalars_and_arrays() -> None:
