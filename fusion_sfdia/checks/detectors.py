@@ -64,8 +64,9 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
     require(hypotheses[:count] == plant.sensor_names, "its hypotheses begin with the plant's sensors", hypotheses)
     require(len(set(hypotheses)) == len(hypotheses), "its hypotheses differ", hypotheses)
     shapes = {
-        "estimate": (n,), "residual": (count,), "threshold": (count,), "absurd": (count,), "absurd_input": (len(plant.inputs),),
-        "isolated": (len(hypotheses),), "fault_size": (len(hypotheses),), "diverged": (), "guarded": (), "nis": (), "capped": (),
+        "estimate": (n,), "residual": (count,), "threshold": (count,), "isolated": (len(hypotheses),),
+        "fault_size": (len(hypotheses),), "absurd": (count,), "absurd_input": (len(plant.inputs),),
+        "diverged": (), "guarded": (), "nis": (), "capped": (),
     }  # fmt: skip
     t, y, u = healthy(3, 2)
     for batch in ((), (2,)):

@@ -111,8 +111,8 @@ class Fixed(BatchDetector):
         runs, scale = y.shape[:-1], 1.0 if self.way == "constant" else self.threshold_scale
         none = np.zeros(runs, bool)
         return memory, Decision(
-            estimate=np.zeros((*runs, 3)), reconstruction=np.nan_to_num(y), residual=y, threshold=np.full(y.shape, 50.0 * scale),
-            isolated=np.zeros(y.shape, bool), fault_size=np.full(y.shape, np.nan), diverged=none, guarded=none,
+            estimate=np.zeros((*runs, 3)), reconstruction=np.nan_to_num(y), residual=y,
+            threshold=np.full(y.shape, 50.0 * scale), isolated=np.zeros(y.shape, bool), fault_size=np.full(y.shape, np.nan), diverged=none, guarded=none,
             nis=np.full(runs, np.nan),
         )  # fmt: skip
 
