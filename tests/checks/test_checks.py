@@ -112,8 +112,8 @@ class Fixed(BatchDetector):
         none = np.zeros(runs, bool)
         return memory, Decision(
             estimate=np.zeros((*runs, 3)), reconstruction=np.nan_to_num(y), residual=y,
-            threshold=np.full(y.shape, 50.0 * scale), isolated=np.zeros(y.shape, bool), fault_size=np.full(y.shape, np.nan), diverged=none, guarded=none,
-            nis=np.full(runs, np.nan),
+            threshold=np.full(y.shape, 50.0 * scale), isolated=np.zeros(y.shape, bool), fault_size=np.full(y.shape, np.nan),
+            diverged=none, guarded=none, nis=np.full(runs, np.nan),
         )  # fmt: skip
 
 
