@@ -1,1 +1,1 @@
-"""Plants of the papers, a plant a file, each parameter with its provenance."""
+"""Plants of the papers, one folder each; every parameter has its provenance."""

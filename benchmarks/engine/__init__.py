@@ -1,1 +1,1 @@
-"""The scenarios on the marine engine, a file each."""
+"""The scenarios on the marine engine, one file each."""

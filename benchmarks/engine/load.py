@@ -11,26 +11,10 @@ from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.benchmarks.engine.support.campaign import (
-    DRIVES,
-    USUAL_NOISE,
-    VALID,
-    check,
-    engine_detector,
-    first_firings,
-    fork,
-    logic,
-    moving_detector,
-    noise,
-    response,
-    share,
-    sizes,
-    truth,
-    verdict_rows,
-)
+from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import drive_figure, run_figure, share_matrix
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import SENSORS
@@ -58,9 +42,9 @@ METRICS = (
 
 
 def load_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Each way to change the load with each detector; all sensors' faults on the same noise."""
-    check(settings)
-    for name, known in (("drives", DRIVES), ("allowed", ALLOWED)):
+    """Each kind of load change with each detector; the faults of all sensors with the same noise."""
+    campaign.require_settings(settings)
+    for name, known in (("drives", campaign.DRIVES), ("allowed", ALLOWED)):
         if unknown := [d for d in settings[name] if d not in known]:
             raise ValueError(f"setting {name} has {', '.join(unknown)}; known: {', '.join(known)}")
     if not 0 < settings["change"] <= settings["onset"]:
@@ -79,26 +63,28 @@ def load_tasks(settings: Settings, seeds: int) -> list[Task]:
 def load_detector(task: Task) -> AdaptiveThreshold:
     """The detector of a task."""
     if task["allowed"] == "steady":
-        return engine_detector(task["detector"], task["noise"])
-    return moving_detector(task["detector"], task["noise"], task["duration"], task["change"])
+        return campaign.steady_detector(task["detector"], task["noise"])
+    return campaign.moving_detector(task["detector"], task["noise"], task["duration"], task["change"])
 
 
 def load_work(task: Task) -> Arrays:
-    """First firings (11, B, N) of the healthy runs and with each sensor faulty; before the onset all are the healthy ones.
+    """First firings (11, B, N) of the healthy runs and with each sensor faulty; until the onset the runs are the same.
 
-    thresholds (B, N): their mean over the bound of the noise in the healthy runs from the onset on. diverged (11, B). signal
+    thresholds (B, N): their mean over the noise bound in the healthy runs from the onset on. diverged (11, B). signal
     (K, N) without noise and u (K, 1), every tenth sample. trace: of the first run with the sensor SHOWN faulty.
     """
     detector = load_detector(task)
-    t, u, signal = truth(task["duration"], task["drive"], task["change"])
+    t, u, signal = campaign.truth(task["duration"], task["drive"], task["change"])
     onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
     biases = np.zeros((len(CASES), 1, len(SENSORS)))
-    biases[1:, 0] = np.diag(sizes(engine_detector(task["detector"], task["noise"]), task["size"]))
-    draws = noise(detector.plant, t.size, task["seeds"])
-    state, before = first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)), shown=(0,))
+    biases[1:, 0] = np.diag(campaign.sizes(campaign.steady_detector(task["detector"], task["noise"]), task["size"]))
+    draws = campaign.noise(detector.plant, t.size, task["seeds"])
+    state, before = campaign.first_firings(
+        detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)), shown=(0,)
+    )
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
     shown = CASES.index(SHOWN), 0
-    _, found = first_firings(detector, t[onset:], u[onset:], after, fork(state, len(CASES)), shown)
+    _, found = campaign.first_firings(detector, t[onset:], u[onset:], after, campaign.fork(state, len(CASES)), shown)
     first = np.minimum(before["first"], found["first"])
     thresholds = found["threshold"][0] / np.array([s.noise_bound for s in detector.plant.sensors])
     return {
@@ -113,7 +99,7 @@ def load_work(task: Task) -> Arrays:
 
 
 def condition(drive: str, allowed: str) -> str:
-    """The condition of a row: how the load changes, and what the detector is made for."""
+    """The condition of a row: the kind of load change, and the operation that the detector covers."""
     return f"{drive}, detector {allowed}"
 
 
@@ -134,11 +120,11 @@ def load_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
             rows.append(one("threshold_noise_bounds", mean))
         for i, case in enumerate(CASES):
             at = partial(row, "engine/load", settings["detector"], case, "all", condition=condition(drive, allowed))
-            rows += [at("diverged", share(diverged[i])), *verdict_rows(at, first[i], None if i == 0 else i - 1)]
+            rows += [at("diverged", share(diverged[i])), *campaign.diagnosis_rows(at, first[i], None if i == 0 else i - 1)]
             if i:
                 size = 100 * parts[0]["size"][i, i - 1] / parts[0]["signal"][0, i - 1]
                 others = [j for j, n in enumerate(NAMES) if n[:3] != NAMES[i - 1][:3]]
-                own, propagated = (response(first[i], settings["onset"], group) for group in ([i - 1], others))
+                own, propagated = (campaign.response(first[i], settings["onset"], group) for group in ([i - 1], others))
                 rows += [
                     at("fault_percent", Estimate(float(size), math.nan, math.nan, first.shape[1])),
                     at("missed_detection_rate", own.missed),
@@ -159,7 +145,7 @@ def _matrix_figure(allowed: str, firsts: dict[tuple[str, str], Array]) -> Figure
         figure, axes = panels([f"{drive}: {what}" for drive in chosen for what in ("fired", "isolated")], width=8.5)
         for k, fired in enumerate(chosen.values()):
             share_matrix(axes[2 * k], fired.mean(axis=1), CASES, NAMES, ylabel="faulty sensor")
-            share_matrix(axes[2 * k + 1], logic().isolated(fired).mean(axis=1), CASES, tuple(SENSORS))
+            share_matrix(axes[2 * k + 1], campaign.logic().isolated(fired).mean(axis=1), CASES, tuple(SENSORS))
         return figure
 
     return Figure(
@@ -175,7 +161,7 @@ def _matrix_figure(allowed: str, firsts: dict[tuple[str, str], Array]) -> Figure
 def _run_figure(settings: Settings, drive: str, allowed: str, arrays: Arrays) -> Figure:
     return run_figure(
         f"run-{drive}-{allowed}",
-        f"{DRIVES[drive]}, then a fault of {SHOWN}: detector for {ALLOWED[allowed]}",
+        f"{campaign.DRIVES[drive]}, then a fault of {SHOWN}: detector for {ALLOWED[allowed]}",
         arrays["trace"],
         arrays["first"][CASES.index(SHOWN), 0],
         settings,
@@ -187,7 +173,7 @@ def _run_figure(settings: Settings, drive: str, allowed: str, arrays: Arrays) ->
 def _silence(settings: Settings, rows: list[Row]) -> str:
     moved = [condition(d, a) for d in settings["drives"] if d != "constant" for a in settings["allowed"]]
     found = [f"{r.condition} {r.value:.0%}" for r in pick(rows, fault="none", metric="alarm_at_end", condition=moved)]
-    return f"Healthy runs with an alarm under a load step: {'; '.join(found)}."
+    return f"Healthy runs with an alarm during a load change: {'; '.join(found)}."
 
 
 def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
@@ -196,7 +182,7 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
         found = {m: pick(rows, condition=r.condition, metric=m) for m in METRICS}
         percent = {m: span(100 * x.value for x in values) for m, values in found.items()}
         remarks.append(
-            f"{r.condition}: healthy runs with an alarm {r.value:.0%}; by faulty sensor, missed by its own module "
+            f"{r.condition}: healthy runs with an alarm {r.value:.0%}; with a faulty sensor, missed by its own module "
             f"{percent['missed_detection_rate']} % and by all other agents {percent['missed_detection_rate_other_agents']} %, "
             f"isolated {percent['isolated_at_end']} %, exactly {percent['exact_isolation_at_end']} %, with "
             f"{span(x.value for x in found['isolated_sensors_at_end'] if x.fault != 'none')} sensors isolated on average."
@@ -205,10 +191,10 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
     for allowed in settings["allowed"]:
         mean = pick(rows, metric="threshold_noise_bounds", condition=condition(drive, allowed))
         values = "; ".join(f"{r.quantity} {r.value:.3g}" for r in mean)
-        remarks.append(f"Mean thresholds over the bound of the noise, {DRIVES[drive]}, detector {allowed}: {values}.")
+        remarks.append(f"Mean thresholds over the noise bound, {campaign.DRIVES[drive]}, detector {allowed}: {values}.")
     remarks.append(
         f"Faults of {settings['size']:g} thresholds are {span(r.value for r in pick(rows, metric='fault_percent'))} % of the "
-        "nominal values, by sensor: no noise within its bounds hides them from the sensor's own module at full load."
+        "nominal values, by sensor: no noise within its bounds can mask them for the sensor's own module at full load."
     )
     return remarks
 
@@ -216,13 +202,13 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
 SCENARIO = Scenario(
     name="engine/load",
     title="A load step, healthy and with each sensor faulty",
-    about="Load from 100 to 80 % by a PI governor and in one step of the fuel setting, beside constant load: false alarms of a "
-    "detector made for full load and of one made for the load change, and what they detect and isolate with a fault of each "
+    about="Load from 100 to 80 % by a PI governor and in one step of the fuel setting, and constant load: false alarms of a "
+    "detector designed for full load and of one designed for load changes; detection and isolation of a fault of each "
     "sensor.",
     settings={
-        "detector": VALID,
-        "noise": USUAL_NOISE,
-        "drives": tuple(DRIVES),
+        "detector": campaign.VALID,
+        "noise": campaign.USUAL_NOISE,
+        "drives": tuple(campaign.DRIVES),
         "allowed": tuple(ALLOWED),
         "size": 2.0,
         "change": 5.0,

@@ -1,8 +1,8 @@
 """engine/minimum-fault: the smallest offset of each sensor that its own module detects (Kougiatsos 2024, (19) and Table V).
 
-Table V does not state how it was computed. Two readings of (19), both of an offset of either sign:
+Table V does not state how it was computed. Two interpretations of (19), both for offsets of either sign:
 
-minimum_detectable_percent: of readings without noise; detected in every run, whatever the noise.
+minimum_detectable_percent: for readings without noise; detected in every run, whatever the noise.
 smallest_detected_percent: in a run with noise, which can add to the offset at some sample; it decreases with the run's length.
 """
 
@@ -60,7 +60,7 @@ def minimum_work(task: Task) -> Arrays:
 def smallest(detector: AdaptiveThreshold, t: Array, y: Array, *, u: Array) -> Array:
     """The smallest |offset| from ONSET on, over the nominal value, with which each sensor's own module fires (B, M).
 
-    Sizes are halved between one that is not seen and one that is, for either sign; inf where LARGEST is not seen, or the
+    The interval between an undetected and a detected size is halved, for either sign; inf where LARGEST is not detected, or the
     module fires without an offset.
     """
     nominal = np.array([detector.plant.structure.modules.nominal[s.measures] for s in detector.plant.sensors])  # type: ignore[union-attr]
@@ -94,7 +94,7 @@ def fires(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, sizes: Arra
 
 
 def minimum_summary(settings: Settings, results: Results) -> Summary:
-    """Both sizes of each module beside Table V."""
+    """Both sizes of each module, compared with Table V."""
     found = by_detector(results)
     rows: list[Row] = []
     for detector, arrays in found.items():
@@ -116,9 +116,9 @@ def minimum_summary(settings: Settings, results: Results) -> Summary:
         "minimum-fault",
         "Smallest detectable faults",
         "Offset of a module's own sensor, percent of its nominal value, mean over runs with its 95 % interval; diamonds: Table "
-        "V. No bar: none up to 90 % is seen, or the module fires without a fault.",
+        "V. No bar: no offset up to 90 % is detected, or the module fires without a fault.",
         partial(draw, rows, tuple(found)),
-        "Bars of the smallest fault that each of ten modules detects, without noise and in a run, one colour a detector",
+        "Bars of the smallest fault that each of ten modules detects, without noise and in a run, one colour per detector",
     )
     valid = [r for r in rows if r.detector == DETECTORS[0]]
     near = {m: [r.quantity for r in pick(valid, metric=m) if abs(r.value / _stated(r) - 1) <= 0.1] for m in METRICS}
@@ -132,10 +132,10 @@ def minimum_summary(settings: Settings, results: Results) -> Summary:
             + "."
             for m in METRICS
         ),
-        "M(4,2) reads no other sensor, so its threshold is the noise bound: without noise it detects what exceeds "
-        f"{at_M42['minimum_detectable_percent']} %, in a run of {settings['duration']:g} s already "
-        f"{at_M42['smallest_detected_percent']} %. The printed 0.03 % is of the second kind, those of M(1,1), M(3,1) and "
-        "M(4,1), near the noise bound, are of the first: Table V seems to mix the two.",
+        "M(4,2) reads no other sensor, so its threshold is the noise bound: without noise it detects offsets above "
+        f"{at_M42['minimum_detectable_percent']} %, in a run of {settings['duration']:g} s above "
+        f"{at_M42['smallest_detected_percent']} %. The printed 0.03 % is of the second kind. The values of M(1,1), M(3,1) and "
+        "M(4,1), near the noise bound, are of the first. Table V seems to mix both.",
         "An observer with a gain of hundreds per second follows an offset within a sample or two: M(3,1) and M(4,1) detect it "
         "at its onset or hardly at all.",
     ]
@@ -155,7 +155,7 @@ def _cell(rows: list[Row], detector: str, module: str) -> str:
 
 
 def draw(rows: list[Row], detectors: tuple[str, ...]) -> Drawing:
-    """A panel for each reading of (19)."""
+    """A panel for each interpretation of (19)."""
     figure, axes = panels([f"smallest fault detected {what}" for what in METRICS.values()], columns=1, width=12.0, height=3.0)
     stated = [minimum_fault(name).value for name in NAMES]
     for axis, metric in zip(axes, METRICS, strict=True):
@@ -172,9 +172,9 @@ def draw(rows: list[Row], detectors: tuple[str, ...]) -> Drawing:
 
 SCENARIO = Scenario(
     name=NAME,
-    title="The smallest fault that a module of the marine engine detects",
+    title="Smallest detectable faults of the marine engine's modules",
     about="The smallest offset of each sensor, of either sign, that makes its own module fire, without noise and in a run, at "
-    "full load with 5 % noise (Kougiatsos 2024, (19), Table V). Sizes are found by halving.",
+    "full load with 5 % noise (Kougiatsos 2024, (19), Table V). Sizes are found by bisection.",
     settings={"noise": 0.05, "duration": 3.0, "detectors": DETECTORS},
     seeds=3,
     full_seeds=20,

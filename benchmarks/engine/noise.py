@@ -9,16 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine.support.campaign import (
-    VALID,
-    check,
-    engine_detector,
-    first_firings,
-    fork,
-    noise,
-    response,
-    truth,
-)
+from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows
 from fusion_sfdia.benchmarks.engine.support.noise_figures import (
     AGENTS,
@@ -51,29 +42,29 @@ CHUNK = 100  # runs in one task
 
 
 def noise_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One task a noise level and CHUNK runs, both faults on the same noise."""
-    check(settings)
+    """One task per noise level and CHUNK runs, both faults with the same noise."""
+    campaign.require_settings(settings)
     common = {k: settings[k] for k in ("detector", "onset", "duration")}
     return [common | {"level": level, "seeds": block} for level in settings["levels"] for block in seed_blocks(seeds, CHUNK)]
 
 
 def noise_work(task: Task) -> Arrays:
-    """First firings (2, B, N), by fault: the runs are one until the onset."""
-    detector = engine_detector(task["detector"], task["level"])
-    t, u, signal = truth(task["duration"])
+    """First firings (2, B, N), by fault; until the onset the runs are the same."""
+    detector = campaign.steady_detector(task["detector"], task["level"])
+    t, u, signal = campaign.truth(task["duration"])
     faults = [Fault(s, "bias", task["onset"], magnitude=size, relative=True) for s, size in FAULTS.items()]
     changed = apply_faults(detector.plant, t, np.stack([signal] * len(faults), axis=1), [[f] for f in faults])
     onset = int(np.argmax(changed.active.any(axis=(1, 2))))
-    draws = noise(detector.plant, t.size, task["seeds"])
+    draws = campaign.noise(detector.plant, t.size, task["seeds"])
     before = (signal[k] + next(draws) for k in range(onset))
-    state, healthy = first_firings(detector, t[:onset], u[:onset], before)
+    state, healthy = campaign.first_firings(detector, t[:onset], u[:onset], before)
     after = (changed.y[k, :, None] + next(draws) for k in range(onset, t.size))
-    _, faulty = first_firings(detector, t[onset:], u[onset:], after, fork(state, len(faults)))
+    _, faulty = campaign.first_firings(detector, t[onset:], u[onset:], after, campaign.fork(state, len(faults)))
     return {"first": np.minimum(healthy["first"], faulty["first"])}
 
 
 def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Missed-detection rates and delays by fault, group of modules and noise level, beside Table VI."""
+    """Missed-detection rates and delays by fault, group of modules and noise level, compared with Table VI."""
     levels = [level for level in settings["levels"] if any(t["level"] == level for t, _ in results)]
     name = settings["detector"]
     rows: list[Row] = []
@@ -87,7 +78,7 @@ def noise_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
         for i, (sensor, size) in enumerate(FAULTS.items()):
             fault = f"{sensor} +{size:.0%}"
             for group in (OWN, AGENTS, OTHERS):
-                answer = found[sensor, group, level] = response(first[i], settings["onset"], modules_of(sensor, group))
+                answer = found[sensor, group, level] = campaign.response(first[i], settings["onset"], modules_of(sensor, group))
                 quantity = NAMES[modules_of(sensor, OWN)[0]] if group == OWN else group
                 for metric, estimate in _metrics(answer).items():
                     stated = published(sensor, group, level, metric) if settings["duration"] == 100.0 else None
@@ -156,7 +147,7 @@ def _remarks(levels: list[float], found: Found, rows: list[Row]) -> list[str]:
         )
     return [
         f"Alarms before the onset: {sum(r.value for r in early):.0f} in {sum(r.n for r in early)} runs.",
-        f"Missed by the own module, and by all other agents. {'. '.join(by_sensor)}.",
+        f"Missed-detection rates of the own module and of all other agents. {'. '.join(by_sensor)}.",
         f"Own modules that detect the fault do so within {span(late)} s.",
         "Means over the levels by fault, P^U "
         f"{listed(pick(rows, metric='isolation_performance_percent'), 'fault')} %; P^E "
@@ -167,10 +158,10 @@ def _remarks(levels: list[float], found: Found, rows: list[Row]) -> list[str]:
 
 SCENARIO = Scenario(
     name="engine/noise",
-    title="Missed detections and delays as the noise grows",
+    title="Missed detections and delays by noise level",
     about="A bias of 7 % on the fuel sensor and one of 65 % on the torque sensor, each alone from 20 s on, at noise of 1 to "
-    "10 % of the nominal values: missed by the sensor's own module, missed by all other agents, and how late.",
-    settings={"detector": VALID, "levels": (0.02, 0.04, 0.06, 0.08, 0.10), "onset": 20.0, "duration": 40.0},
+    "10 % of the nominal values: missed detections by the sensor's own module and by all other agents, and detection delays.",
+    settings={"detector": campaign.VALID, "levels": (0.02, 0.04, 0.06, 0.08, 0.10), "onset": 20.0, "duration": 40.0},
     seeds=4,
     full_seeds=100,
     tasks=noise_tasks,

@@ -1,6 +1,6 @@
 """engine/process: process faults and attacks on single measurements: detection, and false isolation of sensors.
 
-Both are future work of K24. The detector knows sensor faults only: under a process fault an alarm should isolate no sensor.
+Both are future work in K24. The detector assumes sensor faults only; under a process fault it should isolate no sensor.
 """
 
 from __future__ import annotations
@@ -12,21 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine.support.campaign import (
-    DRIVES,
-    USUAL_NOISE,
-    VALID,
-    check,
-    engine_detector,
-    first_firings,
-    moving_detector,
-    noise,
-    response,
-    share,
-    sizes,
-    truth,
-    verdict_rows,
-)
+from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.campaign_figures import run_figure
 from fusion_sfdia.benchmarks.engine.support.process_figures import (
     ALL,
@@ -41,7 +27,7 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.metrics import Estimate
+from fusion_sfdia.evaluation.metrics import Estimate, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.plant import SENSORS
@@ -55,10 +41,10 @@ PROCESS, ATTACK = "process", "attack"
 
 
 def process_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """All process faults at full load, and all attacks with each way to change the load, on the same noise."""
-    check(settings)
-    if unknown := [d for d in settings["drives"] if d not in DRIVES]:
-        raise ValueError(f"setting drives has {', '.join(unknown)}; known: {', '.join(DRIVES)}")
+    """All process faults at full load, and all attacks with each kind of load change, with the same noise."""
+    campaign.require_settings(settings)
+    if unknown := [d for d in settings["drives"] if d not in campaign.DRIVES]:
+        raise ValueError(f"setting drives has {', '.join(unknown)}; known: {', '.join(campaign.DRIVES)}")
     common = {k: settings[k] for k in ("detector", "noise", "onset", "duration")}
     process = {"what": PROCESS, "drive": "constant", "severities": list(settings["severities"])}
     attacks = [{"what": ATTACK, "drive": d, "size": settings["size"], "period": settings["period"]} for d in settings["drives"]]
@@ -68,26 +54,26 @@ def process_tasks(settings: Settings, seeds: int) -> list[Task]:
 def process_work(task: Task) -> Arrays:
     """First firings (cases, B, N), diverged (cases, B)."""
     name, level, onset, duration = (task[k] for k in ("detector", "noise", "onset", "duration"))
-    steady = engine_detector(name, level)
+    steady = campaign.steady_detector(name, level)
     moving = task["drive"] != "constant"
-    detector = moving_detector(name, level, duration, onset) if moving else steady
-    t, u, healthy = truth(duration, task["drive"], onset)
-    draws = np.stack(list(noise(detector.plant, t.size, task["seeds"])))
+    detector = campaign.moving_detector(name, level, duration, onset) if moving else steady
+    t, u, healthy = campaign.truth(duration, task["drive"], onset)
+    draws = np.stack(list(campaign.noise(detector.plant, t.size, task["seeds"])))
     if task["what"] == PROCESS:
-        signals = [truth(duration, "constant", onset, case).signal for case in process_cases(task["severities"])]
+        signals = [campaign.truth(duration, "constant", onset, case).signal for case in process_cases(task["severities"])]
         y = np.stack(signals, axis=1)[:, :, None] + draws[:, None]
     else:
-        lists = [attack(*case, sizes(steady, task["size"]), healthy[0], task) for case in attack_cases()]
+        lists = [attack(*case, campaign.sizes(steady, task["size"]), healthy[0], task) for case in attack_cases()]
         everyone = np.repeat((healthy[:, None] + draws)[:, None], len(lists), axis=1)
         runs = [faults for faults in lists for _ in task["seeds"]]
         y = apply_faults(detector.plant, t, everyone, runs).y
     shown = _drawn(task["severities"]) if task["what"] == PROCESS else 0
-    _, found = first_firings(detector, t, u, y, shown=(shown, 0))
+    _, found = campaign.first_firings(detector, t, u, y, shown=(shown, 0))
     return {k: found[k] for k in ("first", "diverged", "trace")}
 
 
 def _drawn(severities: list[float]) -> int:
-    """The process fault of which a single run is drawn: the first kind at the largest severity."""
+    """The process fault whose single run is drawn: the first kind at the largest severity."""
     return int(np.argmax(severities))
 
 
@@ -123,14 +109,14 @@ def process_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> S
         for (kind, quantity, condition), times, lost in zip(cases, first, diverged, strict=True):
             at = partial(row, "engine/process", settings["detector"], kind, quantity, condition=condition)
             faulty = list(SENSORS).index(quantity) if quantity in SENSORS else None
-            answer = response(times, settings["onset"], range(len(NAMES)))
+            answer = campaign.response(times, settings["onset"], range(len(NAMES)))
             early = Estimate(float((times < settings["onset"]).any(axis=-1).sum()), math.nan, math.nan, len(times))
             rows += [
                 at("missed_detection_rate", answer.missed),
                 at("detection_delay", answer.delay),
                 at("runs_with_false_alarm", early),
                 at("diverged", share(lost)),
-                *verdict_rows(at, times, faulty),
+                *campaign.diagnosis_rows(at, times, faulty),
             ]
     figures = []
     for key in (k for k in firsts if k[0] == PROCESS):
@@ -172,25 +158,28 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
                 right = pick(of_kind, metric="isolated_at_end")
                 exact = pick(of_kind, metric="exact_isolation_at_end")
                 found = [r.quantity for r in missed if r.value < 0.5]
-                which = f" ({', '.join(found)})"
+                which = f" ({', '.join(found)})" if 0 < len(found) < len(missed) else ""
                 remarks.append(
-                    f"{kind} ({ATTACKS[kind]}), {DRIVES[drive]}: detected in most runs on {len(found)} of {len(missed)} sensors"
-                    f"{which if 0 < len(found) < len(missed) else ''}; the attacked sensor is isolated in "
-                    f"{span(100 * r.value for r in right)} % of the runs, exactly in {span(100 * r.value for r in exact)} %."
+                    f"{kind} ({ATTACKS[kind]}), {campaign.DRIVES[drive]}: detected in most runs on {len(found)} of "
+                    f"{len(missed)} sensors{which}; the attacked sensor is isolated in "
+                    f"{span(100 * r.value for r in right)} % of the runs, exact isolation in "
+                    f"{span(100 * r.value for r in exact)} %."
                 )
         every = pick(rows, fault="replay", quantity=ALL, condition=drive, metric="missed_detection_rate")
-        remarks += [f"All sensors replayed at once, {DRIVES[drive]}: detected in {1 - r.value:.0%} of the runs." for r in every]
+        remarks += [
+            f"All sensors replayed at once, {campaign.DRIVES[drive]}: detected in {1 - r.value:.0%} of the runs." for r in every
+        ]
     return remarks
 
 
 SCENARIO = Scenario(
     name="engine/process",
     title="Process faults and attacks on measurements",
-    about="Fouling, a lost injector, a heavy propeller; offset, scaling, changed sign and replay of single measurements, at "
-    "full load and as the load falls: what is detected, and which sensors are isolated.",
+    about="Process faults: fouling, a lost injector, a heavy propeller. Attacks: offset, scaling, sign change and replay of "
+    "single measurements, at full load and during a load decrease. Results: detection, and isolated sensors.",
     settings={
-        "detector": VALID,
-        "noise": USUAL_NOISE,
+        "detector": campaign.VALID,
+        "noise": campaign.USUAL_NOISE,
         "drives": ("constant", "governor"),
         "severities": (0.05, 0.2),
         "size": 2.0,

@@ -1,4 +1,4 @@
-"""engine/sensitivity: thresholds and smallest detected faults, by noise and observer gains (future work of V22)."""
+"""engine/sensitivity: thresholds and smallest detected faults by noise and observer gains (named as future work in V22)."""
 
 from __future__ import annotations
 
@@ -10,22 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.engine.support.campaign import (
-    USUAL_NOISE,
-    VALID,
-    check,
-    engine_detector,
-    first_firings,
-    fork,
-    noise,
-    truth,
-)
+from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
-from fusion_sfdia.models.marine_engine.plant import GAINS, MODULES
+from fusion_sfdia.models.marine_engine.modules import GAINS, MODULES
 from fusion_sfdia.models.marine_engine.published import DESIGNS, minimum_fault
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import listed, pick, span
@@ -47,8 +38,8 @@ SIZES = np.round(np.geomspace(0.01, 5.0, 28), 4)  # of the faults tried, in nois
 
 
 def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Each noise level with each set of gains; the published and the calibrated thresholds with the published gains alone."""
-    check(settings)
+    """Each noise level with each set of gains; published and calibrated thresholds with the published gains only."""
+    campaign.require_settings(settings)
     if unknown := [g for g in settings["gains"] if g not in GAIN_SETS]:
         raise ValueError(f"setting gains has {', '.join(unknown)}; known: {', '.join(GAIN_SETS)}")
     common = {k: settings[k] for k in ("onset", "duration")}
@@ -56,7 +47,7 @@ def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
         common | {"detector": detector, "level": level, "gains": gains, "seeds": block}
         for level in settings["levels"]
         for gains in settings["gains"]
-        for detector in (DETECTORS if gains in DESIGNS else (VALID,))
+        for detector in (DETECTORS if gains in DESIGNS else (campaign.VALID,))
         for block in seed_blocks(seeds, CHUNK)
     ]
 
@@ -64,20 +55,20 @@ def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
 def sensitivity_work(task: Task) -> Arrays:
     """Of the healthy runs: samples beyond their thresholds (B, N) and mean thresholds (B, N), sensor units, after the onset.
 
-    detected (3, sizes, B) bool: whether its own module, silent without it, noticed a bias of SIZES on an observer's sensor.
+    detected (3, sizes, B) bool: whether an observer's module, silent otherwise, fired with a bias of SIZES on its sensor.
     """
-    detector = engine_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
-    t, u, signal = truth(task["duration"])
+    detector = campaign.steady_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
+    t, u, signal = campaign.truth(task["duration"])
     bound = np.array([s.noise_bound for s in detector.plant.sensors])
     own = [NAMES.index(name) for name in OBSERVERS]
     biases = np.zeros((1 + len(own) * SIZES.size, 1, bound.size))  # the first is none
     for i, sensor in enumerate(own):
         biases[1 + i * SIZES.size : 1 + (i + 1) * SIZES.size, 0, sensor] = SIZES * bound[sensor]
     onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
-    draws = noise(detector.plant, t.size, task["seeds"])
-    state, before = first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
+    draws = campaign.noise(detector.plant, t.size, task["seeds"])
+    state, before = campaign.first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
     after = (signal[k] + next(draws) + biases for k in range(onset, t.size))
-    _, found = first_firings(detector, t[onset:], u[onset:], after, fork(state, len(biases)))
+    _, found = campaign.first_firings(detector, t[onset:], u[onset:], after, campaign.fork(state, len(biases)))
     fired = np.isfinite(found["first"])
     detected = (fired[1:] & ~fired[0]).reshape(len(own), SIZES.size, -1, bound.size)
     return {
@@ -107,7 +98,7 @@ def sensitivity_summary(settings: Settings, results: list[tuple[Task, Arrays]]) 
             sensor = NAMES.index(name)
             ratio = threshold[:, sensor] / parts[0]["bound"][sensor]
             mean = mean_over_runs(ratio, np.ones(ratio.size))
-            stated = minimum_fault(name) if level == USUAL_NOISE and gains == K24 else None
+            stated = minimum_fault(name) if level == campaign.USUAL_NOISE and gains == K24 else None
             seen = smallest_detected(SIZES * 100 * level, detected[i])
             rows += [
                 at("none", name, "threshold_noise_bounds", mean),
@@ -127,7 +118,7 @@ def _scaled(e: Estimate, factor: float) -> Estimate:
     return Estimate(e.value * factor, e.low * factor, e.high * factor, e.n)
 
 
-def _of(rows: list[Row], name: str, level: float, gains: str, metric: str, detector: str = VALID) -> float:
+def _of(rows: list[Row], name: str, level: float, gains: str, metric: str, detector: str = campaign.VALID) -> float:
     found = pick(rows, quantity=name, condition=condition(level, gains), metric=metric, detector=detector)
     return found[0].value if found else math.nan
 
@@ -154,7 +145,7 @@ def _figure(settings: Settings, rows: list[Row]) -> Figure:
         "gains",
         "Thresholds and smallest detected faults by observer gain and noise",
         "Lines: mean threshold of the module, the smallest fault detectable without noise (19). Markers: mean over runs of the "
-        "smallest bias that its own module noticed. Both over the bound of the noise.",
+        "smallest bias that its own module detected. Both over the noise bound.",
         draw,
         "Thresholds of the three observers over their gains at several noise levels, with the smallest faults detected",
     )
@@ -167,25 +158,27 @@ def _remarks(settings: Settings, rows: list[Row]) -> list[str]:
         for gains in settings["gains"]:
             found = [_of(rows, name, level, gains, "threshold_noise_bounds") for level in settings["levels"]]
             parts.append(f"{gains} {span(found)}")
-        remarks.append(f"Threshold of {name} over the bound of its noise, by gains: {'; '.join(parts)}.")
+        remarks.append(f"Threshold of {name} over its noise bound, by gains: {'; '.join(parts)}.")
     alarms = pick(rows, metric="runs_with_false_alarm")
     runs = {d: sum(r.n for r in pick(alarms, detector=d)) for d in dict.fromkeys(r.detector for r in alarms)}
     remarks.append(
         "Healthy runs with a sample beyond a threshold: "
         + "; ".join(f"{d} {sum(r.value for r in pick(alarms, detector=d)):.0f} of {n}" for d, n in runs.items())
-        + ". The published constants belong to the published gains; with others they would have to be derived anew."
+        + ". The published constants are for the published gains and would have to be derived again for others."
     )
-    usual = pick(rows, metric="smallest_detected_percent", condition=condition(USUAL_NOISE, K24), detector=VALID)
+    usual = pick(
+        rows, metric="smallest_detected_percent", condition=condition(campaign.USUAL_NOISE, K24), detector=campaign.VALID
+    )
     if usual:
-        remarks.append(f"Smallest fault detected, % of nominal, of a grid in steps of a quarter: {listed(usual, 'quantity')}.")
+        remarks.append(f"Smallest fault detected, % of nominal, on a grid in steps of a quarter: {listed(usual, 'quantity')}.")
     return remarks
 
 
 SCENARIO = Scenario(
     name="engine/sensitivity",
     title="Thresholds by noise and observer gains",
-    about="Thresholds of the three observers, the smallest biases they notice and false alarms, for the gains of the two "
-    "papers and for a hundredth to ten times those of K24, at several noise levels.",
+    about="Thresholds of the three observers, the smallest biases they detect, and their false alarms, for the gains of the "
+    "two papers and for a hundredth to ten times those of K24, at several noise levels.",
     settings={"levels": (0.01, 0.03, 0.05), "gains": tuple(GAIN_SETS), "onset": 4.0, "duration": 8.0},
     seeds=2,
     full_seeds=100,

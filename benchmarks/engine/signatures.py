@@ -1,4 +1,4 @@
-"""engine/signatures: fault signature matrices from the model's equations beside the printed ones.
+"""engine/signatures: fault signature matrices derived from the model's equations, compared with the printed ones.
 
 Kougiatsos 2024 (K24), Tables I to IV, and Kougiatsos 2022 (K22), Tables 1 to 3.
 """
@@ -18,8 +18,9 @@ from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
-from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
-from fusion_sfdia.models.marine_engine.published import K22, K24, SIGNATURES, signatures
+from fusion_sfdia.models.marine_engine.modules import MODULES
+from fusion_sfdia.models.marine_engine.plant import SENSORS
+from fusion_sfdia.models.marine_engine.published import SIGNATURES, PrintedTable, signatures
 from fusion_sfdia.report.content import Figure, Summary, Table
 from fusion_sfdia.report.plots import panels
 
@@ -51,9 +52,9 @@ def derived(paper: str) -> tuple[SignatureMatrix, SignatureMatrix]:
     return local, global_signatures(local, agents)
 
 
-def ours(table: str) -> dict[str, dict[str, str]]:
+def ours(table: PrintedTable) -> dict[str, dict[str, str]]:
     """Our entries of a printed table, all ten sensors."""
-    local, overall = derived(table[:3])
+    local, overall = derived(table.paper)
     by_agent = {f"E({i})": entries for i, entries in enumerate(overall.entries.values(), 1)}
     by_module = {row: local.entries[name] for row, name in ROWS.items()}
     return {
@@ -62,33 +63,33 @@ def ours(table: str) -> dict[str, dict[str, str]]:
 
 
 def signature_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One task a table."""
-    return [{"table": name} for name in SIGNATURES]
+    """One task per table."""
+    return [{"table": list(table)} for table in SIGNATURES]
 
 
 def signature_work(task: Task) -> Arrays:
     """ours, printed (R, 10): places in SYMBOLS of the entries, 0 where no column is printed."""
-    printed, found = signatures(task["table"]), ours(task["table"])
+    table = PrintedTable(*task["table"])
+    printed, found = signatures(table), ours(table)
     both = ([[SYMBOLS.index(of[line].get(f, "0")) for f in FAULTS] for line in printed] for of in (found, printed))
     return {name: np.array(entries, np.int8) for name, entries in zip(("ours", "printed"), both, strict=True)}
 
 
 def signature_summary(settings: Settings, results: Results) -> Summary:
-    """Entries equal and differing, and the tables as printed, ours in front."""
+    """Numbers of equal and differing entries, and the tables with our entries first."""
     rows: list[Row] = []
     tables, differing = [], {}
-    for task, arrays in results:
-        name = task["table"]
+    found = [(PrintedTable(*task["table"]), arrays) for task, arrays in results]
+    for table, arrays in found:
         same = arrays["ours"] == arrays["printed"]
-        at = partial(row, NAME, DETECTOR, "none", name)
-        source = f"{K24 if name[:3] == 'K24' else K22}, {name[4:]}"
+        at = partial(row, NAME, DETECTOR, "none", table.name)
         for metric, count, expected in (("entries_equal", same.sum(), same.size), ("entries_differing", (~same).sum(), 0)):
-            rows.append(at(metric, Estimate(float(count), np.nan, np.nan, same.size), Published(float(expected), source)))
-        lines = list(signatures(name))
+            rows.append(at(metric, Estimate(float(count), np.nan, np.nan, same.size), Published(float(expected), table.source)))
+        lines = list(signatures(table))
         for i, j in np.argwhere(~same):
             place = lines[i], list(FAULTS)[j]
-            differing[name, *place] = SYMBOLS[arrays["ours"][i, j]], SYMBOLS[arrays["printed"][i, j]]
-        tables.append(_table(name, arrays))
+            differing[table.name, *place] = SYMBOLS[arrays["ours"][i, j]], SYMBOLS[arrays["printed"][i, j]]
+        tables.append(_table(table, arrays))
     entries = [f"{t}, {line}, {fault}: {a} for {b}" for (t, line, fault), (a, b) in differing.items()]
     reasons = dict.fromkeys(f"{line}, {fault}: {WHY[line, fault]}" for _, line, fault in differing if (line, fault) in WHY)
     total, equal = (
@@ -96,17 +97,18 @@ def signature_summary(settings: Settings, results: Results) -> Summary:
         sum(r.value for r in rows if r.metric == "entries_equal"),
     )
     remarks = [
-        f"Of {total} entries {equal:.0f} are as printed. Differing (ours for theirs): {'; '.join(entries) or 'none'}.",
+        f"Of {total} entries {equal:.0f} are as printed. Differences (derived instead of printed): "
+        f"{'; '.join(entries) or 'none'}.",
         *(f"{reason}." for reason in reasons),
-        "The printed tables have columns for some sensors; the others count as 0. A 1 says that a fault must show. K24 has it "
-        "where an observer corrects with its own sensor, K22 for all local sensors of an observer; the equations define which "
-        "sensors are read, not which of the two conventions is meant.",
+        "The printed tables have columns for some sensors; the others count as 0. A 1 means that a fault must show. K24 has a "
+        "1 where an observer corrects with its own sensor, K22 for all local sensors of an observer. The equations define "
+        "which sensors are read, not which of these conventions applies.",
     ]
     figure = Figure(
         "matrix",
         "Fault signature matrices",
-        "Local and global matrices of K24 as derived; where the printed entry differs it stands in brackets, on orange.",
-        partial(draw, [(t["table"], a) for t, a in results if t["table"][:3] == "K24"]),
+        "Local and global matrices of K24 as derived; a printed entry that differs is in brackets, on orange.",
+        partial(draw, [(table, arrays) for table, arrays in found if table.paper == "K24"]),
         "Matrix of ten modules and four agents by ten sensor faults with entries 0, 1 or *",
     )
     highlights = [
@@ -115,13 +117,13 @@ def signature_summary(settings: Settings, results: Results) -> Summary:
     return Summary(rows, [figure], tables, highlights, remarks)
 
 
-def _table(name: str, arrays: Arrays) -> Table:
+def _table(table: PrintedTable, arrays: Arrays) -> Table:
     """As printed, and the columns that are not printed but have an entry here."""
-    printed, faults = signatures(name), list(FAULTS)
+    printed, faults = signatures(table), list(FAULTS)
     extra = [f for j, f in enumerate(faults) if f not in next(iter(printed.values())) and arrays["ours"][:, j].any()]
     columns = [*next(iter(printed.values())), *extra]
     return Table(
-        f"{name}: ours, the printed entry in brackets where it differs",
+        f"{table.name}: derived entries, with the printed entry in brackets where it differs",
         ("", *columns),
         tuple((line, *(_entry(arrays, i, faults.index(f)) for f in columns)) for i, line in enumerate(printed)),
         f"not printed: {', '.join(extra)}" if extra else "",
@@ -133,10 +135,10 @@ def _entry(arrays: Arrays, i: int, j: int) -> str:
     return a if a == b else f"{a} ({b})"
 
 
-def draw(found: list[tuple[str, Arrays]]) -> Drawing:
+def draw(found: list[tuple[PrintedTable, Arrays]]) -> Drawing:
     """One panel: rows of all tables, columns of all sensors."""
     figure, (axis,) = panels([""], columns=1, width=9.0, height=5.0)
-    lines = [line for name, _ in found for line in signatures(name)]
+    lines = [line for table, _ in found for line in signatures(table)]
     entries = np.concatenate([a["ours"] for _, a in found])
     same = np.concatenate([a["ours"] == a["printed"] for _, a in found])
     shade = np.where(same, np.array([1.0, 0.35, 0.75])[entries], np.nan)
@@ -158,8 +160,9 @@ def draw(found: list[tuple[str, Arrays]]) -> Drawing:
 SCENARIO = Scenario(
     name=NAME,
     title="Fault signature matrices of the marine engine",
-    about="Which module reads which sensor, derived from the argument names of the model's equations, beside the matrices that "
-    "Kougiatsos 2024 (Tables I to IV) and Kougiatsos 2022 (Tables 1 to 3) print: 1 a fault must show, * it may, 0 it cannot.",
+    about="Which module reads which sensor, derived from the argument names of the model's equations, compared with the "
+    "matrices in Kougiatsos 2024 (Tables I to IV) and Kougiatsos 2022 (Tables 1 to 3). 1: a fault must show; *: it may; 0: it "
+    "cannot.",
     settings={},
     seeds=1,
     full_seeds=1,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from fusion_sfdia.benchmarks.engine.support.decisions import isolation_rows, pattern_share, shares, value_of
-from fusion_sfdia.benchmarks.engine.support.published_runs import PUBLISHED_TIMELINE, beside_published
+from fusion_sfdia.benchmarks.engine.support.published_runs import PUBLISHED_TIMELINE, compare_with_published
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, Results, by_detector, row, tasks, timeline, trial
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
@@ -27,7 +27,7 @@ PATTERNS = {"all": (), "all but M(3,3)": ("M(3,3)",)}  # quantity: modules that 
 
 
 def three_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Every detector on the same runs, and the last with (30) as printed."""
+    """Every detector on the same runs; the last one also with (30) as printed."""
     usual = tasks(settings, THREE_FAULTS.faults, seeds)
     return [*usual, *({**task, "design": AT_NOMINAL_SPEED} for task in usual if task["detector"] == DETECTORS[-1])]
 
@@ -46,43 +46,43 @@ def three_summary(settings: Settings, results: Results) -> Summary:
     found = by_detector([(task, arrays) for task, arrays in results if task["design"] != AT_NOMINAL_SPEED])
     as_printed = by_detector([(task, arrays) for task, arrays in results if task["design"] == AT_NOMINAL_SPEED])
     duration = settings["duration"]
-    beside = beside_published(
+    compared = compare_with_published(
         NAME, FAULT, found, THREE_FAULTS, duration, what="three faults", figure="Fig. 4", published=PUBLISHED
     )
     rows: list[Row] = []
     for detector, arrays in found.items():
-        rows += [*beside.by_detector[detector], *_pattern_rows(detector, arrays)]
+        rows += [*compared.by_detector[detector], *_pattern_rows(detector, arrays)]
     for detector, arrays in as_printed.items():
         lines = timeline(arrays["first"], THREE_FAULTS.faults, duration)
         rows += isolation_rows(NAME, detector, FAULT, lines, published=PUBLISHED, condition=PRINTED)
         rows += _pattern_rows(detector, arrays, PRINTED)
-    rows += beside.of_timeline
-    of_runs, logic_alone = pick(rows, quantity="all", condition=""), beside.logic_alone
+    rows += compared.of_timeline
+    of_runs, logic_alone = pick(rows, quantity="all", condition=""), compared.logic_alone
     pattern = partial(shares, rows, metric="published_pattern_share")
     remarks = [
-        f"Decision logic alone: the detection times that the paper prints, by our diagnosis sets, give P^U "
+        f"Decision logic alone: with the printed detection times our diagnosis sets give P^U "
         f"{logic_alone['isolation_performance_percent']:.1f} % and P^E {logic_alone['exoneration_performance_percent']:.1f} % "
-        f"(condition '{PUBLISHED_TIMELINE}'); it states {ISOLATION_PERFORMANCE.value} +- {ISOLATION_HALF_WIDTH} and "
-        f"{EXONERATION_PERFORMANCE.value} +- {EXONERATION_HALF_WIDTH} over 100 runs, of which that is one. The "
-        f"length of a run, {duration:g} s here, is not stated: 100 s is ours, chosen because its P^E is near. Our "
-        f"simulated runs: P^U {listed(pick(of_runs, metric='isolation_performance_percent'))}; P^E "
+        f"(condition '{PUBLISHED_TIMELINE}'); the paper states {ISOLATION_PERFORMANCE.value} +- {ISOLATION_HALF_WIDTH} and "
+        f"{EXONERATION_PERFORMANCE.value} +- {EXONERATION_HALF_WIDTH} over 100 runs, one of which is the printed one. The "
+        f"length of a run, {duration:g} s here, is not stated: 100 s is our choice, because its P^E is near the published one. "
+        f"Our simulated runs: P^U {listed(pick(of_runs, metric='isolation_performance_percent'))}; P^E "
         f"{listed(pick(of_runs, metric='exoneration_performance_percent'))}.",
-        *beside.differences,
+        *compared.differences,
         "A faulty sensor is also read by modules of other variables, as in the printed tables (* in Tables I to III): a "
         "torque reading that is 38 kN m too low changes the speed that M(3,1) computes, and thresholds that only bound the "
-        "noise detect it. With wider thresholds Fig. 4 can be reproduced: all ten modules behave as in it in "
+        "noise detect it. With wider thresholds Fig. 4 can be reproduced: all ten modules behave as in the figure in "
         f"{pattern(quantity='all', condition='')} of the runs, all but M(3,3) in "
         f"{pattern(quantity='all but M(3,3)', condition='')}. M(3,3), which fires at 69.9 s in the paper, before the third "
-        "fault, reads one faulty sensor, S(3){1} from 45 s on. Ours compute p_6 and T_6 at the speed that follows from the "
-        "torque, as in K22 (6). With K24 (30) as printed, at nominal speed, M(2,1) and M(2,2) do not detect the torque's "
+        "fault, reads one faulty sensor, S(3){1} from 45 s on. Here p_6 and T_6 are computed at the speed that follows from "
+        "the torque, as in K22 (6). With K24 (30) as printed, at nominal speed, M(2,1) and M(2,2) do not detect the torque's "
         f"fault, and the pattern except M(3,3) occurs in {pattern(quantity='all but M(3,3)', condition=PRINTED)} of the runs.",
         "Runs with an alarm before the first fault: "
-        f"{shares(of_runs, metric='false_alarm_share')}. The published constants of M(3,1) and M(4,1) bound less than "
-        "the noise can do (rho below 1, rho_d below the gain).",
-        "The more modules fire, the more sensors are isolated, and latched decisions are never withdrawn. All faulty sensors "
+        f"{shares(of_runs, metric='false_alarm_share')}. The published constants of M(3,1) and M(4,1) do not bound "
+        "the effect of the noise (rho below 1, rho_d below the gain).",
+        "The more modules fire, the more sensors are isolated, and latched decisions are never reset. All faulty sensors "
         f"are isolated at the end in {shares(of_runs, metric='faults_isolated_share')} of the runs, among "
         f"{listed(pick(of_runs, metric='isolated_sensors'))} sensors.",
-        "The published numbers are partly of another engine: the papers give few of the parameters, and the geometry, the "
+        "The published numbers are partly for another engine: the papers give few of the parameters. The geometry, the "
         "rating and the turbocharger's data here are recalled or chosen so that the operating point is consistent "
         "(parameters of the marine engine).",
     ]
@@ -93,7 +93,7 @@ def three_summary(settings: Settings, results: Results) -> Summary:
         f"{value_of(of_runs, detector=d, metric='isolated_sensors')}"
         for d in found
     ]
-    return Summary(rows, beside.figures, [beside.table], highlights, remarks)
+    return Summary(rows, compared.figures, [compared.table], highlights, remarks)
 
 
 SCENARIO = Scenario(

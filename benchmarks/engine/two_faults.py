@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fusion_sfdia.benchmarks.engine.support.decisions import shares, value_of
-from fusion_sfdia.benchmarks.engine.support.published_runs import beside_published
+from fusion_sfdia.benchmarks.engine.support.published_runs import compare_with_published
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, Results, by_detector, tasks, trial
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
 from fusion_sfdia.models.marine_engine.published import TWO_FAULTS
@@ -21,17 +21,18 @@ def two_tasks(settings: Settings, seeds: int) -> list[Task]:
 def two_summary(settings: Settings, results: Results) -> Summary:
     """Alarms of the modules and the sensors they isolate; also of the printed timeline."""
     found = by_detector(results)
-    beside = beside_published(NAME, FAULT, found, TWO_FAULTS, settings["duration"], what="two faults", figure="Fig. 3")
-    rows = [*(r for of in beside.by_detector.values() for r in of), *beside.of_timeline]
+    compared = compare_with_published(NAME, FAULT, found, TWO_FAULTS, settings["duration"], what="two faults", figure="Fig. 3")
+    rows = [*(r for of in compared.by_detector.values() for r in of), *compared.of_timeline]
     of_runs = pick(rows, quantity="all", condition="")
     remarks = [
-        *beside.differences,
-        f"From the printed detection times our diagnosis sets isolate {beside.logic_alone['isolated_sensors']:.0f} of 10 "
-        "sensors at the end; the paper isolates 3, because its last alarm, of M(4,3), changes nothing, where ours allow "
-        f"S(4){{3}} a fault of its own. Simulated: {listed(pick(of_runs, metric='isolated_sensors'))} sensors.",
-        "With the constants of (10) as printed, xi_d of 2 and 1 1/s beside rho_d of 465 and 320 1/s, M(3,1) and M(4,1) get "
-        "thresholds of hundreds of noise bounds, which no offset of 50 kPa crosses, so those of Fig. 3 must have been others: "
-        f"M(3,1) fires in {shares(rows, detector=DETECTORS[1], quantity='M(3,1)', metric='fired_share')} of the runs.",
+        *compared.differences,
+        f"From the printed detection times our diagnosis sets isolate {compared.logic_alone['isolated_sensors']:.0f} of 10 "
+        "sensors at the end; the paper isolates 3, because its last alarm, of M(4,3), changes nothing, whereas our sets allow "
+        f"a fault of S(4){{3}}. Simulated: {listed(pick(of_runs, metric='isolated_sensors'))} sensors.",
+        "With the constants of (10) as printed, xi_d of 2 and 1 1/s with rho_d of 465 and 320 1/s, M(3,1) and M(4,1) get "
+        "thresholds of hundreds of noise bounds, which no offset of 50 kPa crosses, so Fig. 3 must have been made with other "
+        f"constants: M(3,1) fires in {shares(rows, detector=DETECTORS[1], quantity='M(3,1)', metric='fired_share')} of the "
+        "runs.",
         f"Runs with an alarm before the first fault: {shares(of_runs, metric='false_alarm_share')}.",
     ]
     highlights = [
@@ -40,7 +41,7 @@ def two_summary(settings: Settings, results: Results) -> Summary:
         f"{value_of(of_runs, detector=d, metric='isolated_sensors')} sensors"
         for d in found
     ]
-    return Summary(rows, beside.figures, [beside.table], highlights, remarks)
+    return Summary(rows, compared.figures, [compared.table], highlights, remarks)
 
 
 SCENARIO = Scenario(

@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fusion_sfdia.adaptive_thresholds.adaptive_observer import Rates, adaptive_rate
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, Array, Results, engine, row
-from fusion_sfdia.benchmarks.engine.support.virtual_figures import figures
+from fusion_sfdia.benchmarks.engine.support.virtual_figures import virtual_sensor_figures
 from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     DETECTOR,
     DURATION,
@@ -30,7 +29,7 @@ from fusion_sfdia.benchmarks.engine.support.virtual_trials import (
     sensor_tasks,
     sensor_work,
 )
-from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
+from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, share
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings
 from fusion_sfdia.models.marine_engine.published import K22_GAINS
@@ -41,7 +40,7 @@ NAME, FAULT = "engine/virtual-sensors", "three-faults"
 
 
 def sensor_rows(found: dict[str, Arrays], duration: float) -> list[Row]:
-    """What is measured of each variant and inversion, by the modules of the faulty sensors, and of the neighbours."""
+    """The metrics of each variant and inversion, by module of a faulty sensor, and of the neighbouring modules."""
     rows: list[Row] = []
     for kind, a in found.items():
         detector = DETECTORS[0] if kind == "alone" else DETECTOR
@@ -78,11 +77,6 @@ def sensor_rows(found: dict[str, Arrays], duration: float) -> list[Row]:
     return rows
 
 
-def share(hits: ArrayLike) -> Estimate:
-    """Of runs (B,)."""
-    return proportion(int(np.sum(hits)), np.size(hits))
-
-
 def mean(values: Array, counts: Array | None = None) -> Estimate:
     """Over runs (B,), of those with a number."""
     known = np.isfinite(values)
@@ -95,7 +89,7 @@ def root(squares: Array) -> Estimate:
 
 
 def sensor_summary(settings: Settings, results: Results) -> Summary:
-    """Sizes and intervals of the faults beside V22, and which modules fire with and without reconstructed readings."""
+    """Sizes and intervals of the faults, compared with V22, and which modules fire with and without reconstructed readings."""
     found = by_kind(results)
     rows = sensor_rows(found, settings["duration"])
     known = [v for v in VARIANTS if v in found]
@@ -105,7 +99,9 @@ def sensor_summary(settings: Settings, results: Results) -> Summary:
         tuple((n, *(value_of(rows, "fault_mape_percent", n, v) for v in known), f"{MAPE[i]:g}") for i, n in enumerate(SIZED)),
         f"From {', '.join(f'{s:g} s ({n})' for s, n in zip(SINCE, SIZED, strict=True))} on.",
     )
-    return Summary(rows, figures(found, settings["duration"]), [table], highlights(rows), remarks(rows, settings))
+    return Summary(
+        rows, virtual_sensor_figures(found, settings["duration"]), [table], highlights(rows), remarks(rows, settings)
+    )
 
 
 def value_of(rows: list[Row], metric: str, module: str, kind: str) -> str:
@@ -123,16 +119,16 @@ def false_alarms(rows: list[Row], kind: str = "") -> str:
 def highlights(rows: list[Row]) -> list[str]:
     """The size of the torque's fault, and the modules of healthy sensors."""
     return [
-        f"M(2,3) sizes its fault to {value_of(rows, 'fault_mape_percent', 'M(2,3)', INTERSECTED)} % with intervals "
-        f"intersected over time, to {value_of(rows, 'fault_mape_percent', 'M(2,3)', PRINTED)} % from each instant alone "
-        f"(paper {MAPE[0]:g} %)",
+        "M(2,3) estimates the size of its fault with an error of "
+        f"{value_of(rows, 'fault_mape_percent', 'M(2,3)', INTERSECTED)} % with intervals intersected over time, "
+        f"{value_of(rows, 'fault_mape_percent', 'M(2,3)', PRINTED)} % from each sample alone (paper {MAPE[0]:g} %)",
         f"Modules of healthy sensors that fire, without reconstructed readings: {false_alarms(rows)}; with them: "
         f"{false_alarms(rows, INTERSECTED)}",
     ]
 
 
 def remarks(rows: list[Row], settings: Settings) -> list[str]:
-    """Our numbers beside the paper's."""
+    """Our numbers compared with the paper's."""
     modules = engine(settings["noise"], "K22").structure.modules
     assert modules is not None
     rates = {r.quantity: r.value for r in pick(rows, metric="adaptive_rate")}
@@ -144,23 +140,23 @@ def remarks(rows: list[Row], settings: Settings) -> list[str]:
     fastest = "; ".join(f"{n} {r:.2g} 1/s, {np.log(1 / REMAINS) / r:.3g} s" for n, r in rates.items())
     of = partial(value_of, rows)
     inverted = [
-        f"By corners and by set inversion, the intervals of {settings['inversion_seeds']} short runs end {', '.join(widths)} "
-        "of the fault wide."
+        f"Widths of the final intervals over the fault in {settings['inversion_seeds']} short runs, by corners and by set "
+        f"inversion: {', '.join(widths)}."
     ]
     return [
-        "V22 prints no intersection over time, but draws an interval that narrows: with it the interval of M(2,3) ends "
+        "V22 prints no intersection over time, but draws an interval that narrows. With it the last interval of M(2,3) is "
         f"{of('fault_interval_percent', 'M(2,3)', INTERSECTED)} % of the fault wide, without it "
         f"{of('fault_interval_percent', 'M(2,3)', PRINTED)} %.",
-        "By the middle of its interval, where V22 has the adaptive observer, M(3,1) is off by "
-        f"{of('fault_mape_percent', 'M(3,1)', GUARANTEED)} %, by the observer by "
-        f"{of('fault_mape_percent', 'M(3,1)', INTERSECTED)} % (paper {MAPE[1]:g} %). Guaranteed is the interval, "
+        "By the middle of its interval, where V22 has the adaptive observer, M(3,1) has an error of "
+        f"{of('fault_mape_percent', 'M(3,1)', GUARANTEED)} %, that of the observer is "
+        f"{of('fault_mape_percent', 'M(3,1)', INTERSECTED)} % (paper {MAPE[1]:g} %). Only the interval is guaranteed, "
         f"{of('fault_interval_percent', 'M(3,1)', GUARANTEED)} % of the fault wide at the end.",
         f"Adaptive observers approach the fault at the rate Gamma (1 + Omega)^2, to {1 - REMAINS:.0%} of it within: {fastest}. "
         f"Of M(3,1) the paper states about {IDENTIFIED.value:g} s; measured "
         f"{of('identification_time', 'M(3,1)', INTERSECTED)} s.",
-        f"M(4,2) compares one reading with a constant: each instant alone leaves half the noise bound on average, {half:.3g} % "
-        f"of the fault, measured {of('fault_mape_percent', 'M(4,2)', PRINTED)} %, paper {MAPE[2]:g} %; intersected "
-        f"{of('fault_mape_percent', 'M(4,2)', INTERSECTED)} %.",
+        "M(4,2) compares one reading with a constant: a single sample leaves an error of half the noise bound on average, "
+        f"{half:.3g} % of the fault, measured {of('fault_mape_percent', 'M(4,2)', PRINTED)} %, paper {MAPE[2]:g} %; "
+        f"intersected {of('fault_mape_percent', 'M(4,2)', INTERSECTED)} %.",
         f"Samples whose interval contains the fault, where not all: {lost or 'no module'}.",
         f"Runs in which a healthy sensor is isolated: {', '.join(wrong)}; without reconstructed readings its module fires in "
         f"{value_of(rows, 'fired_share', 'healthy sensors', '')} of them.",

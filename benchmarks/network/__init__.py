@@ -1,1 +1,1 @@
-"""The scenarios on the power network, a file each."""
+"""The scenarios on the power network, one file each."""

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.attack_figures import answers_figure, false_isolation_figure
-from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, share, spread, time_rows
+from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import LATE, Arrays, Watch, join_runs, require_settings, trial
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.metrics import mean_over_runs
+from fusion_sfdia.evaluation.metrics import mean_over_runs, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.equations import STATES
@@ -34,16 +34,16 @@ NAME, AREA, ONSET = "network/attacks", SIGN_FLIP.fault.area, SIGN_FLIP.fault.ons
 CHUNK = 25  # runs in one task
 FAULTS = {
     **{name: fault for name, fault in ATTACKS if fault is not None},
-    "slow governor": AreaFault("governor", AREA, 1000.0),  # in no set of hypotheses: the right answer is none of these
+    "slow governor": AreaFault("governor", AREA, 1000.0),  # in no set of hypotheses: the correct answer is none of these
     "lost load": AreaFault("load-loss", AREA, 0.1),
 }
 SETS = {"the paper's three": ATTACKS, "three and no fault": (*ATTACKS, ("no fault", None))}
 OWN = {f"{state}_{AREA}": 4 * (int(AREA) - 1) + k for k, state in enumerate(STATES)}  # the area's own sensors
-SENSOR_DETECTOR = "chebyshev"  # knows sensor faults only, so that any isolation here is false
+SENSOR_DETECTOR = "chebyshev"  # assumes sensor faults only, so that any isolation here is false
 
 
 def attack_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Each process noise with each mode and each fault, on the same noise."""
+    """Each process noise with each mode and each fault, with the same noise."""
     require_settings(settings, noises=PROCESS_VARIANCE, modes=MODES, faults=FAULTS)
     return [
         {"noise": noise, "mode": mode, "fault": fault, "duration": settings["duration"], "seeds": block}
@@ -184,9 +184,9 @@ def _remarks(settings: Settings, cells: dict[tuple[str, str, str], Arrays]) -> l
             [float(np.median(f[k][:, int(AREA) - 1])) for f in chosen] for k in ("0_angle", "reconfigured")
         )
         remarks.append(
-            f"{fault}: by noise and mode the first answer is right in {span(100 * v for v in early)} % of the runs, the last "
+            f"{fault}: by noise and mode the first answer is correct in {span(100 * v for v in early)} % of the runs, the last "
             f"in {span(100 * v for v in end)} %. Angle of the area from {LATE:g} s on: {span(without)} rad without "
-            f"reconfiguration, {span(reconfigured)} rad where an isolated attack is compensated, even if it is not there."
+            f"reconfiguration, {span(reconfigured)} rad with compensation of the isolated attack, even if it is not present."
         )
     known = list(SETS).index("three and no fault")
     weak = [f for (_, _, name), f in cells.items() if name == "2u"]
@@ -194,15 +194,14 @@ def _remarks(settings: Settings, cells: dict[tuple[str, str, str], Arrays]) -> l
     if weak:
         remarks.append(
             "2u differs from no fault by the reference itself, about 0.1 here. It is isolated by the paper's three "
-            f"hypotheses in {span(100 * v for v in isolated[0])} % of its runs, with the hypothesis of no fault beside them "
-            f"in {span(100 * v for v in isolated[1])} %: in the other runs it was isolated only because the others were "
-            "excluded."
+            f"hypotheses in {span(100 * v for v in isolated[0])} % of its runs, with the additional hypothesis of no fault "
+            f"in {span(100 * v for v in isolated[1])} %: in the other runs it was isolated only because the other hypotheses "
+            "were excluded."
         )
     remarks += [
         "A fault outside the set is isolated wrongly where its effect is within the thresholds of a hypothesis. A hypothesis "
-        "that is the only one left is replaced by none of these only if it is excluded, too.",
-        "The paper states its times for -u alone. It does not discuss false isolation of a sensor: its diagnosers isolate "
-        "areas.",
+        "that is the only one left becomes none of these only if it is excluded as well.",
+        "The paper states times for -u only. It does not discuss false isolation of a sensor: its diagnosers isolate areas.",
     ]
     return remarks
 
@@ -211,7 +210,7 @@ SCENARIO = Scenario(
     name=NAME,
     title="Isolation of attacks on an input of a power network, and of unknown faults",
     about="From 45 s on -u, 2u or 10u reaches area 5 (Boem 2018, sec. VIII-B), or its governor is slow, or a load of 0.1 is "
-    "lost: when it is detected, which hypothesis is left, and whether a detector of sensor faults isolates a healthy sensor.",
+    "lost: time of detection, remaining hypothesis, and whether a detector of sensor faults isolates a healthy sensor.",
     settings={"noises": tuple(PROCESS_VARIANCE), "modes": MODES[:1], "faults": tuple(FAULTS), "duration": 100.0},
     seeds=10,
     full_seeds=100,

@@ -45,7 +45,7 @@ MEMORIES = (0.0, PAPER.lam)
 
 
 def consensus_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Healthy runs by noise of the process; neighbours read an angle as precisely as its area does, or less."""
+    """Healthy runs by process noise; neighbours read an angle as precisely as its area, or less precisely."""
     if settings["worse"] <= 1:
         raise ValueError(
             f"worse is {settings['worse']:g}; expected more than 1: the variance of a neighbour's reading over the area's"
@@ -83,7 +83,7 @@ def consensus_work(task: Task) -> Arrays:
 
 
 def worsened(now: NetworkSample, areas: Areas, ratio: float) -> NetworkSample:
-    """The moment with the noise of the neighbours' readings times the root of the ratio of variances."""
+    """The sample with the noise of the neighbours' readings multiplied by the root of the ratio of variances."""
     truth = now.x[..., areas.network.topology.neighbour, 0]
     return now._replace(shared=truth + np.sqrt(ratio) * (now.shared - truth))
 
@@ -140,7 +140,7 @@ def theory(areas: Areas, weights: str, lam: float) -> dict[str, Array]:
 
 
 def drive_variance(areas: Areas) -> Array:
-    """(N,) of the error of each area's drive: by its readings of its other states and of its neighbours' angles."""
+    """(N,) of the error of each area's drive, due to its readings of its other states and of its neighbours' angles."""
     F, n = areas.matrices, areas.size[1]
     inflow = np.add.reduceat(areas.slope**2 * areas.shared_noise, areas.network.topology.start[:-1])
     variance: Array = np.sum(F[:, 0, 1:n] ** 2 * areas.noise[:, 1:], axis=-1) + F[:, 0, n + 1] ** 2 * inflow
@@ -238,8 +238,8 @@ SCENARIO = Scenario(
     name=NAME,
     title="Variance reduction by consensus on shared angles",
     about="Healthy runs of the power network: the variance of the angles' residuals where all areas that share an angle agree "
-    "on its estimate, by weights (17) as printed and corrected, and where each uses its own reading alone; beside the claim of "
-    "(15) and the theory. Neighbours read an angle as precisely as its area, or less.",
+    "on its estimate, by weights (17) as printed and corrected, and where each uses its own reading alone; compared with "
+    "(15) and with theory. Neighbours read an angle as precisely as its area, or less precisely.",
     settings={"steps": 200, "worse": 16.0},
     seeds=50,
     full_seeds=500,

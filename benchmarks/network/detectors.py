@@ -91,7 +91,7 @@ def detector_work(task: Task) -> Arrays:
 
 
 def fault_of(name: str, area: str, onset: float, weak: float) -> AreaFault:
-    """The fault of a case: the faults of B18's scenarios, and a loss of load of our choice."""
+    """The fault of a case: the faults of B18's scenarios, and a loss of load, our choice."""
     kind, value = {"governor": ("governor", 1000.0), "sign-flip": ("input-gain", -1.0), "load-loss": ("load-loss", weak)}[name]
     return AreaFault(kind, area, value, onset)
 
@@ -143,7 +143,7 @@ SCENARIO = Scenario(
     title="Detectors at the same false-alarm rate",
     about="Strong and weak faults of the power network: mean delay of the faulty area's diagnoser by the paper's residual "
     "with one alarm and with three consecutive alarms, by cumulative sums and windowed likelihood ratios of residuals, and by "
-    "a Kalman filter on the whole network; each at the level at which one healthy step in a thousand alarms.",
+    "a Kalman filter on the whole network; each at the level at which one healthy step in a thousand has an alarm.",
     settings={"weak": 0.07},
     seeds=100,
     full_seeds=1000,

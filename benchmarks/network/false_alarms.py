@@ -1,4 +1,4 @@
-"""network/false-alarms: claimed and counted false alarms, single and consecutive (B18, (12) to (15) and sec. VII-A)."""
+"""network/false-alarms: claimed and measured false alarms, single and consecutive (B18, (12) to (15) and sec. VII-A)."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ SHOCKED = 4  # times as many runs with shocks, which are rare
 
 
 def false_alarm_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Healthy runs by noise of the process and law of all noise; a residual of white shocks alone."""
+    """Healthy runs by process noise and distribution of all noise; a residual of white shocks alone."""
     for law in (*settings["laws"], *settings["shocks"]):
         draw_of(law)
     cells = [(noise, law, seeds) for law in settings["laws"] for noise in PROCESS_VARIANCE]
@@ -162,7 +162,7 @@ def one_shock(seeds: list[int], steps: int) -> Arrays:
 
 
 def false_alarm_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Rates with intervals over runs, beside what is claimed."""
+    """Rates with intervals over runs, compared with the claims."""
     cells: dict[tuple[str, str], list[Arrays]] = {}
     for task, arrays in results:
         cells.setdefault((task["noise"], task["law"]), []).append(arrays)
@@ -226,10 +226,10 @@ def _consecutive(detector: str, noise: str, law: str, of: Arrays) -> dict[Counte
 
 SCENARIO = Scenario(
     name=NAME,
-    title="Claimed and counted false alarms",
-    about="Healthy runs of the power network with each law of noise: how often residuals exceed alpha deviations by (14) and "
-    "(15), as printed and corrected, beside the claim of each rule; consecutive alarms beside Proposition 5; and how many runs "
-    "of 100 s have a false alarm that three consecutive steps confirm.",
+    title="Claimed and measured false alarms",
+    about="Healthy runs of the power network with several noise distributions: rates at which residuals exceed alpha "
+    "deviations by (14) and (15), as printed and corrected, compared with the claim of each rule; consecutive alarms compared "
+    "with Proposition 5; share of runs of 100 s with a false alarm confirmed by three consecutive steps.",
     settings={
         "laws": ("gaussian", "student-t", "three-point 4"),
         "shocks": ("three-point 90", "three-point 180"),

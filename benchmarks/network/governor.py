@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from fusion_sfdia.benchmarks.network.support.figures import both_bounds, times_figure, unplugged_operation
-from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, share, spread, time_rows
+from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import (
     ALARM_RULES,
     BOUND,
@@ -19,7 +19,7 @@ from fusion_sfdia.benchmarks.network.support.trials import (
     require_settings,
     trial,
 )
-from fusion_sfdia.evaluation.metrics import mean_over_runs
+from fusion_sfdia.evaluation.metrics import mean_over_runs, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
@@ -35,10 +35,12 @@ NEXT_TO_IT = ("3", "5", "13")
 
 
 def governor_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Each process noise with each mode of the thresholds, on the same noise."""
+    """Each process noise with each mode of the thresholds, with the same noise."""
     require_settings(settings, noises=PROCESS_VARIANCE, modes=MODES, controller=CONTROLLERS)
     if settings["duration"] <= PLUGGED_IN:
-        raise ValueError(f"duration is {settings['duration']:g} s; area 15 joins at {PLUGGED_IN:g} s: give more")
+        raise ValueError(
+            f"duration is {settings['duration']:g} s; expected more than {PLUGGED_IN:g} s, when area 15 is plugged in"
+        )
     common = {k: settings[k] for k in ("duration", "controller")}
     return [
         common | {"noise": noise, "mode": mode, "seeds": block}
@@ -75,7 +77,7 @@ def governor_work(task: Task) -> Arrays:
 
 
 def governor_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Times of detection beside the published one, detection by deterministic bounds, and the effect of unplugging."""
+    """Times of detection compared with the published one, detection by deterministic bounds, and the effect of unplugging."""
     cells: dict[tuple[str, str], Arrays] = join_runs(results, lambda task: (task["noise"], task["mode"]))
     onset = GOVERNOR.fault.onset
     rows: list[Row] = []
@@ -99,10 +101,10 @@ def governor_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> 
             bound("missed_detection_rate", share(~np.isfinite(found["deterministic"])), DETERMINISTIC_MISSES),
             bound("missed_detection_rate_before_the_diagnosers", share(found["deterministic"] >= confirmed)),
         ]
-        beside = [network_model().network.topology.index(a) for a in NEXT_TO_IT]
+        adjacent = [network_model().network.topology.index(a) for a in NEXT_TO_IT]
         near = partial(row, NAME, detector_name(mode), FAULT, f"areas {', '.join(NEXT_TO_IT)}", condition=noise)
         for metric, key in (("angle_rms", "unplugged_angle"), ("angle_rms_unaccommodated", "angle")):
-            level = np.sqrt(np.mean(found[key][:, beside] ** 2, axis=-1))
+            level = np.sqrt(np.mean(found[key][:, adjacent] ** 2, axis=-1))
             rows.append(near(metric, mean_over_runs(level, np.ones(level.size))))
     trace = next(iter(cells.values()))
     figures = [
@@ -142,8 +144,8 @@ def _remarks(settings: Settings, rows: list[Row], cells: dict[tuple[str, str], A
         det, alone = f["deterministic"], f["detected"][:, 1]
         counts = ", ".join(f"{np.mean(det <= t):.0%} by {t:g} s" for t in (43.0, 50.0, PLUGGED_IN, settings["duration"]))
         remarks.append(
-            f"{noise}, {mode}: {np.mean(alone <= GOVERNOR.detected):.0%} of the runs are detected by {GOVERNOR.detected:g} s, "
-            f"the time of the published run; the deterministic bound detects it in {counts}, before the diagnosers in "
+            f"{noise}, {mode}: {np.mean(alone <= GOVERNOR.detected):.0%} of the runs have a detection by {GOVERNOR.detected:g} "
+            f"s, the time of the published run; the deterministic bound detects it in {counts}, before the diagnosers in "
             f"{np.mean(det < alone):.0%}. Runs with {ALARM_RULES[1]} false alarms in some area before the fault: "
             f"{np.mean(f['false_alarms'][:, 1] > 0):.0%}; with a single false alarm: "
             f"{np.mean(f['false_alarms'][:, 0] > 0):.0%}."
@@ -159,10 +161,10 @@ def _remarks(settings: Settings, rows: list[Row], cells: dict[tuple[str, str], A
         f"limit of the residuals' recursion over time, with {BOUND} as bound of all noise and all disturbances."
     )
     remarks.append(
-        "What cannot be reproduced: the seed of the published run, the slopes of the tie lines (Fig. 2, not in the text; "
+        "Not reproducible: the seed of the published run, the slopes of the tie lines (Fig. 2, not in the text; "
         "recalled or chosen here), most load steps, and the controller (generation control or local predictive control here). "
-        "The process noise can be read in two ways; both are shown. The paper unplugs area 4 at once; here it is unplugged a "
-        "step after its detection, because no reading is known before."
+        "The process noise has two interpretations; both are shown. The paper unplugs area 4 at once; here it is unplugged a "
+        "step after its detection, because its readings are available only then."
     )
     return remarks
 
@@ -172,7 +174,7 @@ SCENARIO = Scenario(
     title="A slow governor in a power network: detection, unplugging, plugging in",
     about="At 35 s the time constant of the governor of area 4 changes from 0.1 to 1000 s. Three consecutive alarms detect it, "
     "area 4 is unplugged, and at 70 s area 15 is plugged in (Boem 2018, sec. VIII-A, Figs. 3 and 4). Thresholds are corrected "
-    "and as printed; the deterministic bound 0.0427 is shown beside them.",
+    "and as printed; the deterministic bound 0.0427 is shown as well.",
     settings={"noises": tuple(PROCESS_VARIANCE), "modes": MODES, "controller": "generation", "duration": 100.0},
     seeds=20,
     full_seeds=100,

@@ -24,9 +24,9 @@ from fusion_sfdia.benchmarks.network.support.plug_figures import (
     tables,
 )
 from fusion_sfdia.benchmarks.network.support.residuals import B18, CORRECTED, SETTLE, normalised, owners
-from fusion_sfdia.benchmarks.network.support.rows import row, share
+from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.core.areas import Areas
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, rate_over_runs
+from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, rate_over_runs, share
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.diagnosis import network_areas
@@ -48,13 +48,13 @@ TIMES = {LEAVES: 43.0, JOINS: 70.0}  # s: B18's scenario 1, where area 4 is unpl
 STEPS = 95
 SWITCHES = (Switch(TIMES[LEAVES], unplug=("4",)), Switch(TIMES[JOINS], plug_in=("15",)))
 STATED = {  # areas that change
-    LEAVES: Published(4.0, f"{B18}, sec. VI and VIII-A: areas 3, 5, 13 beside 4"),
+    LEAVES: Published(4.0, f"{B18}, sec. VI and VIII-A: areas 3, 5, 13 and 4"),
     JOINS: Published(2.0, f"{B18}, sec. VI and VIII-A: areas 14 and 15 alone"),
 }
 
 
 def plug_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Comparisons before and after a switch, without noise; healthy runs by noise of the process, diagnosed in each manner."""
+    """Comparisons before and after a switch, without noise; healthy runs by process noise, diagnosed in each manner."""
     return [{"what": "locality", "noise": noise} for noise in PROCESS_VARIANCE] + [
         {"what": "alarms", "noise": noise, "seeds": block} for noise in PROCESS_VARIANCE for block in seed_blocks(seeds, CHUNK)
     ]
@@ -90,7 +90,7 @@ def replugged(model: NetworkModel, moments: Iterable[NetworkSample], manner: str
 
 
 def switched(before: Areas, now: Areas, manner: str) -> Areas:
-    """The areas as the diagnosers model them: as they are, by sec. VI-A as printed, or as they were.
+    """The areas as modelled by the diagnosers: the present ones, by sec. VI-A as printed, or those before the switch.
 
     Sec. VI-A sets the unplugged area's angle and weights to 0 (and VI-B sets them again); sum_j P_ij in A_ii remains.
     """
@@ -174,7 +174,7 @@ def _alarm_estimates(noise: str, manner: str, alarm: Array, names: tuple[str, ..
 
 
 def places(names: tuple[str, ...]) -> dict[str, Array]:
-    """Areas by what a switch does to them, (N,) truth values."""
+    """Areas by the effect of a switch on them, (N,) truth values."""
     found = {place: np.isin(names, who) for place, who in PLACES.items()}
     return found | {"other areas": ~np.any(list(found.values()), axis=0)}
 
@@ -195,9 +195,9 @@ def _changed_areas(noise: str, arrays: Arrays, names: tuple[str, ...]) -> dict[C
 
 SCENARIO = Scenario(
     name=NAME,
-    title="Areas are unplugged and plugged in",
-    about="Healthy runs of the power network: area 4 is unplugged at 43 s, area 15 plugged in at 70 s. Which areas' models, "
-    "weights and thresholds change, bit for bit, and how often the areas alarm when the diagnosers are replugged, when they "
+    title="Effects of unplugging and plugging in areas",
+    about="Healthy runs of the power network: area 4 is unplugged at 43 s, area 15 plugged in at 70 s. Shown are the areas "
+    "whose models, weights and thresholds change in any bit, and the alarm rates when the diagnosers are replugged, when they "
     "follow sec. VI-A of the paper literally, and when they are not updated.",
     settings={},
     seeds=50,

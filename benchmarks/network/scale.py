@@ -1,6 +1,6 @@
 """network/scale: time and memory of the diagnosed network against its size, of a change of it, and on two processes.
 
-Times depend on the machine and the run: they are the only numbers of these scenarios that a second run does not repeat.
+Times depend on the machine and the run: only these numbers differ in a second run.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LONG = 10_000  # areas: a longer step is interrupted on a busy machine, so that 
 
 
 class Constant:
-    """The same readings at every step, drawn where they are read: no branch depends on them, so that all take the same time."""
+    """The same readings at every step, drawn where they are used. No branch depends on them: all steps take the same time."""
 
     def __init__(self, n: int) -> None:
         self.n = n
@@ -66,7 +66,7 @@ def network_of(areas: int) -> NetworkModel:
 
 
 def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
-    """A call that makes one step after the other in the same memory, and the arrays that such a step reads or writes."""
+    """A call that computes one step after the other in the same memory, and the arrays that a step reads or writes."""
     count, n, sides = areas.size
     given = Constant(n)(0, (0, count), np.arange(sides))
     turns: list[Diagnosers] = [initial_state(areas, (1,)), initial_state(areas, (1,))]
@@ -140,7 +140,7 @@ def _arrays(times: dict[str, Timing]) -> Arrays:
 
 
 def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Rows, the figure, and what the times come to for each area."""
+    """Rows, the figure, and the times per area."""
     rows: list[Row] = []
 
     def add(
@@ -174,7 +174,7 @@ def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
         add("areas in a part", "break_even", barrier / each[largest], count, condition="two free cores")
         remarks.append(
             f"A step of {PARTS} processes takes {1e3 * barrier:.3g} ms however few the areas, so it pays from about "
-            f"{barrier / each[largest]:.2g} areas in each part on, if each has a core and a memory of its own."
+            f"{barrier / each[largest]:.2g} areas in each part on, if each has its own core and memory."
         )
     elif not parts:
         remarks.append("Several processes were not measured: that needs the packages distributed and cryptography.")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.network.support.figures import area_residuals, reconfigured_operation, times_figure
-from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, share, spread, time_rows
+from fusion_sfdia.benchmarks.network.support.rows import detector_name, row, spread, time_rows
 from fusion_sfdia.benchmarks.network.support.trials import (
     ALARM_RULES,
     ALPHA,
@@ -24,7 +24,7 @@ from fusion_sfdia.benchmarks.network.support.trials import (
     require_settings,
     trial,
 )
-from fusion_sfdia.evaluation.metrics import mean_over_runs
+from fusion_sfdia.evaluation.metrics import mean_over_runs, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, seed_blocks
 from fusion_sfdia.models.power_network.model import PROCESS_VARIANCE, network_model
@@ -51,7 +51,7 @@ USUAL = next(iter(CASES))
 
 
 def flip_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Each process noise with each mode and each way of excluding hypotheses, on the same noise."""
+    """Each process noise with each mode and each exclusion rule, with the same noise."""
     require_settings(settings, noises=PROCESS_VARIANCE, modes=MODES, cases=CASES, controller=CONTROLLERS)
     common = {k: settings[k] for k in ("duration", "controller")}
     return [
@@ -81,7 +81,7 @@ def flip_work(task: Task) -> Arrays:
 
 
 def flip_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:
-    """Times of detection, isolation and reconfiguration beside the published ones, and how often the true fault is excluded."""
+    """Times of detection, isolation and reconfiguration compared with the published ones; exclusions of the true fault."""
     cells: dict[tuple[str, str, str], Arrays] = join_runs(results, lambda task: (task["noise"], task["mode"], task["case"]))
     rows: list[Row] = []
     for (noise, mode, case), found in cells.items():
@@ -102,7 +102,7 @@ def flip_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summ
     figures = [area_residuals(trace), *reconfigured_operation(trace), *figures]
     table = Table(
         "Sign flip of area 5, median [5 %-95 %] of the runs, s",
-        ("process noise", "thresholds", "excluded by", "detected", "isolated", "first answer right", "true fault excluded"),
+        ("process noise", "thresholds", "excluded by", "detected", "isolated", "first answer correct", "true fault excluded"),
         tuple(
             (
                 n, m, c, spread(f["detected"][:, 1]), spread(_right(f)),
@@ -158,7 +158,7 @@ def _rows(noise: str, mode: str, case: str, found: Arrays) -> list[Row]:
 def _highlights(cells: dict[tuple[str, str, str], Arrays]) -> list[str]:
     return [
         f"{n} process noise, thresholds {m}: detected at {spread(f['detected'][:, 1])} s (published {SIGN_FLIP.detected:g}), "
-        f"isolated at {spread(_right(f))} s (published {SIGN_FLIP.isolated:g}), the first answer right in "
+        f"isolated at {spread(_right(f))} s (published {SIGN_FLIP.isolated:g}), the first answer is correct in "
         f"{np.mean(f['first_answer'] == TRUE):.0%} of the runs"
         for (n, m, c), f in cells.items()
         if c == USUAL
@@ -177,7 +177,7 @@ def _remarks(rows: list[Row], cells: dict[tuple[str, str, str], Arrays]) -> list
             remarks.append(
                 f"{mode}, {case} (alpha {alpha:.3g}, {confirmations} consecutive): the true fault is excluded in "
                 f"{_percent(gone)} of the runs within {PATIENCE} s, in {_percent(early)} by the first answer; guaranteed: "
-                f"{limit}. The first answer is right in {_percent([f['first_answer'] == TRUE for f in chosen])}, the last "
+                f"{limit}. The first answer is correct in {_percent([f['first_answer'] == TRUE for f in chosen])}, the last "
                 f"in {_percent([f['answer'] == TRUE for f in chosen])}."
             )
     after = [

@@ -1,1 +1,1 @@
-"""The scenarios on the gas pipeline, a file each."""
+"""The scenarios on the gas pipeline, one file each."""

@@ -91,7 +91,7 @@ def accommodation_summary(settings: Settings, results: Results) -> Summary:
 
 
 def readings_table(rows: list[Row]) -> Table:
-    """The faulty sensor's reading against its noise-free value: as read, replaced by each detector, and without the fault."""
+    """Error of the faulty sensor's reading: as measured, replaced by each detector, and without the fault."""
     lines: list[tuple[str | float, ...]] = []
     for quantity, unit in UNITS.items():
         for fault in FAULTS:
@@ -103,9 +103,9 @@ def readings_table(rows: list[Row]) -> Table:
                 lines.append((f"{quantity}, {unit}", fault, any_of["rmse_unaccommodated"], *replaced, any_of["rmse_healthy"]))
     return Table(
         "Reading of the faulty sensor while it is faulty: root mean square error",
-        ("quantity", "fault", "as read", *NAMES, "without the fault"),
+        ("quantity", "fault", "as measured", *NAMES, "without the fault"),
         tuple(lines),
-        "A missed fault counts with its reading as it came. A replacement may err less than a healthy reading.",
+        "A missed fault counts with the reading as measured. A replaced reading may have a smaller error than a healthy one.",
     )
 
 
@@ -136,8 +136,8 @@ def _remarks(rows: list[Row]) -> list[str]:
     if worst:
         most = max(worst, key=lambda r: r.value)
         remarks.append(
-            f"Of the paper's banks without diagnosis, which it finds worst with the extended filter, {most.detector} errs most "
-            f"on pressure: {span([most.value])} Pa with a {most.fault.replace('-', ' ')}."
+            "Without diagnosis the paper finds the largest errors with the extended filter. Of its banks, "
+            f"{most.detector} errs most on pressure here: {span([most.value])} Pa with a {most.fault.replace('-', ' ')}."
         )
     ours = {r.quantity: r.value for r in pick(rows, metric="rmse_healthy", detector=NAMES[-1], condition="")}
     times = [
@@ -147,7 +147,7 @@ def _remarks(rows: list[Row]) -> list[str]:
     ]
     if times:
         remarks.append(
-            "As printed, a bank divides its covariance by N^2 each step (P_i = beta P_m) and follows its readings little. "
+            "As printed, a bank divides its covariance by N^2 each step (P_i = beta P_m) and hardly follows its readings. "
             f"Healthy, its error over that of {NAMES[-1]}, one central filter, is {listed(times)}."
         )
     return remarks

@@ -1,4 +1,4 @@
-"""pipeline/accuracy: runs judged right as a whole, beside Tables V to VII of Shaheen 2024."""
+"""pipeline/accuracy: share of runs with correct detection and isolation, compared with Tables V to VII of Shaheen 2024."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import partial
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.readings import condition, nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline.support.interpretations import condition, interpretations, interpretations_table, nearer
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
@@ -24,12 +24,13 @@ DETECTORS = (*PAPER, "loo-glr")
 
 
 def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Tables V to VII: the paper's detectors at every noise level; at the moderate one ours, too, and the paper's with the
-    other reading of their process noise; by fault and quantity.
+    """Tables V to VII by fault and quantity: the paper's detectors at every noise level.
+
+    At the moderate level also ours, and the paper's with the other interpretation of their process noise.
     """
     levels = settings["levels"]
     assert isinstance(levels, tuple)
-    printed, other = readings(settings)
+    printed, other = interpretations(settings)
     rounds = [(s, printed, DETECTORS if s == "moderate" else PAPER) for s in levels]
     rounds += [("moderate", other, PAPER)] if "moderate" in levels else []
     return tasks(
@@ -47,13 +48,13 @@ def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
 
 
 def accuracy_summary(settings: Settings, results: Results) -> Summary:
-    """Accuracy by trial and by sample beside the published one."""
+    """Accuracy by trial and by sample, compared with the published accuracy."""
     rows = []
     cells = judged_runs(results, "detector", "snr", "fault", "quantity", "process_noise")
     shown: dict[tuple[str, ...], Estimate] = {}
     found: dict[tuple[str, ...], dict[str, Estimate]] = {}
     stated: dict[tuple[str, ...], Published | None] = {}
-    suffix = readings(settings)
+    suffix = interpretations(settings)
     for (detector, snr, fault, quantity, process), cell in cells.items():
         other = suffix[process] if detector in PAPER else ""
         at = partial(row, "pipeline/accuracy", detector, fault, quantity, condition=condition(snr, other))
@@ -80,14 +81,14 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
                 for d in PAPER
                 for f, g in zip(FAULTS, groups, strict=True)
             }
-            bars(axis, groups, bar_series(of, DETECTORS, groups, theirs), ylabel="runs judged right")
+            bars(axis, groups, bar_series(of, DETECTORS, groups, theirs), ylabel="accuracy")
             axis.set_ylim(0, 1.05)
         legend_above(figure)
         return figure
 
     figure = Figure(
         "accuracy-moderate",
-        "Accuracy at moderate SNR beside Table VI",
+        "Accuracy at moderate SNR, compared with Table VI",
         "Bars: share of runs in which the fault is detected and its sensor isolated, with 95 % intervals. Diamonds: published.",
         draw,
         "Three panels of bars, one a quantity, for four detectors and four faults, with the published values as diamonds",
@@ -96,10 +97,11 @@ def accuracy_summary(settings: Settings, results: Results) -> Summary:
         "The paper does not define its accuracy. The entries of Tables V and VII are multiples of 1/36 and 1/60 (but for one, "
         "77 %), so they count few trials; those of Table VI mostly of 1/360. Ours is the share of runs in which an alarm is "
         "raised during the fault and the faulty sensor is isolated more often than any other.",
-        "The paper has the fusing EKF lowest on pressure: its (20) adds MPa to kg/s (pipeline/units). Runs judged right here, "
+        "In the paper the fusing EKF has the lowest accuracy on pressure: its (20) adds MPa to kg/s (pipeline/units). Accuracy "
+        "here, "
         "over all faults and levels: " + " ".join(f"{q}: {_right(settings, rows, q)}." for q in QUANTITIES),
     ]
-    table = readings_table("Table VI by process noise: runs judged right", ("detector", "fault", "quantity"), found, stated)
+    table = interpretations_table("Table VI by process noise: accuracy", ("detector", "fault", "quantity"), found, stated)
     return Summary(
         rows=rows,
         figures=[figure] if shown else [],
@@ -116,9 +118,9 @@ def _right(settings: Settings, rows: list[Row], quantity: str) -> str:
 SCENARIO = Scenario(
     name="pipeline/accuracy",
     title="Accuracy of detection and isolation (Tables V-VII)",
-    about="Share of runs judged right as a whole, at three levels of noise, for strong and weak biases and drifts in each "
-    "quantity, beside the published tables; at the moderate level for both "
-    "readings of the paper's process noise. The small default has the moderate level only; `--full` has all three.",
+    about="Share of runs with correct detection and isolation at three noise levels, for strong and weak biases and drifts in "
+    "each quantity, compared with the published tables; at the moderate level for both "
+    "interpretations of the paper's process noise. The default size has the moderate level only; `--full` has all three.",
     settings={**common("snr"), "levels": ("moderate",)},
     seeds=2,
     full_seeds=50,

@@ -29,13 +29,13 @@ BUDGETS = (1e-1, 1e-2, 1e-3)
 
 
 def consistency_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Detectors at each budget on truth that obeys the filter's model; the paper's banks for their covariance."""
+    """Detectors at each budget, with a truth that obeys the filter's model; the paper's banks for their covariance."""
     audited = ({"detector": d, "budget": b} for d in (*OURS, SINGLE) for b in BUDGETS)
     return tasks(settings, (*audited, *({"detector": d, "budget": 0.0} for d in PAPER)), seeds)
 
 
 def consistency_work(task: Task) -> Arrays:
-    """NEES and NIS per dimension, and alarms that begin, by run."""
+    """NEES and NIS per dimension and the number of alarm onsets, by run."""
     plant = gas_pipeline(snr=task["snr"], process_noise=task["process_noise"])
     never = (float("inf"),) * len(plant.sensors)  # the alarms of the paper's banks are not evaluated here
     detector: Any = (
@@ -106,7 +106,7 @@ def consistency_summary(settings: Settings, results: Results) -> Summary:
             tuple(covariance),
         ),
         Table(
-            "Audit of the false-alarm budget: alarms that begin, per step over all 63 sensors",
+            "Audit of the false-alarm budget: alarm onsets per step over all 63 sensors",
             ("detector", "claimed", "measured", "low", "high", "kept"),
             tuple(audit),
         ),
@@ -114,15 +114,16 @@ def consistency_summary(settings: Settings, results: Results) -> Summary:
     figure = Figure(
         "audit",
         "Claimed and measured false alarms",
-        "Alarms that begin per step over all sensors, on truth that obeys the model, with 95 % intervals: at or below the "
-        "dashed claim is right.",
+        "Alarm onsets per step over all sensors, for a truth that obeys the model, with 95 % intervals. At or below the "
+        "dashed line the claim is kept.",
         lambda: draw_audit(audit),
-        "Bars of the measured false-alarm rate by detector, beside three claimed budgets",
+        "Bars of the measured false-alarm rate by detector, with three claimed budgets as dashed lines",
     )
     remarks = [
-        "Truth here is disturbed by the process noise that the filters assume, so that their covariances can be right at all.",
-        "With a window, an alarm lasts while its samples are in it: the budget is one of alarms that begin.",
-        "In the paper's banks P_m is already the N-th part of a covariance, and beta divides it again. Squared errors over "
+        "The truth is disturbed by the process noise that the filters assume; without it their covariances could not be "
+        "consistent.",
+        "With a window an alarm lasts as long as its samples are in the window, so the budget counts alarm onsets.",
+        "In the paper's banks P_m is already a covariance divided by N, and beta divides it again. Squared errors over "
         f"each covariance, all states: {listed(pick(rows, metric='nees', quantity='all'))}.",
         f"Claims that are kept: {sum(a[-1] == 'yes' for a in audit)} of {len(audit)}; not kept: "
         f"{sum(a[-1] == 'no' for a in audit)}; the others are undecided by this number of runs.",
@@ -132,7 +133,7 @@ def consistency_summary(settings: Settings, results: Results) -> Summary:
 
 def draw_audit(audit: list[tuple[Any, ...]]) -> Drawing:
     """Measured rates by claim and detector, the claim as a dashed line."""
-    figure, (axis,) = panels(["alarms that begin, per step over all sensors"], columns=1, width=13.0, height=3.2)
+    figure, (axis,) = panels(["alarm onsets per step over all sensors"], columns=1, width=13.0, height=3.2)
     groups = [f"claimed {b:g}" for b in BUDGETS]
     of = {(a[0], f"claimed {a[1]}"): Estimate(a[2], a[3], a[4], 0) for a in audit}
     bars(axis, groups, bar_series(of, list(dict.fromkeys(a[0] for a in audit)), groups), ylabel="measured", log=True)
@@ -145,7 +146,7 @@ def draw_audit(audit: list[tuple[Any, ...]]) -> Drawing:
 SCENARIO = Scenario(
     name=NAME,
     title="Consistency: covariances and false-alarm budgets",
-    about="Is the claimed uncertainty correct? Normalised errors on truth with process noise, and the rate of false alarms of "
+    about="Is the claimed uncertainty correct? Normalised errors for a truth with process noise, and the false-alarm rate at "
     "each budget, for the consistent banks, a single filter, and the covariances of the published banks.",
     settings=common("truth"),
     seeds=3,

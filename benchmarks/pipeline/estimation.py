@@ -1,4 +1,4 @@
-"""pipeline/estimation: errors without faults, beside Table IV of Shaheen 2024."""
+"""pipeline/estimation: errors without faults, compared with Table IV of Shaheen 2024."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from matplotlib.figure import Figure as Drawing
 
-from fusion_sfdia.benchmarks.pipeline.support.readings import condition, nearer, readings, readings_table
+from fusion_sfdia.benchmarks.pipeline.support.interpretations import condition, interpretations, interpretations_table, nearer
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
 from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, grid, initial, tasks, trial
 from fusion_sfdia.builders import PAPER_FILTERS
@@ -30,9 +30,9 @@ NAME, LEVELS = "pipeline/estimation", ("high", "moderate", "low")
 
 
 def estimation_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Table IV: banks and basic filters at three levels of noise, with both readings of the paper's process noise."""
+    """Table IV: banks and basic filters at three levels of noise, with both interpretations of the paper's process noise."""
     healthy = {"fault": ("none",), "quantity": ("all",), "accommodate": (True,)}
-    cells = grid(process_noise=readings(settings), snr=LEVELS, detector=(*PAPER, *PAPER_FILTERS), **healthy)
+    cells = grid(process_noise=interpretations(settings), snr=LEVELS, detector=(*PAPER, *PAPER_FILTERS), **healthy)
     return tasks(settings, cells, seeds)
 
 
@@ -52,12 +52,12 @@ def estimation_work(task: Task) -> Arrays:
 
 
 def estimation_summary(settings: Settings, results: Results) -> Summary:
-    """RMSE beside Table IV."""
+    """RMSE compared with Table IV."""
     rows: list[Row] = []
     shown: dict[tuple[Any, ...], Estimate] = {}
     found: dict[tuple[str, ...], dict[str, Estimate]] = {}
     stated: dict[tuple[str, ...], Published | None] = {}
-    suffix = readings(settings)
+    suffix = interpretations(settings)
     for (detector, snr, process), cell in judged_runs(results, "detector", "snr", "process_noise").items():
         at = partial(row, NAME, detector, "none", condition=condition(snr, suffix[process]))
         rows.append(at("all", "diverged", cell.divergence))
@@ -85,21 +85,22 @@ def estimation_summary(settings: Settings, results: Results) -> Summary:
 
     figure = Figure(
         "rmse",
-        "Error of the state estimate beside Table IV",
-        "Bars: ours with 95 % intervals; diamonds: published. Logarithmic scale. The banks stand first, "
-        "then the single filters.",
+        "Error of the state estimate, compared with Table IV",
+        "Bars: ours with 95 % intervals; diamonds: published. Logarithmic scale. First the banks, then the single filters.",
         draw,
         "Three panels of bars, one a quantity: root mean square errors of six filters at three noise levels, "
         "published as diamonds",
     )
     remarks = [
-        "Table IV contradicts its text, which has every fusing filter err less than its basic one, and itself: its fusing "
-        "EKF errs more on pressure at high than at low SNR, and one entry (1.8683) stands twice.",
-        "With P_i = beta P_m and beta = 1/N a bank divides its covariance by N^2 each step and follows its readings little. "
+        "Table IV contradicts the text, by which every fusing filter has a smaller error than its basic filter, and itself: "
+        "its fusing EKF has a larger pressure error at high than at low SNR, and one entry (1.8683) occurs twice.",
+        "With P_i = beta P_m and beta = 1/N a bank divides its covariance by N^2 each step and hardly follows its readings. "
         f"Here its error over that of the single filter of its kind is {listed(_over_basic(rows))}.",
         nearer(found, stated),
     ]
-    table = readings_table("Table IV by process noise: RMSE, Pa, kg/s, K", ("filter", "noise", "quantity"), found, stated)
+    table = interpretations_table(
+        "Table IV by process noise: RMSE, Pa, kg/s, K", ("filter", "noise", "quantity"), found, stated
+    )
     return Summary(rows=rows, figures=[figure], tables=[table], remarks=[*remarks, *left_out(rows)])
 
 

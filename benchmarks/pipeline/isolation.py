@@ -30,7 +30,7 @@ PLANT_DT = 10.0  # s between readings (Shaheen 2024, sec. IV-A)
 
 
 def draw_matrices(counts: Mapping[str, Any]) -> Drawing:
-    """One matrix a detector."""
+    """One matrix per detector."""
     figure, axes = panels(list(counts), columns=3, width=10.5, height=3.3)
     starts = {"none": 0, **{q: 1 + i * (SENSORS // 3) for i, q in enumerate(QUANTITIES)}}
     for axis, matrix in zip(axes, counts.values(), strict=True):
@@ -66,10 +66,10 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
     figure = Figure(
         "isolation-weak-bias",
         "Isolation matrices, weak bias",
-        "Each row is a faulty sensor (63, by quantity, inlet to outlet), grey where no run has it faulty, each column what "
-        "was isolated; yellow on the diagonal is right, yellow in the first column is missed.",
+        "Each row is a faulty sensor (63, by quantity, inlet to outlet), grey where no run has this fault; each column is "
+        "the isolated sensor. Yellow on the diagonal: correct; yellow in the first column: missed.",
         lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for (d,), c in weak.items()}),
-        "Five confusion matrices of 64 by 64, one a detector",
+        "Five confusion matrices of 64 by 64, one per detector",
     )
     remarks = [
         "The paper shows Fig. 6 as images without numbers: the fusing EKF isolates no pressure sensor, the fusing UKF is weak "
@@ -95,7 +95,7 @@ def _size_error(relative: Any) -> Any:
 SCENARIO = Scenario(
     name="pipeline/isolation",
     title="Isolation: which sensor is faulty",
-    about="The same faults, now accommodated while the run goes on: the paper's bank treats the sensor with the largest "
+    about="The same faults, accommodated during the run: the paper's bank treats the sensor with the largest "
     "residual (20) as missing while an entry of (19) exceeds its threshold; the consistent bank leaves a sensor out until "
     "it is healthy again. Thresholds: one alarm in a thousand samples (Shaheen 2024, Fig. 6).",
     settings={**COMMON, "faults": ("weak-bias", "weak-drift")},

@@ -1,4 +1,4 @@
-"""pipeline/mismatch: readings from another model than the filter's."""
+"""pipeline/mismatch: readings from a model that differs from the filter's."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NAMES = ("fusing-enkf", *OURS)
 
 @cache
 def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
-    """The plant that makes the readings: 81 nodes, or parameters off by sizes of ours, such as ageing and weather bring."""
+    """The plant that generates the readings: 81 nodes, or changed parameters, as by ageing or weather; sizes are our choice."""
     nominal = pipeline_parameters()
     single = {
         "roughness +25 %": {"roughness": 1.25 * nominal.roughness},
@@ -73,7 +73,7 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
             rows.append(at("isolation_recall", isolation_recall(cell.isolated, cell.active)))
 
     def draw() -> Drawing:
-        figure, (axis,) = panels(["healthy sensors, wrong model"], columns=1, width=13.0, height=3.2)
+        figure, (axis,) = panels(["healthy sensors, model mismatch"], columns=1, width=13.0, height=3.2)
         bars(axis, TRUTHS, bar_series(shown, NAMES, TRUTHS), ylabel="samples with a false alarm")
         axis.set_ylim(0, 1.05)
         legend_above(figure)
@@ -81,13 +81,13 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
 
     figure = Figure(
         "mismatch",
-        "False alarms when the model is wrong",
-        "Share of healthy samples with an alarm, by what makes the readings. 95 % intervals over runs.",
+        "False alarms under model mismatch",
+        "Share of healthy samples with an alarm, by the truth model. 95 % intervals over runs.",
         draw,
         "Bars of the false-alarm probability of three detectors for six truths",
     )
     remarks = [
-        "The budget of false alarms holds for a correct model. A detector that is certain of its model takes model errors for "
+        "The budget of false alarms holds for a correct model. A detector that assumes an exact model takes model errors for "
         "faults, and may exclude up to a quarter of the sensors. Samples with a false alarm: "
         + " ".join(f"{t}: {listed(pick(rows, metric='false_alarm_probability', condition=t))}." for t in TRUTHS),
         "Fewer alarms may be due to fewer detections. Faulty samples with the sensor isolated, over all truths: "
@@ -99,7 +99,7 @@ def mismatch_summary(settings: Settings, results: Results) -> Summary:
 
 SCENARIO = Scenario(
     name="pipeline/mismatch",
-    title="When the model is wrong",
+    title="Model mismatch: false alarms and isolation",
     about="Readings from a finer grid (81 nodes), a rougher pipe, warmer or more conductive ground than in the filter's model: "
     "false alarms without a fault, and isolation with one.",
     settings=common("truth"),

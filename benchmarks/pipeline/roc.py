@@ -22,12 +22,12 @@ from fusion_sfdia.report.plots import panels, roc_curves
 
 
 def roc_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Every detector on every fault of every quantity, watching only."""
+    """Every detector on every fault of every quantity, without accommodation."""
     return tasks(settings, grid(fault=FAULTS, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(False,)), seeds)
 
 
 def draw_roc(cells: Mapping[tuple[Any, ...], JudgedRuns], fault: str) -> Drawing:
-    """One panel a quantity; the false-alarm axis is logarithmic, or every curve would hide in the corner."""
+    """One panel per quantity. The false-alarm axis is logarithmic, since all curves are near the corner."""
     figure, axes = panels(QUANTITIES, columns=3, width=10.5, height=3.4)
     for axis, quantity in zip(axes, QUANTITIES, strict=True):
         curves = {}
@@ -46,30 +46,30 @@ def draw_roc(cells: Mapping[tuple[Any, ...], JudgedRuns], fault: str) -> Drawing
 
 
 def roc_summary(settings: Settings, results: Results) -> Summary:
-    """Rows, a figure a fault, and what to see in them."""
+    """Rows, a figure per fault, and remarks."""
     cells = judged_runs(results, "detector", "fault", "quantity")
     rows = detection_rows("pipeline/roc", cells)
     plant = gas_pipeline(snr=str(settings["snr"]))
     sigmas = np.abs(plant.x0) / plant.sensor_sigma  # each state has its sensor
     remarks = [
         "The paper prints its Fig. 5 as curves without numbers, so the areas cannot be compared. It finds the "
-        "unscented and ensemble filters better than the extended one, the most on pressure. Here the smallest areas are: "
+        "unscented and ensemble filters better than the extended one, most clearly on pressure. Here the smallest areas are: "
         f"{_smallest(rows)}.",
         f"The faults, 20 to 90 % of a reading, are {span([0.2 * sigmas.min(), 0.9 * sigmas.max()])} standard deviations of its "
-        "noise: pipeline/weak has those near the noise.",
-        "Thresholds are swept over runs in which nothing was accommodated; a pressure fault then drives the estimate out of "
-        f"the gas model, where steps are guarded. The {AFTERMATH} samples after a fault, in which such a filter recovers, are "
-        f"not judged. With them (auc_all_samples) the areas are {listed(pick(rows, metric='auc_all_samples'))}; without them "
-        f"{listed(pick(rows, metric='auc'))}. What a detector does when it may accommodate is in pipeline/isolation.",
+        "noise. Faults near the noise are in pipeline/weak.",
+        "Thresholds are swept over runs without accommodation. A pressure fault then drives the estimate out of "
+        f"the gas model, where its steps are limited. The {AFTERMATH} samples after a fault, in which such a filter recovers, "
+        f"are not judged. With them (auc_all_samples) the areas are {listed(pick(rows, metric='auc_all_samples'))}; without "
+        f"them {listed(pick(rows, metric='auc'))}. Results with accommodation are in pipeline/isolation.",
     ]
     figures = [
         Figure(
             f"roc-{fault}",
             f"Receiver operating characteristics, {fault.replace('-', ' ')}",
-            "Probability of detection against that of a false alarm, by samples, the threshold swept. Upper left is better; "
-            "grey: chance.",
+            "Probability of detection over the probability of a false alarm, per sample, with varying threshold. Upper left is "
+            "better; grey: chance.",
             partial(draw_roc, cells, fault),
-            f"Three panels, one a quantity, with the ROC curves of five detectors for {fault.replace('-', ' ')} faults",
+            f"Three panels, one per quantity, with the ROC curves of five detectors for {fault.replace('-', ' ')} faults",
         )
         for fault in FAULTS
     ]
@@ -77,7 +77,7 @@ def roc_summary(settings: Settings, results: Results) -> Summary:
 
 
 def _smallest(rows: list[Row]) -> str:
-    """Each detector's smallest area, and where."""
+    """Each detector's smallest area, with its quantity and fault."""
     found = pick(rows, metric="auc")
     detectors = dict.fromkeys(r.detector for r in found)
     least = [min((r for r in found if r.detector == d), key=lambda r: r.value) for d in detectors]
@@ -88,7 +88,7 @@ SCENARIO = Scenario(
     name="pipeline/roc",
     title="Detection: ROC curves of bias and drift faults",
     about="One sensor of a quantity is faulty in each run of an hour, its level 60-90 % (strong) or 20-40 % (weak) of its "
-    "reading, for 10 to 20 samples (Shaheen 2024, sec. V-B, Fig. 5). Three published banks and two consistent ones.",
+    "reading, for 10 to 20 samples (Shaheen 2024, sec. V-B, Fig. 5). Detectors: three published banks and two consistent ones.",
     settings=COMMON,
     seeds=3,
     full_seeds=50,

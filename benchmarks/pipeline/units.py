@@ -1,4 +1,4 @@
-"""pipeline/units: what the units of the states do to the residual (20) of Shaheen 2024."""
+"""pipeline/units: effect of the states' units on the residual (20) of Shaheen 2024."""
 
 from __future__ import annotations
 
@@ -86,9 +86,9 @@ def units_summary(settings: Settings, results: Results) -> Summary:
         "bank and quantity",
     )
     remarks = [
-        "(20) is a length in a space whose axes are MPa, kg/s and K: a pressure error of 2.5 MPa is as long as a flow error "
-        "of 2.5 kg/s, which is one standard deviation of the flow's noise at moderate SNR. It is seen where the filter spreads "
-        "it to the flow, or, by a filter that trusts its model, where states are divided by their sensors' sigma.",
+        "(20) is a length in a space whose axes are MPa, kg/s and K: a pressure error of 2.5 MPa counts as much as a flow "
+        "error of 2.5 kg/s, which is one standard deviation of the flow's noise at moderate SNR. It shows where the filter "
+        "spreads it to the flow, or, in a filter with small process noise, where states are divided by their sensors' sigma.",
         *(f"Faulty samples at which the {q} sensor is isolated: {_isolated(shown, q)}." for q in QUANTITIES),
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])
@@ -100,8 +100,8 @@ def _isolated(shown: dict[tuple[Any, ...], Estimate], quantity: str) -> str:
 
 SCENARIO = Scenario(
     name="pipeline/units",
-    title="The units of the published residual",
-    about="A bias of 30 % of the reading, detection taken for granted: is the largest residual (20) that of the faulty sensor? "
+    title="Effect of units on the published residual",
+    about="A bias of 30 % of the reading, with detection assumed: is the largest residual (20) that of the faulty sensor? "
     "With states in the paper's units, and in units of the sensors' noise, for the extended filter and the unscented one "
     "with and without redrawn sigma points.",
     settings=COMMON,

@@ -20,7 +20,7 @@ WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 
 
 def weak_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """Single faults near the noise, watching; three at once, accommodated."""
+    """Single faults near the noise, without accommodation; three at once, with accommodation."""
     names = (PAPER[0], *OURS)
     one = grid(fault=WEAK_FAULTS, quantity=QUANTITIES, detector=names, accommodate=(False,))
     three = grid(fault=("three-8-sigma",), quantity=("all",), detector=names, accommodate=(True,))
@@ -61,10 +61,10 @@ def weak_summary(settings: Settings, results: Results) -> Summary:
         "Bars of the area under the ROC for three detectors, three faults of 3 or 5 sigma and three quantities",
     )
     remarks = [
-        "A filter that trusts its sensors absorbs a small bias after its first samples, and statistics of one sample then lose "
-        "it; a window keeps the evidence, and the fusing bank follows its readings little. "
+        "A filter with large gain absorbs a small bias after its first samples, and tests of one sample no longer detect "
+        "it. A window keeps the first samples, and the fusing bank hardly follows its readings. "
         + " ".join(f"Areas, {f.replace('-', ' ')}: {listed(pick(rows, metric='auc', fault=f))}." for f in WEAK_FAULTS),
-        "Three sensors that fail at once: the leave-one-out banks eliminate one after the other, the paper's rule isolates "
+        "Three sensors that fail at once: the leave-one-out banks exclude one after the other, the paper's rule isolates "
         f"one. Exact isolation: {listed(pick(rows, metric='exact_isolation'))} of the faulty samples.",
     ]
     return Summary(rows=rows, figures=[figure], remarks=[*remarks, *left_out(rows)])

@@ -1,6 +1,6 @@
 """bench bank: a step of the whole bank against one filter and against filterpy.
 
-step_time of a step of the whole bank (63 filters, mixture, diagnosis), of one that alarms and so mixes twice, and of a single
+step_time of a step of the whole bank (63 filters, mixture, diagnosis), of one with an alarm, which mixes twice, and of a single
 filter. speedup with quantity `single` is a ratio of times, bank over one filter; with `filterpy` (model in NumPy, or under the
 condition `compiled model`) it is 63 filterpy filters of 62 sensors, without mixture or diagnosis, over the bank.
 """

@@ -1,6 +1,6 @@
-"""The benchmark of speed: its parts are the modules beside this one, each with a function `measure` of seconds.
+"""The benchmark of speed: its parts are the other modules of this folder, each with a function `measure` of seconds.
 
-All on one thread. What is compared takes turns, and the least time of each counts (see `experiments.timing`).
+All on one thread. Compared calls take turns, and the least time of each counts (see `experiments.timing`).
 """
 
 from __future__ import annotations

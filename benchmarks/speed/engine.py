@@ -1,6 +1,7 @@
 """bench engine: step_time of all ten modules for one run of a batch, and of the bounds of the seven algebraic ones by codac.
 
-speedup is the time of codac over ours for one step: of all seven calls, and of the quickest of them (condition `one call`).
+speedup is the time of codac over that of this package for one step: of all seven calls, and of the quickest (condition
+`one call`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""bench lorenz: step_time of single filters on Lorenz-96 with 63 states, ours and filterpy's, and their ratio."""
+"""bench lorenz: step_time of single filters on Lorenz-96 with 63 states, of this package and of filterpy, and their ratio."""
 
 from __future__ import annotations
 

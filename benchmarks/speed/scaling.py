@@ -1,7 +1,7 @@
 """bench scaling: an ensemble filter on finer pipelines, and the extended bank at 201 nodes.
 
 step_time of predict and update, of the model's part of it (condition `model`) or of one filter of the bank (`one filter`);
-peak_memory of NumPy's arrays beside those of the plant. The compiled model holds one ensemble more.
+peak_memory is that of NumPy's arrays in addition to those of the plant. The compiled model holds one more ensemble.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def measure(seconds: float) -> list[Row]:
 def timed_with_memory(
     plant: Plant, detector: str, where: str, whole: Call, other: Call, name: str, seconds: float
 ) -> list[Row]:
-    """Time and memory of a call, and the time of another beside it."""
+    """Time and memory of a call, and the time of another call."""
     memory = Timing(peak_memory(whole), 1)
     times = best_times({"": whole, name: other}, seconds)
     rows = [time_row("scaling", plant, detector, where, "step_time", time, condition=c) for c, time in times.items()]

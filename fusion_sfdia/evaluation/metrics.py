@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 Array = NDArray[Any]
@@ -53,6 +53,11 @@ def proportion(hits: int, trials: int) -> Estimate:
         return NOTHING
     interval = stats.binomtest(hits, trials).proportion_ci(LEVEL, method="wilson")
     return Estimate(hits / trials, float(interval.low), float(interval.high), trials)
+
+
+def share(hits: ArrayLike) -> Estimate:
+    """Return the proportion of runs of which it is true; hits (B,) bool."""
+    return proportion(int(np.sum(hits)), np.size(hits))
 
 
 def rate_over_runs(hits: Array, samples: Array) -> Estimate:

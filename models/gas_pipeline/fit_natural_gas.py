@@ -114,7 +114,7 @@ def main() -> None:
     z, cp0, R = fit()
     rows = ",\n".join("    [" + ", ".join(f"{v:.12g}" for v in row) + "]" for row in z)
     print(f"GAS_CONSTANT = {R:.12g}\nZ = [\n{rows},\n]\nCP0 = [{', '.join(f'{v:.12g}' for v in cp0)}]")
-    print(f"over {PRESSURES} Pa x {TEMPERATURES} K, largest relative error of the gas as it stands in natural_gas.py:")
+    print(f"over {PRESSURES} Pa x {TEMPERATURES} K, largest relative error of the gas in natural_gas.py:")
     for name, error in largest_errors().items():
         print(f"  {name:14s}{error:.2e}")
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-COMPOSITION = {  # mole fractions, ours
+COMPOSITION = {  # mole fractions, our choice
     "methane": 0.965,
     "ethane": 0.018,
     "propane": 0.0045,

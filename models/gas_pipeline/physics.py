@@ -18,7 +18,7 @@ Array = NDArray[Any]
 
 INLET_PRESSURE = 8.4e6  # Pa, Shaheen 2024, sec. IV-A
 INLET_TEMPERATURE = 303.15  # K, the same
-FLOW = (1.0, 2000.0)  # kg/s, ours: turbulent, and from inlet to outlet
+FLOW = (1.0, 2000.0)  # kg/s, our choice: turbulent, and from inlet to outlet
 STENCIL = np.array(  # times 12 ds: Shaheen 2024, below (8)
     [[-25.0, 48, -36, 16, -3], [-3, -10, 18, -6, 1], [1, -8, 0, 8, -1], [-1, 6, -18, 10, 3], [3, -16, 36, -48, 25]]
 )
@@ -36,7 +36,7 @@ def pipeline_parameters(**changes: Any) -> PipelineParameters:
         "roughness": 0.016e-3,
         "ambient": 278.15,
         "heat_transfer": 2.84,
-        "viscosity": 1.25e-5,  # ours
+        "viscosity": 1.25e-5,  # our choice
         "gas_constant": gas.gas_constant,
         "z": gas.z,
         "cp0": gas.cp0,

@@ -5,7 +5,7 @@ inlet and the mass flow at the outlet are inputs: their values at the end of a s
 step. A high-fidelity model on a finer grid therefore takes the same dt in more substeps, not a smaller dt with a held input:
 gas_pipeline(nodes=81, stations=21) has the sensors of gas_pipeline(), and `coarse_state` picks its 63 states.
 
-Misprints and omissions of the paper, and what is used here:
+Misprints and omissions of the paper, and the corrections used here:
 - (6), A_21: see equations.py. theta = pi is a horizontal pipe, as here. "log" in Colebrook-White is log10 and f the Darcy
   factor; R is the specific gas constant. D in (8) needs one block for each of p, m, T, and boundary rows.
 - Boundary rows by one-sided differences are stable with 41 nodes and unstable with 81 (an eigenvalue of +0.007/s):
@@ -13,8 +13,8 @@ Misprints and omissions of the paper, and what is used here:
 - The fits, composition and viscosity of the gas are not given: see natural_gas.py, and 1.25e-5 Pa s. The demand f(t) is not
   given in numbers either: `demand` is our choice, with ramps slow enough (300 s and more) not to ring on 21 nodes.
 - Table III gives noise in MPa, kg/s, K. "Standard deviation of the process noise 10 % lower than that of the measurement
-  noise" is 0.9 sigma as printed, 0.1 sigma if "10 % of" is meant; both have a name. The scenarios give the paper's filters
-  the first and show the second beside it, which is nearer to most of Table IV; "tenth" is the plant's default. P = I in the
+  noise" is 0.9 sigma as printed, 0.1 sigma if "10 % of" is meant; both have a name. In the scenarios the paper's filters have
+  the first, compared with the second, which is nearer to most of Table IV; "tenth" is the plant's default. P = I in the
   paper's units is named "identity".
 - N_s = L / ds = 20, but there are 21 nodes.
 """

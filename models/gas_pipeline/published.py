@@ -1,4 +1,4 @@
-"""What Shaheen 2024 publishes of its pipeline, in SI: Tables IV to VII.
+"""Published results of Shaheen 2024 for its pipeline, in SI: Tables IV to VII.
 
 Sources name the table and no page: the text from which the numbers were taken has no pages. Its Fig. 5 to 7 (ROC
 curves, isolation matrices, RMSE under faults) have no numbers.

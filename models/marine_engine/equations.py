@@ -31,7 +31,7 @@ Array = NDArray[Any]
 
 STATES = ("fuel", "p_receiver", "p_charge")
 ALGEBRAIC = ("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_charge", "T_compressor")
-LEAST_SQUARE = 1e-6  # of the nozzle function, whose slope is infinite at equal pressures; ours
+LEAST_SQUARE = 1e-6  # of the nozzle function, whose slope is infinite at equal pressures; our choice
 CHORDS = 5  # steps of the chord method for the torque: to rounding, also from a quarter off in the states
 
 
@@ -84,7 +84,7 @@ class EngineParameters(NamedTuple):
 
 @equation
 def fuel_inflow(fuel_setting: Any, c: EngineParameters) -> Any:
-    """h(1) = x_nom u / tau_X, kg/s (27). The setting u is a fraction, where the text says percent."""
+    """h(1) = x_nom u / tau_X, kg/s (27). The setting u is a fraction, where the text states percent."""
     return c.full_injection / c.fuel_delay * fuel_setting
 
 

@@ -1,4 +1,4 @@
-"""Process faults and disturbances of the marine engine, as changes of its parameters; magnitudes and shapes are ours.
+"""Process faults and disturbances of the marine engine, as changes of its parameters; magnitudes and shapes are our choice.
 
 K24 names process faults as future work. An engine with such a fault is another truth for the same detector:
 
@@ -16,7 +16,7 @@ import numpy as np
 from fusion_sfdia.models.marine_engine.equations import EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 
-PROCESS_FAULTS = {  # kind: what a severity s does
+PROCESS_FAULTS = {  # kind: effect of a severity s
     "turbine-fouling": "the turbine's effective area is (1 - s) times as large",
     "compressor-fouling": "the turbocharger's efficiency is (1 - s) times as large",
     "injector-loss": "a cylinder gets (1 - s) times the fuel that is set",

@@ -1,7 +1,7 @@
 """A speed governor for load transients of the marine engine: a PI loop with limits.
 
 The papers run at a constant fuel setting; there u is known and no reading acts on the engine. In the model the speed follows
-the torque by the propeller law at once, without inertia, so the loop must be slower than the fuel pump. Gains are ours.
+the torque by the propeller law at once, without inertia, so the loop must be slower than the fuel pump. Gains are our choice.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Parameters of the marine engine: a file of values with unit and provenance, and what follows from them.
 
-An engine is a TOML file with one line for each value, as in marine_engine_parameters.toml. What the papers do not state
+An engine is a TOML file with one line for each value, as in parameters.toml. What the papers do not state
 follows from the equilibrium at full load: the cycle's share at constant volume from the peak pressure, the losses from the
 rated power, the turbine's area from the receiver's pressure, the turbocharger's efficiency from the charge-air pressure.
 """
@@ -96,7 +96,7 @@ def load_engine(path: str | Path = ENGINE_FILE) -> dict[str, Value]:
     """Read an engine's file: {name: Value in SI}.
 
     Raises ValueError naming the file and the parameter where it is no TOML, a parameter is missing or unknown, an entry lacks
-    value, unit, provenance or source, the unit is another quantity's, or the number is outside what any engine has.
+    value, unit, provenance or source, the unit is another quantity's, or the number is outside the range of any engine.
     """
     try:
         document = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -130,7 +130,7 @@ def _value(where: str, name: str, entry: Any) -> Value:
 
 
 def require_range(where: str, name: str, value: float) -> None:
-    """Raise ValueError for a number that no engine has."""
+    """Raise ValueError for a number outside the range of any engine."""
     if name in FREE:
         return
     least, strict = (1.0, True) if name in ABOVE_ONE else (0.0, name not in NOT_NEGATIVE)

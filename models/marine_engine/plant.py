@@ -19,25 +19,25 @@ after about 400 samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.modules import Modules, ObserverBound
-from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.models.marine_engine import equations
-from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, CONSTANT_SLIP, EQUATIONS, STATES, EngineParameters
-from fusion_sfdia.models.marine_engine.equilibrium import LOADS, engine_variables, equilibrium, follows_law
+from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
+from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium, follows_law
 from fusion_sfdia.models.marine_engine.faults import ProcessFault, parameter_schedule
+from fusion_sfdia.models.marine_engine.modules import engine_modules
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.physics import UNIT, decay_rates, engine_physics
 
 Array = NDArray[Any]
 
@@ -45,7 +45,6 @@ LONGEST_STEP = 0.005  # s: errors of at most 4e-4 in a load step from 100 to 80 
 FINER = 4  # substeps of the high-fidelity model in one of the model
 INITIAL = 0.01  # standard deviation of x0, relative; our choice
 PROCESS = (1e-3, 1e-3, 1e-4)  # standard deviation of the process noise in 0.01 s, relative; our choice
-UNIT = {"f": "kg", "p": "Pa", "T": "K", "t": "N m"}
 QUANTITY = {"f": "fuel", "p": "pressure", "T": "temperature", "t": "torque"}
 SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
     "S(1){1}": "fuel",
@@ -65,43 +64,6 @@ SUBSYSTEMS = {  # variables of each
     "thermomechanical process": ("p_cylinder", "T_cylinder", "torque"),
     "exhaust gas path": ("p_receiver", "T_receiver", "T_turbine"),
     "air path": ("p_charge", "T_charge", "T_compressor"),
-}
-
-
-class Module(NamedTuple):
-    """A monitoring module of K24, sec. VII: the variable whose equation it tests and its sensors S(I,q)."""
-
-    variable: str
-    sensors: tuple[str, ...]
-
-
-MODULES = {
-    "M(1,1)": Module("fuel", ("S(1){1}",)),
-    "M(2,1)": Module("p_cylinder", ("S(2){1}",)),
-    "M(2,2)": Module("T_cylinder", ("S(2){2}",)),
-    "M(2,3)": Module("torque", ("S(2){2}", "S(2){3}")),
-    "M(3,1)": Module("p_receiver", ("S(3){1}", "S(3){2}")),
-    "M(3,2)": Module("T_receiver", ("S(3){1}", "S(3){2}")),
-    "M(3,3)": Module("T_turbine", ("S(3){1}", "S(3){2}", "S(3){3}")),
-    "M(4,1)": Module("p_charge", ("S(4){1}", "S(4){2}")),
-    "M(4,2)": Module("T_charge", ("S(4){2}",)),
-    "M(4,3)": Module("T_compressor", ("S(4){2}", "S(4){3}")),
-}
-
-
-GAINS = {"fuel": 1.16, "p_receiver": 900.0, "p_charge": 499.98}  # 1/s, gains L of the observers: K24, sec. VII
-OBSERVER_BOUNDS = {  # K24, sec. VII; rho < 1 and rho_d < L of the last two contradict their definitions
-    "fuel": ObserverBound(1.0, 25.0, 2.0, 20.0),
-    "p_receiver": ObserverBound(0.05, 600.0, 900.0, 1000.0),
-    "p_charge": ObserverBound(0.03, 500.0, 320.0, 450.0),
-}
-DRIFT = {"p_receiver": 0.0}  # at a steady load, as in the papers; for a changing load see receiver_drift
-LOAD_RANGE = 0.03  # width of the range within which the fuel setting may change, see receiver_drift
-RECEIVER_PER_FUEL, RECEIVER_PER_CHARGE = 0.87, 1.25  # A_1 and A_4 over 1 - A_3 there; proved in test_engine_drift
-CHARGE_IMBALANCE = 0.3  # upper bound of |g_4 - x_4| there
-MARGINS = {  # added to thresholds to reproduce the paper's pattern of modules that fire; our choice
-    "p_receiver": 0.037,  # 2.95 noise bounds in all
-    **dict.fromkeys(("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_compressor"), 0.03),
 }
 
 
@@ -181,95 +143,7 @@ class _Compiled:
         return both[:, PICKS].reshape(*batch, PICKS.size)
 
 
-def receiver_drift(c: EngineParameters, dt: float) -> float:
-    """Largest change of p_receiver within dt (s), over its nominal value, for any fuel setting within LOAD_RANGE.
-
-    This is the drift of an AdaptiveThreshold for such loads: 0.013 in 0.01 s, for which the threshold of M(3,1) is 2.47 instead
-    of 2.22 noise bounds. (The load step from 100 to 80 %, which leaves the usual envelope, changes it by 0.04.)
-
-    With D_i(t) = x_i(t + h) - x_i(t), h <= dt, over nominal values, tau_pd x_3' = g - x_3, tau_TC x_4' = g_4 - x_4, and bounds
-    A_i of the slopes dg/dx_i over the envelope:
-
-        |D_1| <= (1 - exp(-dt/tau_X)) LOAD_RANGE        |D_4| <= (1 - exp(-dt/tau_TC)) sup |g_4 - x_4|
-        tau_pd d|D_3|/dt <= A_1 |D_1| + A_4 |D_4| - (1 - A_3) |D_3|
-
-    so that |D_3| <= (A_1 |D_1| + A_4 |D_4|) / (1 - A_3) after a steady state.
-    """
-    fuel, charge = -np.expm1(-dt / c.fuel_delay), -np.expm1(-dt / c.charge_delay)
-    return float(RECEIVER_PER_FUEL * LOAD_RANGE * fuel + RECEIVER_PER_CHARGE * CHARGE_IMBALANCE * charge)
-
-
-def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -> Modules:
-    """The ten monitoring modules of K24 with the gains of its sec. VII."""
-    table = engine_equations(slip)
-    return Modules(
-        equations={v: table[v] for v in (*STATES, *ALGEBRAIC)},
-        rates=decay_rates(c),
-        nominal={v: float(nominal[v]) for v in (*STATES, *ALGEBRAIC)},
-        parameters=c,
-        inputs=("fuel_setting",),
-        names={module.variable: name for name, module in MODULES.items()},
-        gains=GAINS,
-        observer_bounds=OBSERVER_BOUNDS,
-        margins=MARGINS,
-        drift=DRIFT,
-        monitor=partial(_monitor, c, follows_law(slip)),
-    )
-
-
-def _monitor(c: EngineParameters, law: bool, *arguments: Any) -> Any:
-    return equations.monitor(*arguments, c, law)  # type: ignore[call-arg]
-
-
 def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:
     """Return a (..., n), broadcast to the batch, as a contiguous matrix (B, n) of floats or complex numbers."""
     kind = np.result_type(a, other, float)
     return np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1])
-
-
-def decay_rates(c: EngineParameters) -> Array:
-    """1 / tau (3,) of the states, 1/s: A in x' = A x + h is their negative."""
-    return 1.0 / np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
-
-
-def engine_equations(slip: str) -> Mapping[str, Callable[..., Any]]:
-    """The equations of the ten variables, with the slip by its "law" or "constant"."""
-    return EQUATIONS if follows_law(slip) else EQUATIONS | CONSTANT_SLIP
-
-
-def engine_physics(c: EngineParameters, slip: str, x0: Array, load: float) -> Physics:
-    """The equations on arrays (..., 3), the reference for the compiled drivers."""
-    table = engine_equations(slip)
-    scalar = _Scalar(table, {name: equations.variables_of(function) for name, function in table.items()}, decay_rates(c))
-    nominal = engine_variables(x0, c, slip)
-    width = {"f": (0.1 * c.full_injection, 1.2 * c.full_injection), "p": (c.p_ambient, 2.0 * c.p_charge_nominal)}
-    return Physics(
-        name="marine-engine",
-        states=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), *width[n[0]]) for n in STATES),
-        inputs=(Signal("fuel_setting", "1", load, *LOADS),),
-        algebraic=tuple(Signal(n, UNIT[n[0]], float(nominal[n]), 0.0) for n in ALGEBRAIC),
-        f=scalar.f,
-        phi=scalar.phi,
-        parameters=c,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Scalar:
-    """The functions of the physics by the scalar equations; names: their arguments; rates (3,): of the states, 1/s."""
-
-    table: Mapping[str, Callable[..., Any]]
-    names: Mapping[str, Sequence[str]]
-    rates: Array
-
-    def f(self, t: float, x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
-        return np.asarray(self._evaluate(STATES, x, z, u, c) - self.rates * x)
-
-    def phi(self, t: float, x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
-        return self._evaluate(ALGEBRAIC, x, z, u, c)
-
-    def _evaluate(self, asked: tuple[str, ...], x: Array, z: Array, u: Array, c: EngineParameters) -> Array:
-        known = {"fuel_setting": u[..., 0]} | {n: x[..., i] for i, n in enumerate(STATES)}
-        known |= {n: z[..., i] for i, n in enumerate(ALGEBRAIC)}
-        values = [self.table[n](*(known[a] for a in self.names[n]), c) for n in asked]
-        return np.stack(np.broadcast_arrays(*values), axis=-1)

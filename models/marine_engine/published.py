@@ -1,4 +1,4 @@
-"""What is published of the marine engine: scenarios, detection times, indicators, fault sizes, signature matrices.
+"""Published results of the marine engine: scenarios, detection times, indicators, fault sizes, signature matrices.
 
 K24: Kougiatsos and Reppa 2024, sec. VII, Fig. 4 and 5, Tables I to VI. K22: Kougiatsos, Negenborn and Reppa 2022, sec. 5,
 Fig. 3, Tables 1 to 3. Sources name figure, table or section and no page: our text of the papers has no pages.
@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 from fusion_sfdia.core.modules import ObserverBound
 from fusion_sfdia.evaluation.results import Published
-from fusion_sfdia.models.marine_engine.plant import GAINS, OBSERVER_BOUNDS
+from fusion_sfdia.models.marine_engine.modules import GAINS, OBSERVER_BOUNDS
 
 K24, K22 = "Kougiatsos 2024", "Kougiatsos 2022"
+PAPERS = {"K24": K24, "K22": K22}
 
 
 class Offset(NamedTuple):
@@ -40,7 +41,7 @@ class Experiment(NamedTuple):
 
 THREE_FAULTS = Experiment(
     (Offset("S(2){3}", 20.0, -3.8e4), Offset("S(3){1}", 45.0, 5e4), Offset("S(4){2}", 70.0, 8.0)),  # N m, Pa, K
-    100.0,  # s, not stated: the axes of Fig. 4 were not at hand. Ours, chosen by P^E, see tests/test_diagnosis_metrics.py
+    100.0,  # s, not stated; the axes of Fig. 4 were not available. Our choice by P^E, see tests/test_diagnosis_metrics.py
     0.05,
     {"M(2,3)": 20.0, "M(3,1)": 45.06, "M(3,3)": 69.9, "M(4,2)": 70.01},
     f"{K24}, Fig. 4 and sec. VII, one run",
@@ -66,7 +67,7 @@ _TABLE_V = {
 
 
 def minimum_fault(module: str) -> Published:
-    """Table V: smallest detectable fault of the module's sensor at 5 % noise, percent, as we read it of its nominal value."""
+    """Table V: smallest detectable fault of the module's sensor at 5 % noise, percent, we take it of the nominal value."""
     return Published(_TABLE_V[module], f"{K24}, Table V")
 
 
@@ -105,47 +106,65 @@ DESIGNS = {
     "K22": (K22_GAINS, K22_OBSERVER_BOUNDS),
 }
 
+
+class PrintedTable(NamedTuple):
+    """A table of one of the papers: the paper's abbreviation, "K24" or "K22", and the table's number as printed."""
+
+    paper: str
+    number: str
+
+    @property
+    def name(self) -> str:
+        """As in "K24 Table I"."""
+        return f"{self.paper} {self.number}"
+
+    @property
+    def source(self) -> str:
+        """As in "Kougiatsos 2024, Table I"."""
+        return f"{PAPERS[self.paper]}, {self.number}"
+
+
 # Signature matrices as printed. f3(2) is the fault of sensor S(2){3}, E(2,3) the residual of module M(2,3). Only single
 # faults are printed; a column that is not printed is 0
 SIGNATURES = {
-    "K24 Table I": """
+    PrintedTable("K24", "Table I"): """
         f1(2)  f2(2)  f3(2)  f1(1)  f1(4)  f2(4)
 E(2,1)  *      0      0      *      *      0
 E(2,2)  0      *      0      *      *      *
 E(2,3)  0      *      *      *      *      *
 """,
-    "K24 Table II": """
+    PrintedTable("K24", "Table II"): """
         f1(3)  f2(3)  f3(3)  f1(1)  f1(2)  f2(2)  f3(2)  f1(4)  f2(4)
 E(3,1)  1      *      0      *      0      0      *      *      *
 E(3,2)  *      *      0      *      *      *      *      *      *
 E(3,3)  *      *      *      0      0      0      0      0      0
 """,
-    "K24 Table III": """
+    PrintedTable("K24", "Table III"): """
         f1(4)  f2(4)  f3(4)  f1(1)  f3(2)  f1(3)  f2(3)
 E(4,1)  1      *      0      *      *      *      *
 E(4,2)  0      *      0      0      0      0      0
 E(4,3)  *      *      *      *      *      *      *
 """,
-    "K24 Table IV": """
+    PrintedTable("K24", "Table IV"): """
      f1(1)  f1(2)  f2(2)  f3(2)  f1(3)  f2(3)  f3(3)  f1(4)  f2(4)  f3(4)
 E(1)  1      0      0      0      0      0      0      0      0      0
 E(2)  *      1      1      1      0      0      0      *      *      0
 E(3)  *      *      *      *      1      1      1      *      *      0
 E(4)  *      0      0      *      *      *      0      1      1      1
 """,
-    "K22 Table 1": """
+    PrintedTable("K22", "Table 1"): """
         f1(3)  f2(3)  f3(3)  f1(1)  f1(2)  f2(2)  f3(2)  f1(4)  f2(4)
 E(3,1)  1      1      0      *      0      0      *      *      *
 E(3,2)  *      *      0      *      *      *      *      *      *
 E(3,3)  *      *      *      0      0      0      0      0      0
 """,
-    "K22 Table 2": """
+    PrintedTable("K22", "Table 2"): """
         f1(4)  f2(4)  f3(4)  f1(1)  f3(2)  f1(3)  f2(3)
 E(4,1)  1      1      0      *      *      *      *
 E(4,2)  0      *      0      0      0      0      0
 E(4,3)  *      *      *      *      *      *      *
 """,
-    "K22 Table 3": """
+    PrintedTable("K22", "Table 3"): """
      f1(1)  f1(2)  f2(2)  f3(2)  f1(3)  f2(3)  f3(3)  f1(4)  f2(4)  f3(4)
 E(1)  1      0      0      0      0      0      0      0      0      0
 E(2)  *      1      1      1      0      0      0      *      *      0
@@ -155,7 +174,7 @@ E(4)  *      0      0      *      *      *      0      1      1      1
 }
 
 
-def signatures(table: str) -> dict[str, dict[str, str]]:
+def signatures(table: PrintedTable) -> dict[str, dict[str, str]]:
     """A printed matrix, {row: {column: entry}}, in the order of print."""
     header, *lines = (line.split() for line in SIGNATURES[table].strip().splitlines())
     return {row: dict(zip(header, entries, strict=True)) for row, *entries in lines}

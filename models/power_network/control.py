@@ -1,8 +1,8 @@
 """Controllers of the references: automatic generation control, and a local predictive controller (optional, osqp).
 
 A controller is a function of the model as it is known (which ties are closed), the areas' own readings y (B, N, 4) and the
-known loads (N,); it gives the references (B, N). Both stand in for the plug-and-play predictive controllers of B18, whose
-toolbox and solver are proprietary; gains and weights are ours.
+known loads (N,); it gives the references (B, N). Both replace the plug-and-play predictive controllers of B18, whose
+toolbox and solver are proprietary; gains and weights are our choice.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the diagnosers of a power network know: its areas one by one, and their noise (Boem et al. 2018, sec. VIII)."""
+"""The model of a power network in its diagnosers: the areas one by one, and their noise (Boem et al. 2018, sec. VIII)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fusion_sfdia.models.power_network.model import NOISE_VARIANCE, NetworkModel
 
 
 def network_areas(model: NetworkModel, *, named: bool = True) -> Areas:
-    """The areas of a network, their neighbours' angles held over a step, as local diagnosers have to take it.
+    """The areas of a network, their neighbours' angles held over a step, as local diagnosers require.
 
     named: False leaves out the names of states and owners, which take longer and more memory than all numbers together.
     """

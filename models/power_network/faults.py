@@ -1,4 +1,4 @@
-"""What faults of an area add to its next state, as fault functions for isolation (Boem et al. 2018, (3) and sec. VIII)."""
+"""Fault functions for isolation: the change of an area's next state by a fault (Boem et al. 2018, (3) and sec. VIII)."""
 
 from __future__ import annotations
 

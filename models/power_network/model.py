@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,32 +31,6 @@ PROCESS_VARIANCE = {  # of theta, omega, p_m, p_v in 1 s; B18, sec. VIII, can be
     "small": (1e-5, 1e-5, 1e-4, 1e-4),  # the smaller variance of angle and speed meant for w as well
 }
 NOISE_VARIANCE = (1e-5, 1e-5, 1e-4, 1e-4)  # of the readings of theta, omega, p_m, p_v
-
-
-class AreaModel(NamedTuple):
-    """The model of one area for its diagnoser, with what crosses its border; k neighbours are joined to it at present.
-
-    Continuous: dx/dt = A x + B P_ref + L P_L + sum_j coupling[j] x_j. Over dt, the angles of the neighbours held:
-    x+ = transition x + by_reference P_ref + by_load P_L + by_angles theta.
-    received: the neighbours' readings of their own angles, z of B18. shared: the area's readings of the neighbours' angles.
-    sharers: for each angle that the area knows, its own and its neighbours', the areas that read it (S^k of B18).
-    """
-
-    name: str
-    neighbours: tuple[str, ...]
-    A: Array  # (4, 4)
-    B: Array  # (4,)
-    L: Array  # (4,)
-    coupling: Array  # (k, 4, 4)
-    transition: Array  # (4, 4)
-    by_reference: Array  # (4,)
-    by_load: Array  # (4,)
-    by_angles: Array  # (4, k)
-    process_cov: Array  # (4,) variances over dt
-    noise_cov: Array  # (4,) variances of its own readings; a shared angle is read with that of an angle
-    received: tuple[str, ...]
-    shared: tuple[str, ...]
-    sharers: dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,33 +162,6 @@ class NetworkModel:
                 f"matrices of all {4 * len(self.names)} states are dense and too large here; step area by area, which needs "
                 f"none, or take at most {DENSE_AREAS} areas"
             )
-
-    def area_model(self, name: str) -> AreaModel:
-        """One area by itself; ValueError for an unknown name."""
-        i = self.network.topology.index(name)
-        sides = self.network.sides(i)
-        slope = self.side_slope[sides]
-        local = equations.area_matrices(self.stiffness[i : i + 1], self.constants[i : i + 1])[0]
-        coupling = np.zeros((sides.size, 4, 4))
-        coupling[:, :, 0] = slope[:, None] * local[:, 5]
-        near = self.network.neighbours(name)
-        return AreaModel(
-            name=name,
-            neighbours=near,
-            A=local[:, :4],
-            B=local[:, 4],
-            L=-local[:, 5],
-            coupling=coupling,
-            transition=self.area[i, :, :4],
-            by_reference=self.area[i, :, 4],
-            by_load=-self.area[i, :, 5],
-            by_angles=self.area[i, :, 5:] * slope,
-            process_cov=self.process_cov,
-            noise_cov=np.array(NOISE_VARIANCE),
-            received=tuple(f"theta_{j}" for j in near),
-            shared=tuple(f"theta_{j}@{name}" for j in near),
-            sharers={k: (k, *self.network.neighbours(k)) for k in (name, *near)},
-        )
 
 
 def _rows(a: Array, shape: tuple[int, ...], kind: Any) -> Array:

@@ -1,4 +1,4 @@
-"""How a power network is run: steps of its loads, faults of its areas, areas that join and leave, as functions of time.
+"""Operation of a power network: load steps, faults of areas, and areas that join and leave, as functions of time.
 
 An event at time T acts from T on: on the step that begins at T, and on the readings of the ties at T.
 """
@@ -19,7 +19,7 @@ from fusion_sfdia.models.power_network.parameters import LoadStep
 
 Array = NDArray[Any]
 
-AREA_FAULTS = {  # kind: what a value does
+AREA_FAULTS = {  # kind: effect of a value
     "governor": "the governor's time constant is `value` s (B18, scenario 1: 1000 instead of 0.1)",
     "input-gain": "`value` times the reference reaches the area (B18, scenario 2: -1, or 2 or 10)",
     "load-loss": "`value` per unit of the load known to the area is lost",

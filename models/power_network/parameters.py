@@ -1,6 +1,6 @@
 """Parameters of power networks: a file with provenance, and a seeded generator for networks of any size.
 
-A network is a TOML file as power_network_parameters.toml: the areas' names, a table of values for each constant, the slopes
+A network is a TOML file as parameters.toml: the areas' names, a table of values for each constant, the slopes
 of the tie lines by the names of their ends ("4-13"), and steps of the load.
 """
 

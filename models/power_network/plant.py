@@ -4,7 +4,7 @@ Each area i has the states theta_i, omega_i, p_m_i, p_v_i with a sensor for each
 sensors theta_i@j: 60 + 34 sensors for 15 areas with 17 ties, the 94 states of B18's diagnosers. The inputs are the references
 and the loads, reference_i and load_i. Equations: equations.py. Parameters and their provenance: parameters.toml.
 
-Omissions and errors of the paper, and what is used here:
+Omissions and errors of the paper, and the choices made here:
 - The slopes of the ties are in a figure that the text at hand lacks: recalled for the first five areas, our choice for the
   others. The same holds for the steps of the loads.
 - "sigma_w^2 = 0.0001 and sigma_rho^2 = 0.0001 for noises associated with P_m and P_v, and sigma_rho^2 = 0.00001 for theta and
@@ -14,8 +14,8 @@ Omissions and errors of the paper, and what is used here:
 - With the reference and the neighbours' angles held, theta_i+ depends on all of x_i, P_ref, P_L and these angles. Areas that
   share theta_i therefore need one more number from area i: theta_i+ without the term of theta_i itself. They must also know
   the loads.
-- Sec. VI-A sets to zero what an unplugged area sent. That is not enough: A_ii contains sum_j P_ij and loses its part with it.
-- An unplugged area continues on its own.
+- Sec. VI-A sets the angle sent by an unplugged area to zero. That is not enough: A_ii contains sum_j P_ij, which changes too.
+- An unplugged area continues to run in isolation from the others.
 
 The angles have one common mode without restoring force, so that an open loop drifts. The usual operation is therefore in closed
 loop, with references by control.generation_control.

@@ -1,8 +1,8 @@
-"""What Boem et al. 2018 ("B18"), sec. VIII, state of single runs: when faults were detected, isolated and accommodated.
+"""Results of single runs in Boem et al. 2018 ("B18"), sec. VIII: when faults were detected, isolated and accommodated.
 
-Times of their figures' one run; the text at hand has no pages. VIII-B says "at time t = 62 s the fault is detected" and, a few
-lines on, "detection at t = 48 s (after 3 alarms), isolation and reconfiguration (at t = 61 s and t = 67 s)": 48 fits its Fig. 5
-and 62 stands alone.
+Times of the single run in their figures; the text at hand has no pages. VIII-B states "at time t = 62 s the fault is detected"
+and, a few lines on, "detection at t = 48 s (after 3 alarms), isolation and reconfiguration (at t = 61 s and t = 67 s)". 48 s
+agrees with its Fig. 5; 62 s contradicts it.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ class RunningNetwork:
 
     Elsewhere a change gives a new model and keeps the old one, at the cost of a copy. Here no copy is made: for networks
     whose copies take longer than a step. The model that it is made from does not change.
-    areas: what the diagnosers know, without names of their states; the same arrays, so it is always up to date.
+    areas: the diagnosers' model, without names of their states; the same arrays, so it is always up to date.
     """
 
     def __init__(self, model: NetworkModel) -> None:
@@ -33,7 +33,7 @@ class RunningNetwork:
         return replace(self._model)
 
     def switch(self, *, plug_in: Iterable[str] = (), unplug: Iterable[str] = ()) -> Change:
-        """Let areas join and leave, all at once, after the step at which they do; what changed.
+        """Let areas join and leave, all at once, after the step at which they do; return what changed.
 
         The diagnosers go on with their state: a copy whose tie closes starts from its first reading. ValueError as of
         Network.change, and then nothing has changed.

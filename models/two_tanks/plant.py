@@ -4,14 +4,14 @@
     area d level_2 / dt = flow_12 - flow_out      flow_out = outlet sqrt(level_2)
 
 An outlet obeys Torricelli's law v = sqrt(2 g level), so that outlet = (discharge coefficient) (bore area) sqrt(2 g). Both tanks
-are alike: at rest inflow = flow_12 = flow_out and level_1 = level_2 = (inflow / outlet)^2. About that level a tank follows its
+are equal: at rest inflow = flow_12 = flow_out and level_1 = level_2 = (inflow / outlet)^2. About that level a tank follows its
 inflow with the time constant 2 area sqrt(level) / outlet. All numbers here are chosen, none is from a paper: 0.6 litres a
 second at a level of 1 m, time constants of 167 s, noise of 1 %.
 
-The high-fidelity model behind simulated readings differs slightly, as a rig differs from its data sheet. Its outlets are short
-pipes, with a viscous head proportional to the flow beside the kinetic head (Hagen 1839, Poiseuille 1840):
+The high-fidelity model behind simulated readings differs slightly, as a test rig differs from its data sheet. Its outlets are
+short pipes, with a viscous head proportional to the flow in addition to the kinetic head (Hagen 1839, Poiseuille 1840):
 
-    level = (1 - VISCOUS) (flow / outlet)^2 + VISCOUS sqrt(LEVEL) flow / outlet.
+level = (1 - VISCOUS) (flow / outlet)^2 + VISCOUS sqrt(LEVEL) flow / outlet.
 
 At LEVEL this is Torricelli's law. The upper outlet is wider by TOLERANCE, the lower one narrower, and the pump delivers
 DELIVERY more than its setting. At rest, flows are 0.2 % and levels 0.2 % and 0.6 % higher than by the model: 0.2, 0.2 and 0.6

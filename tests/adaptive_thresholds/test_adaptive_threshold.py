@@ -13,7 +13,7 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshol
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.models.marine_engine.plant import OBSERVER_BOUNDS
+from fusion_sfdia.models.marine_engine.modules import OBSERVER_BOUNDS
 
 
 def load_step(steps: int, runs: int) -> Recording:

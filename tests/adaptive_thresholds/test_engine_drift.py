@@ -15,14 +15,14 @@ from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.intervals.expression import record
 from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.intervals.monotone import derivative, gradient
-from fusion_sfdia.models.marine_engine import equations
-from fusion_sfdia.models.marine_engine import plant as engine
+from fusion_sfdia.models.marine_engine import equations, modules
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 
 C = engine_parameters()
 # fuel, torque, p_receiver, p_charge about their nominal values: the load's range, and the envelope less twice the noise
-BOX = np.array([engine.LOAD_RANGE, 0.05, 0.05, 0.05])
+BOX = np.array([modules.LOAD_RANGE, 0.05, 0.05, 0.05])
 
 
 def followed(fuel: Any, torque: Any, p_receiver: Any, p_charge: Any) -> tuple[Any, Any]:
@@ -72,11 +72,11 @@ def test_the_receivers_drift_is_proved(load: float) -> None:
         a.append((fuel + torque * per_fuel, receiver, charge + torque * per_charge))
     (a1, a3, a4), imbalance = a[0], a[1]
     assert float(a3.hi) < 0 and float(a1.lo) > 0 and float(a4.lo) > 0
-    assert float(a1.hi) / (1 - float(a3.hi)) <= engine.RECEIVER_PER_FUEL
-    assert float(a4.hi) / (1 - float(a3.hi)) <= engine.RECEIVER_PER_CHARGE
+    assert float(a1.hi) / (1 - float(a3.hi)) <= modules.RECEIVER_PER_FUEL
+    assert float(a4.hi) / (1 - float(a3.hi)) <= modules.RECEIVER_PER_CHARGE
     # g_4 - x_4 is 0 at rest: the mean value theorem over the box
     g1, g3, g4 = (max(-float(g.lo), float(g.hi)) for g in (imbalance[0], imbalance[1], imbalance[2] - 1))
-    assert g1 * BOX[0] + g3 * BOX[2] + g4 * BOX[3] <= engine.CHARGE_IMBALANCE
+    assert g1 * BOX[0] + g3 * BOX[2] + g4 * BOX[3] <= modules.CHARGE_IMBALANCE
 
 
 LOADS: dict[str, Callable[[float], float]] = {
@@ -111,13 +111,13 @@ def worst_score(detector: AdaptiveThreshold, load: Callable[[float], float], ste
 
 @pytest.mark.parametrize("name", LOADS)
 def test_no_noise_within_its_bounds_alarms_while_the_load_moves_within_its_range(name: str) -> None:
-    plant = engine.marine_engine()
-    moving = AdaptiveThreshold(plant, drift={"p_receiver": engine.receiver_drift(C, plant.dt)})
+    plant = marine_engine()
+    moving = AdaptiveThreshold(plant, drift={"p_receiver": modules.receiver_drift(C, plant.dt)})
     assert worst_score(moving, LOADS[name]) <= 1.0
 
 
 def test_the_usual_thresholds_are_for_a_steady_load() -> None:
     """None alarms there; a step of 2 % within the envelope is enough for one that does, so the search above can fail."""
-    usual = AdaptiveThreshold(engine.marine_engine())
+    usual = AdaptiveThreshold(marine_engine())
     assert 0.999 < worst_score(usual, lambda t: 1.0) <= 1.0
     assert worst_score(usual, LOADS["down to 0.98"]) > 1.0

@@ -19,7 +19,8 @@ from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy
 from fusion_sfdia.models.marine_engine.equilibrium import equilibrium
 from fusion_sfdia.models.marine_engine.faults import ProcessFault
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
-from fusion_sfdia.models.marine_engine.plant import engine_physics, marine_engine
+from fusion_sfdia.models.marine_engine.physics import engine_physics
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch
 from fusion_sfdia.models.power_network.plant import network_physics, power_network

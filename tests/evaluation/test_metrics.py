@@ -19,6 +19,7 @@ from fusion_sfdia.evaluation.metrics import (
     proportion,
     rate_over_runs,
     require_shapes,
+    share,
     without_diverged,
 )
 
@@ -263,6 +264,11 @@ def test_shapes_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="t has shape"):
         detection.detection_delay(T[:3], alarm, active)
     require_shapes(alarm=(alarm, (6, 3)))
+
+
+def test_a_share_is_the_proportion_of_runs_of_which_it_is_true():
+    assert share(np.array([True, False, True, True])) == proportion(3, 4)
+    assert share([]).n == 0 and np.isnan(share([]).value)
 
 
 def test_proportion_is_wilson_of_scipy_and_never_leaves_zero_one():

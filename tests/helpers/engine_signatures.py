@@ -7,7 +7,7 @@ S(2){3}, E(2,3) the residual of module M(2,3). Only single faults are printed; a
 from __future__ import annotations
 
 from fusion_sfdia.adaptive_thresholds.signatures import Agent
-from fusion_sfdia.models.marine_engine.published import SIGNATURES
+from fusion_sfdia.models.marine_engine.published import SIGNATURES, PrintedTable
 
 SENSORS = ("f1(1)", "f1(2)", "f2(2)", "f3(2)", "f1(3)", "f2(3)", "f3(3)", "f1(4)", "f2(4)", "f3(4)")
 # the papers print no matrix of agent 1; K24 excludes f1(1) because D(1) = 0, so the entry is 1
@@ -15,7 +15,7 @@ AGENT_1 = """
         f1(1)
 E(1,1)  1
 """
-K24_TABLE_IV, K22_TABLE_3 = SIGNATURES["K24 Table IV"], SIGNATURES["K22 Table 3"]
+K24_TABLE_IV, K22_TABLE_3 = (SIGNATURES[t] for t in (PrintedTable("K24", "Table IV"), PrintedTable("K22", "Table 3")))
 
 
 def parse(*tables: str) -> dict[str, dict[str, str]]:
@@ -27,9 +27,11 @@ def parse(*tables: str) -> dict[str, dict[str, str]]:
     return found
 
 
-K24_LOCAL = parse(AGENT_1, *(SIGNATURES[f"K24 Table {n}"] for n in ("I", "II", "III")))
+K24_LOCAL = parse(AGENT_1, *(SIGNATURES[PrintedTable("K24", f"Table {n}")] for n in ("I", "II", "III")))
 # K22 prints no matrix of agent 2
-K22_LOCAL = parse(AGENT_1, *(SIGNATURES[name] for name in ("K24 Table I", "K22 Table 1", "K22 Table 2")))
+K22_LOCAL = parse(
+    AGENT_1, *(SIGNATURES[PrintedTable(*t)] for t in (("K24", "Table I"), ("K22", "Table 1"), ("K22", "Table 2")))
+)
 AGENTS = {
     f"E({agent})": Agent(tuple(m for m in K24_LOCAL if m[2] == agent), tuple(s for s in SENSORS if s[3] == agent))
     for agent in "1234"

@@ -1,1 +1,1 @@
-"""What the scenarios on the marine engine share, and the figures of some."""
+"""Shared by the scenarios on the marine engine, and figures of some of them."""

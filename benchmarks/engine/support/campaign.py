@@ -1,7 +1,7 @@
-"""What the engine's campaigns share: truths simulated once, noise drawn step by step, and the first firing of each module.
+"""Shared by the engine's Monte Carlo campaigns: truths simulated once, noise drawn step by step, first firings of modules.
 
-Decisions are latched, so that the decisions at any time follow from the first firing of each module; nothing else of a run is
-kept. The modules M(I,q) and the sensors S(I){j} have the same order: each module tests the equation of one sensor.
+Decisions are latched, so the decisions at any time follow from the first firing of each module. Nothing else of a run is kept.
+ The modules M(I,q) and the sensors S(I){j} have the same order: each module tests the equation of one sensor.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
-from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, share
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings
@@ -77,7 +77,7 @@ def truth(duration: float, drive: str = "constant", at: float = 0.0, fault: tupl
 
 
 def noise(plant: Plant, steps: int, seeds: Sequence[int]) -> Iterator[Array]:
-    """Sample by sample, noise (B, N) uniform within the sensors' bounds: the same for a seed whatever the others."""
+    """Sample by sample, noise (B, N) uniform within the sensors' bounds; that of a seed does not depend on the other seeds."""
     bound = np.array([s.noise_bound for s in plant.sensors])
     streams = [stream(s, "measurement noise") for s in seeds]
     for first in range(0, steps, DRAWN):
@@ -91,7 +91,7 @@ def default_envelope(level: float) -> float:
 
 
 @cache
-def engine_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0) -> AdaptiveThreshold:
+def steady_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", factor: float = 1.0) -> AdaptiveThreshold:
     """A named detector at a noise level, with the gains of a design times a factor."""
     plant = engine(level, design)
     if plant.structure.modules is not None:
@@ -103,7 +103,7 @@ def engine_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", 
 
 @cache
 def moving_detector(name: str, level: float, duration: float, at: float) -> AdaptiveThreshold:
-    """The same for a load that changes: its envelope and drifts cover the runs of DRIVES, with a margin for noise."""
+    """A detector for changing loads: its envelope and drifts cover the runs of DRIVES, with a margin for noise."""
     plant = engine(level, "K24")
     runs = [truth(duration, drive, at).signal for drive in DRIVES]
     low, high = np.min([r.min(axis=0) for r in runs], axis=0), np.max([r.max(axis=0) for r in runs], axis=0)
@@ -155,7 +155,7 @@ def first_firings(
 
 
 def fork(state: State, ways: int) -> State:
-    """The state of a batch (*batch) as that of (ways, *batch) runs which go apart from here."""
+    """The state of a batch (*batch), copied to (ways, *batch) runs that differ from here on."""
     diverged, memory = mapped(lambda a: np.broadcast_to(a, (ways, *a.shape)), (state.diverged, state.memory))
     return state._replace(diverged=diverged, memory=memory)
 
@@ -186,7 +186,7 @@ def logic() -> DiagnosisLogic:
     return AdaptiveThreshold(marine_engine()).logic
 
 
-def verdict_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int | None = None) -> list[Row]:
+def diagnosis_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int | None = None) -> list[Row]:
     """The diagnosis sets at the end of runs of first firings (B, N): rows of `at(metric, estimate)`.
 
     faulty: the faulty sensor, None for none. isolated_sensors: how many sensors are in S^F; unexplained: runs whose pattern is
@@ -207,13 +207,8 @@ def verdict_rows(at: Callable[[str, Estimate], Row], first: Array, faulty: int |
     return rows
 
 
-def share(hits: Array) -> Estimate:
-    """The proportion of runs (B,) bool."""
-    return proportion(int(hits.sum()), hits.size)
-
-
-def check(settings: Settings) -> None:
-    """Raise ValueError for settings that no run can be made of, before any is begun."""
+def require_settings(settings: Settings) -> None:
+    """Raise ValueError for settings with which no run is possible, before the first run."""
     for name in ("detector", "detectors"):
         for value in np.atleast_1d(np.asarray(settings.get(name, VALID))):
             if value not in DETECTORS:

@@ -23,7 +23,7 @@ Array = NDArray[Any]
 
 
 def share_matrix(axes: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *, ylabel: str = "") -> None:
-    """Shares (R, C) as shades from white, 0, to dark, 1; those between are written in."""
+    """Shares (R, C) as shades from white, 0, to dark, 1; values between are written into the cells."""
     axes.imshow(values, cmap="Blues", vmin=0, vmax=1, aspect="auto", interpolation="nearest")
     for i, j in zip(*np.nonzero((values > 0) & (values < 1)), strict=True):
         text = f"{values[i, j]:.2f}".removeprefix("0")
@@ -49,11 +49,11 @@ def run_figure(
     return Figure(
         name,
         title,
-        f"One run, a row an agent, a panel a module, as in K24's Fig. 4 ({begun}): residual in the sensor's unit, its two "
-        "thresholds and the latched decision. Of each 0.1 s the samples nearest to either threshold are drawn. Right of a "
-        "title: first alarm.",
+        f"One run, one row per agent and one panel per module, as in K24's Fig. 4 ({begun}): residual in the sensor's unit, "
+        "its two thresholds and the latched decision. Of each 0.1 s the samples nearest to either threshold are drawn. Right "
+        "of a title: first alarm.",
         partial(draw_modules, trace, first, experiment, mark),
-        "Ten panels, one a monitoring module, with its residual, adaptive thresholds and decision over time",
+        "Ten panels, one per monitoring module, with its residual, adaptive thresholds and decision over time",
     )
 
 
@@ -66,7 +66,7 @@ DRAWN = {
 
 
 def drive_figure(drives: Mapping[str, Arrays], onset: float) -> Figure:
-    """What the engine does in the DRIVES; drives: their u (K, 1) and signal (K, N), ten samples a second."""
+    """The engine's response in the DRIVES; drives: their u (K, 1) and signal (K, N), ten samples a second."""
 
     def draw() -> Drawing:
         figure, axes = panels([DRIVES[d] for d in drives], columns=3, width=10.0, height=2.8)
@@ -86,5 +86,5 @@ def drive_figure(drives: Mapping[str, Arrays], onset: float) -> Figure:
         "The load step",
         "Fuel setting and true variables, over their values at full load. Grey line: onset of the sensor faults.",
         draw,
-        "Time series of fuel setting, torque, pressures and a temperature for each way to change the load",
+        "Time series of fuel setting, torque, pressures and a temperature for each kind of load change",
     )

@@ -78,7 +78,7 @@ def _percent(e: Estimate) -> Estimate:
 
 
 def pattern_share(first: Array, experiment: Experiment, without: tuple[str, ...] = ()) -> Estimate:
-    """Share of runs in which the modules fire that fire in the paper, and no others, except some modules that are left out."""
+    """Share of runs in which exactly the modules of the paper's figure fire; some modules may be left out."""
     compared = [j for j, name in enumerate(NAMES) if name not in without]
     expected = np.array([name in experiment.fired for name in NAMES])
     same = (np.isfinite(first) == expected)[:, compared].all(axis=-1)
@@ -88,7 +88,7 @@ def pattern_share(first: Array, experiment: Experiment, without: tuple[str, ...]
 def draw_modules(
     trace: Array, first: Array, experiment: Experiment, mark: str = "a fault begins (thick: in this module's sensor)"
 ) -> Drawing:
-    """The papers' figure: one row an agent, one panel a module, with residual, thresholds and decision of one run.
+    """The papers' figure: one row per agent, one panel per module, with residual, thresholds and decision of one run.
 
     trace (3, K, M) as in `trials.module_scores`; first (M,) s; mark: what the vertical lines at the onsets of `experiment` are.
     """
@@ -145,7 +145,7 @@ def _decision(first: float, duration: float) -> tuple[list[float], list[float]]:
 
 
 def draw_shares(firsts: dict[str, Array], experiment: Experiment) -> Drawing:
-    """Share of runs in which each module fires, a bar for each detector; diamonds: in the paper's one run."""
+    """Share of runs in which each module fires, a bar for each detector; diamonds: the paper's single run."""
     figure, (axis,) = panels(["share of runs in which the module fires"], columns=1, width=12.0, height=3.0)
     theirs = [float(name in experiment.fired) for name in NAMES]
     series = []
@@ -159,7 +159,7 @@ def draw_shares(firsts: dict[str, Array], experiment: Experiment) -> Drawing:
     return figure
 
 
-def figures(found: Mapping[str, Arrays], experiment: Experiment, what: str) -> list[Figure]:
+def module_figures(found: Mapping[str, Arrays], experiment: Experiment, what: str) -> list[Figure]:
     """The shares of all detectors, and the papers' figure of the first run of each."""
     shares = Figure(
         "modules",
@@ -167,17 +167,17 @@ def figures(found: Mapping[str, Arrays], experiment: Experiment, what: str) -> l
         "Share of runs in which each module fires at some time, with its 95 % interval; diamonds: 1 where the module fires in "
         "the one run that the paper shows, 0 where it is silent.",
         partial(draw_shares, {d: a["first"] for d, a in found.items()}, experiment),
-        "Bars of the share of runs in which each of ten modules fires, one colour a detector",
+        "Bars of the share of runs in which each of ten modules fires, one colour per detector",
     )
     runs = [
         Figure(
             detector.partition(":")[2] or "valid",
             f"{what}: residuals, thresholds and decisions, {detector}",
-            "One run, laid out as in the paper: a row an agent, a panel a module; residual in the sensor's unit, its two "
+            "One run, as in the paper with one row per agent and one panel per module: residual in the sensor's unit, its two "
             "thresholds and the latched decision. Of each 0.1 s the samples nearest to either threshold are drawn. Right of a "
             "title: first alarm here (in the paper).",
             partial(draw_modules, arrays["trace"], arrays["first"][0], experiment),
-            "Ten panels, one a monitoring module, with its residual, adaptive thresholds and decision over time",
+            "Ten panels, one per monitoring module, with its residual, adaptive thresholds and decision over time",
         )
         for detector, arrays in found.items()
     ]
@@ -195,19 +195,19 @@ def shares(rows: list[Row], **expected: str) -> str:
 
 
 def differences(rows: list[Row], detector: str, experiment: Experiment, figure: str) -> str:
-    """A sentence: which modules fire in most runs where the paper's figure shows silence, and the other way round."""
+    """A sentence on the modules that fire in most runs but are silent in the paper's figure, and the other way round."""
     share = {r.quantity: r.value for r in pick(rows, metric="fired_share", detector=detector)}
     when = {r.quantity: r.value for r in pick(rows, metric="first_alarm_time", detector=detector)}
     loud = ", ".join(f"{m} ({when[m]:.1f} s)" for m in NAMES if m not in experiment.fired and share.get(m, 0) > 0.5)
     quiet = ", ".join(f"{m} ({share[m]:.0%})" for m in experiment.fired if share.get(m, 1) <= 0.5)
     return (
-        f"{detector}: fires in most runs where {figure} shows silence: {loud or 'none'}; in at most half of them where it "
-        f"shows an alarm: {quiet or 'none'}."
+        f"{detector}: modules that fire in most runs but are silent in {figure}: {loud or 'none'}. Modules that fire in at "
+        f"most half of the runs but alarm in {figure}: {quiet or 'none'}."
     )
 
 
 def alarms_table(rows: list[Row], experiment: Experiment, detectors: Sequence[str]) -> Table:
-    """First alarm of each module in each detector beside the paper's."""
+    """First alarm of each module in each detector, compared with the paper."""
     cells = {(r.detector, r.quantity, r.metric): r.value for r in rows if r.metric in ("fired_share", "first_alarm_time")}
 
     def shown(detector: str, name: str) -> str:

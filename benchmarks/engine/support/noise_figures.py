@@ -42,7 +42,7 @@ def modules_of(sensor: str, group: str) -> list[int]:
 
 
 def published(sensor: str, group: str, level: float, metric: str) -> Published | None:
-    """What K24 states of a fault at a noise level; None where nothing. A delay is stated where no run misses the fault."""
+    """The value that K24 states for a fault at a noise level, or None. A delay is stated where no run misses the fault."""
     if metric == "missed_detection_rate":
         if group == OWN and sensor == MISSED[0] and level in MISSED[1]:
             return Published(1.0, f"{K24}, sec. VII on Fig. 5(b)")
@@ -74,9 +74,9 @@ def missed_figure(levels: list[float], found: Found) -> Figure:
 
     return Figure(
         "missed",
-        "Missed detections as the noise grows (K24, Fig. 5)",
+        "Missed detections by noise level (K24, Fig. 5)",
         "Share of runs in which the faulty sensor's own module, and all modules of the other agents, stay silent after the "
-        "onset. Shaded: Wilson's 95 % interval. Diamonds: what Table VI and its text state of the own module.",
+        "onset. Shaded: Wilson's 95 % interval. Diamonds: values stated in Table VI and its text for the own module.",
         draw,
         "Curves of the missed-detection rate over the noise level for two faults, by the own module and by other agents",
     )
@@ -104,7 +104,7 @@ def delay_figure(levels: list[float], found: Found) -> Figure:
 
     return Figure(
         "delays",
-        "Detection delays as the noise grows (K24, Table VI)",
+        "Detection delays by noise level (K24, Table VI)",
         "Mean over the runs that detect the fault; bars from the shortest to the longest. Diamonds: published means.",
         draw,
         "Mean detection delays over the noise level for two faults, by the own module and by the first of the others",
@@ -129,7 +129,7 @@ def isolation_figure(levels: list[float], rows: list[Row]) -> Figure:
 
     return Figure(
         "isolation",
-        "Isolation and exoneration as the noise grows (K24, (25) and (26))",
+        "Isolation and exoneration by noise level (K24, (25) and (26))",
         "Means over the runs with an alarm, from the first alarm on: P^U falls as healthy sensors are isolated with the "
         "faulty one, P^E as few sensors are exonerated. Shaded: 95 % interval of the mean.",
         draw,

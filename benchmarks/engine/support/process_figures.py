@@ -13,11 +13,11 @@ from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.report.content import Figure
 from fusion_sfdia.report.plots import panels
 
-ATTACKS = {  # on a measurement from the onset on: what it reads then; sizes are ours
-    "offset": "too much by some thresholds of its own module",
-    "scaling": "too much by a factor, as much at full load",
-    "sign": "minus what it is",
-    "replay": "what it read in the seconds before",
+ATTACKS = {  # kind: what the measurement reads from the onset on; sizes are our choice
+    "offset": "too high by some thresholds of its own module",
+    "scaling": "too high by a factor, with the same error at full load",
+    "sign": "the negative value",
+    "replay": "the readings of the seconds before",
 }
 ALL = "all sensors"  # replayed at once
 
@@ -76,12 +76,12 @@ def attack_figure(drive: str, first: Array) -> Figure:
         "Share of runs in which any module has fired, the attacked sensor is isolated, and no other is, at the end. Dark: all "
         "runs.",
         draw,
-        "Matrices of the kind of attack against the attacked sensor: detected, isolated, isolated exactly",
+        "Matrices of the kind of attack against the attacked sensor: detected, isolated, exactly isolated",
     )
 
 
 def noticed(severities: list[float], first: Array) -> list[str]:
-    """For each process fault that is detected in most runs, a sentence: which modules fire and which sensors are isolated."""
+    """For each process fault that is detected in most runs, a sentence with the modules that fire and the isolated sensors."""
     sentences = []
     for (kind, severity), fired in zip(process_cases(severities), np.isfinite(first), strict=True):
         modules = [name for name, share in zip(NAMES, fired.mean(axis=0), strict=True) if share > 0.5]

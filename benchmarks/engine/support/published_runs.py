@@ -1,11 +1,17 @@
-"""Summaries of engine runs beside one published run with several sensor faults: rows, tables, figures, first sentences."""
+"""Summaries of engine runs compared with one published run with several sensor faults: rows, tables, figures, sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from fusion_sfdia.benchmarks.engine.support.decisions import alarms_table, differences, figures, isolation_rows, module_rows
+from fusion_sfdia.benchmarks.engine.support.decisions import (
+    alarms_table,
+    differences,
+    isolation_rows,
+    module_figures,
+    module_rows,
+)
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, published_first, timeline
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.experiments.scenario import Arrays
@@ -15,8 +21,8 @@ from fusion_sfdia.report.content import Figure, Table
 PUBLISHED_TIMELINE = "the paper's own timeline"  # condition of rows of the decision logic on published alarm times
 
 
-class Beside(NamedTuple):
-    """Rows of our runs by detector and of the published timeline, and what shows them."""
+class PublishedComparison(NamedTuple):
+    """Rows of our runs by detector and of the published timeline, with their figures, table and sentences."""
 
     by_detector: dict[str, list[Row]]
     of_timeline: list[Row]
@@ -30,7 +36,7 @@ class Beside(NamedTuple):
         return {r.metric: r.value for r in self.of_timeline}
 
 
-def beside_published(
+def compare_with_published(
     scenario: str,
     fault: str,
     found: Mapping[str, Arrays],
@@ -40,7 +46,7 @@ def beside_published(
     what: str,
     figure: str,
     published: tuple[Published | None, Published | None] = (None, None),
-) -> Beside:
+) -> PublishedComparison:
     """Modules and diagnosis sets of each detector's runs, and those of the published alarm times.
 
     found: arrays of `trial` by detector, of runs of `duration` s. what, figure: the faults and the published figure, as text.
@@ -56,4 +62,6 @@ def beside_published(
     printed = isolation_rows(scenario, DETECTORS[0], fault, lines, published=published, condition=PUBLISHED_TIMELINE)
     sentences = [differences(rows, detector, ours, figure) for detector, rows in of.items()]
     every = [r for rows in of.values() for r in rows]
-    return Beside(of, printed, figures(found, ours, what), alarms_table(every, ours, list(found)), sentences)
+    return PublishedComparison(
+        of, printed, module_figures(found, ours, what), alarms_table(every, ours, list(found)), sentences
+    )

@@ -1,4 +1,4 @@
-"""What the engine scenarios share: runs with offsets of sensors through the monitoring modules, and the arrays kept.
+"""Shared by the engine scenarios: runs with sensor offsets through the monitoring modules, and their arrays.
 
 The papers' setting: constant full load, a truth that obeys the detector's model, noise redrawn at each reading. Decisions are
 latched, (16), so that the first alarm of each module determines all decisions of a run.
@@ -25,7 +25,8 @@ from fusion_sfdia.evaluation.results import row_of
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.marine_engine.equations import NOMINAL_SPEED
-from fusion_sfdia.models.marine_engine.plant import MODULES, marine_engine
+from fusion_sfdia.models.marine_engine.modules import MODULES
+from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.marine_engine.published import AT_NOMINAL_SPEED, DESIGNS, Offset
 
 Array = NDArray[Any]
@@ -83,7 +84,7 @@ def offsets(plant: Plant, t: Array, y: Array, faults: Iterable[Sequence[Any]]) -
 
 
 def tasks(settings: Settings, faults: Sequence[Offset], seeds: int, design: str = "K24") -> list[Task]:
-    """CHUNK runs and one detector a task; ValueError for settings that no run can be made of."""
+    """Tasks of CHUNK runs and one detector each; ValueError for settings with which no run is possible."""
     if not 0 < settings["noise"] <= MOST_NOISE:
         raise ValueError(
             f"setting noise is {settings['noise']}; expected a share of the nominal values, above 0, at most {MOST_NOISE}"
@@ -114,7 +115,7 @@ def trial(task: Task) -> Arrays:
 
 
 def module_scores(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, onset: float) -> Arrays:
-    """What the modules decide on readings y (K, B, N) at t (K,) under u (K, m), BLOCK samples at a time.
+    """The modules' decisions on readings y (K, B, N) at t (K,) under u (K, m), BLOCK samples at a time.
 
     first (B, M): when each module fired first, s, inf for never. healthy, faulty (B, M): its largest |residual| / threshold
     before `onset` and from then on. trace (3, 2 K / BIN, M): time (s), residual and threshold of the first run at the samples
@@ -153,7 +154,7 @@ def extremes(t: Array, residual: Array, threshold: Array) -> Array:
 
 
 def by_detector(results: Results) -> dict[str, Arrays]:
-    """The arrays of each detector: its runs side by side, and the trace of the first of them."""
+    """The arrays of each detector: all its runs, and the trace of the first one."""
     parts: dict[str, list[Arrays]] = {}
     for task, arrays in results:
         parts.setdefault(task["detector"], []).append(arrays)

@@ -1,4 +1,4 @@
-"""Figures of engine/virtual-sensors, laid out as in V22: sizes of all faults, errors and the interval, and the neighbours."""
+"""Figures of engine/virtual-sensors as in V22: sizes of all faults, errors and an interval, and neighbouring modules."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ DRAWN = {INTERSECTED: FOUND, PRINTED: INSTANT}
 SHOWN = {"N m": ("kN m", 1e-3), "Pa": ("kPa", 1e-3), "kg": ("g", 1e3), "K": ("K", 1.0)}
 
 
-def figures(found: dict[str, Arrays], duration: float) -> list[Figure]:
-    """Those whose variants were run."""
+def virtual_sensor_figures(found: dict[str, Arrays], duration: float) -> list[Figure]:
+    """The figures whose variants were run."""
     if not {*DRAWN, "alone"} <= set(found):
         return []
     return [
         Figure(
             "sizes",
             "Sizes of the faults (V22, Fig. 3)",
-            "One run, a panel a module, a row an agent as in the paper: the actual offset of its sensor, and its estimate with "
-            "intervals intersected over time and of each instant alone, as printed; 0 before the sensor is isolated. In M(3,1) "
-            "both are an adaptive observer's. Right of a title: the sensor.",
+            "One run, one panel per module and one row per agent as in the paper: the actual offset of its sensor, and its "
+            "estimate with intervals intersected over time and of each sample alone, as printed; 0 before the sensor is "
+            "isolated. In M(3,1) both are from an adaptive observer. Right of a title: the sensor.",
             partial(draw_sizes, {v: found[v]["trace"][:, 0] for v in DRAWN}, duration),
-            "Ten panels, one a module, with actual and estimated fault over time",
+            "Ten panels, one per module, with actual and estimated fault over time",
         ),
         Figure(
             "errors",
             "Errors of the sizes, and the torque's interval (V22, Fig. 4)",
             "(a) to (c): absolute percentage error of the estimate, of one run (faint) and on average over all runs; dashed: "
-            "the mean that the paper states, over the time for which it does. (d): ends and middle of the interval of M(2,3) "
-            "in that run, intersected over time, which begins anew when another sensor is isolated.",
+            "the paper's mean, over its time span. (d): ends and middle of the interval of M(2,3) "
+            "in that run, intersected over time, which restarts when another sensor is isolated.",
             partial(draw_errors, {v: found[v]["trace"] for v in DRAWN}, duration),
             "Three panels with percentage errors over time, and one with an interval that narrows around the actual fault",
         ),
@@ -49,13 +49,13 @@ def figures(found: dict[str, Arrays], duration: float) -> list[Figure]:
             "Share of runs in which each module fires at some time, with its 95 % interval. The sensors of "
             f"{', '.join(SIZED)} are faulty; other modules fire because they read them.",
             partial(draw_neighbours, {k: found[k]["first"] for k in ("alone", *VARIANTS) if k in found}),
-            "Bars of the share of runs in which each of ten modules fires, one colour for each kind of readings that it gets",
+            "Bars of the share of runs in which each of ten modules fires, one colour for each kind of readings",
         ),
     ]
 
 
 def draw_sizes(traces: dict[str, np.ndarray], duration: float) -> Drawing:
-    """The ten modules; traces (4, K, N) as in engine_virtual_trials.follow."""
+    """The ten modules; traces (4, K, N) as in virtual_trials.follow."""
     figure, axes = panels([""] * 12, columns=3, width=11.0, height=1.9)
     sensors = engine(0.03, "K22").sensors
     places = [(r, c) for r, agent in enumerate("1234") for c in range(sum(n[2] == agent for n in NAMES))]

@@ -95,7 +95,7 @@ def sensor_work(task: Task) -> Arrays:
 def follow(
     detector: VirtualSensors, t: Array, y: Array, u: Array, signal: Array, faults: Sequence[Offset], from_: Sequence[float]
 ) -> Arrays:
-    """What virtual sensors decide on readings y (K, B, N) of `signal` (K, B, N) at t (K,) under u (K, m), of the F faults.
+    """Decisions of virtual sensors on readings y (K, B, N) of `signal` (K, B, N) at t (K,) under u (K, m), of the F faults.
 
     from_ (F,): t_0 of the errors, s.
 
@@ -146,7 +146,7 @@ def follow(
 
 
 def by_kind(results: Results) -> dict[str, Arrays]:
-    """The arrays of the modules alone ("alone"), of each variant, and of each inversion on short runs, runs side by side."""
+    """The arrays of all tasks joined: modules alone ("alone"), each variant, and each inversion on short runs."""
     parts: dict[str, list[Arrays]] = {}
     for task, arrays in results:
         kind = "alone" if "detector" in task else task["inversion"] if task["duration"] == SHORT else task["variant"]

@@ -1,1 +1,1 @@
-"""What the scenarios on the power network share, and the figures of some."""
+"""Shared by the scenarios on the power network, and figures of some of them."""

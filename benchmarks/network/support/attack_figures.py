@@ -31,7 +31,7 @@ def answers_figure(cases: Mapping[str, tuple[Sequence[str], Mapping[str, Array]]
         "answers",
         "Answers by fault",
         f"Share of the runs with each answer {PATIENCE} s after the detection, or at the end of the run. No hypothesis is the "
-        "slow governor or the lost load: the right answer is none of these.",
+        "slow governor or the lost load: there the correct answer is none of these.",
         draw,
         "Matrices of fault against answer, with the shares written into the cells",
     )
@@ -54,7 +54,7 @@ def false_isolation_figure(cases: Mapping[str, Mapping[str, Array]], own: Mappin
     return Figure(
         "false-isolation",
         "False isolation of sensors under faults of the area",
-        f"Share of the runs in which the detector {detector}, which knows sensor faults only, isolates a sensor at some time "
+        f"Share of the runs in which the detector {detector}, which assumes sensor faults only, isolates a sensor at some time "
         "after the onset. None of the sensors is faulty.",
         draw,
         "Matrices of fault against isolated sensor, with the shares written into the cells",

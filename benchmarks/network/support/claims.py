@@ -1,4 +1,4 @@
-"""Claimed false-alarm probabilities, counted ones with what they were counted of, and whether a count exceeds its claim."""
+"""Claimed and measured false-alarm probabilities, and whether a measured one exceeds its claim."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ ONE_SHOCK = "one white shock"  # the law of a residual without any other noise
 
 
 class Counted(NamedTuple):
-    """What a probability was counted of.
+    """The samples of which a probability was counted.
 
-    quantity: the components or areas. noise of the process (empty where there is ONE_SHOCK alone), law of all noise. alpha, or
-    the rule that sets it and its claimed level. q: consecutive alarms, 0 where the metric is not of consecutive ones.
+    quantity: the components or areas. noise: process noise (empty for ONE_SHOCK). law: distribution of all noise. alpha, or
+    the rule that sets it and its claimed level. q: consecutive alarms, 0 for other metrics.
     """
 
     metric: str
@@ -76,8 +76,8 @@ def claimed_bounds(scenario: str, consecutive: Iterable[int]) -> list[Row]:
     return rows
 
 
-def verdict(found: Row, allowed: float) -> str:
-    """Whether a count keeps a claimed upper bound: "no" or "yes" where its interval decides it."""
+def claim_kept(found: Row, allowed: float) -> str:
+    """Whether a count keeps a claimed upper bound: "yes" or "no" by its interval, otherwise "undecided"."""
     return "no" if found.low > allowed else "yes" if found.high <= allowed else "undecided"
 
 

@@ -1,4 +1,4 @@
-"""The figures, the table and the sentences of network/consensus, all from its rows by what they measure."""
+"""The figures, the table and the sentences of network/consensus, all from its rows by measured variance."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COPIES = ("its area", "a neighbour")
 SHARERS = (2, 3, 4)
 RATIO = "residual_variance_ratio"
 LABELS = {
-    "process": "noise of the process",
+    "process": "process noise",
     "drive": "drive",
     "readings": "readings that are averaged",
     "own": "reading that is evaluated",
@@ -42,7 +42,7 @@ class Case(NamedTuple):
 
 
 class Variance(NamedTuple):
-    """What a row measures: a metric of a case."""
+    """The key of a row: a metric of a case."""
 
     metric: str
     of: Case
@@ -64,7 +64,7 @@ Rows = Mapping[Variance, Row]
 
 
 def ratio_figure(rows: Rows) -> Figure:
-    """Variance with consensus over variance without, beside theory and (15)."""
+    """Variance with consensus over variance without, compared with theory and (15)."""
     cases = [(noise, lam) for noise in PROCESS_VARIANCE for lam in (0.0, 0.3)]
 
     def draw() -> Drawing:
@@ -94,7 +94,7 @@ def ratio_figure(rows: Rows) -> Figure:
 
 
 def parts_figure(kinds: Parts) -> Figure:
-    """Where the variance comes from."""
+    """Contributions to the variance."""
 
     def draw() -> Drawing:
         figure, axes = panels([f"process noise '{noise}', memory {lam:g}" for noise, lam in kinds], height=2.5, width=8.0)
@@ -115,9 +115,9 @@ def parts_figure(kinds: Parts) -> Figure:
     shares = [p[ALONE]["readings"] / sum(p[ALONE].values()) for k in kinds.values() for p in k.values()]
     return Figure(
         "parts",
-        "Where the variance of an angle's residual comes from",
+        "Contributions to the variance of an angle's residual",
         "By theory, for an angle that 2, 3 or 4 areas share, each using its own reading or all agreed. Consensus averages "
-        f"one of four parts, {span(shares)} of the whole without it. The noise of the process and the error of the drive are "
+        f"one of four parts, {span(shares)} of the whole without it. The process noise and the error of the drive are "
         "common to all sharers, and the reading that is evaluated is the area's own.",
         draw,
         "Stacked bars of four parts of the residual's variance with and without consensus",
@@ -125,7 +125,7 @@ def parts_figure(kinds: Parts) -> Figure:
 
 
 def unequal_figure(rows: Rows) -> Figure:
-    """Both weights where neighbours read less precisely."""
+    """Both weights for less precise readings of the neighbours."""
     cases = [(noise, copy) for noise in PROCESS_VARIANCE for copy in COPIES]
 
     def draw() -> Drawing:
@@ -145,9 +145,9 @@ def unequal_figure(rows: Rows) -> Figure:
     printed, right = (_ratios(rows, **of_area, weights=w).values() for w in ("paper", "corrected"))
     return Figure(
         "weights",
-        "Weights (17) where neighbours read less precisely",
+        "Weights (17) for less precise readings of the neighbours",
         f"Variance over that alone, memory 0. The area that reads its angle best has {span(r.value for r in printed)} by the "
-        "printed weights, which count errors common to all as if they were independent, and so hide which reading is precise; "
+        "printed weights, which count errors common to all as if they were independent and so mask the more precise reading; "
         f"{span(r.value for r in right)} by the corrected ones. Whiskers: 95 % intervals.",
         draw,
         "Bars of variance ratios by number of sharers for corrected and printed weights, for the area itself and a neighbour",
@@ -155,7 +155,7 @@ def unequal_figure(rows: Rows) -> Figure:
 
 
 def table(rows: Rows) -> Table:
-    """Measured beside theory."""
+    """Measured ratios compared with theory."""
     lines = []
     for key, r in _ratios(rows).items():
         expected = _one(rows, key._replace(metric=f"{RATIO}_theory"))
@@ -195,10 +195,10 @@ def remarks(rows: Rows) -> list[str]:
         "Consensus on shared angles removes "
         + ", ".join(f"{span(100 * v for v in values)} % ('{n}')" for n, values in removed.items())
         + " of the variance of their residuals; (15) as printed states 50 to 75 %. It lowers the variance, but not by the "
-        "number of sharers, and thresholds that are lowered by the root of that number alarm falsely.",
+        "number of sharers, and thresholds lowered by the root of that number cause false alarms.",
         f"Theory, Var e = (Var drive + Var w + (a - lam)^2 Var r_bar) / (1 - lam^2) + sigma_i^2, is within {inside} of "
         f"{inside + outside} intervals of 95 %.",
-        "Where all areas read equally precisely, both weights are 1 / sharers. Where they do not, consensus can raise the "
+        "With equally precise readings both weights are 1 / sharers. Otherwise consensus can raise the "
         "variance over that alone: " + ("; ".join(f"{d} to {v} times" for d, v in worst.items()) or "nowhere here") + ".",
     ]
 

@@ -1,4 +1,4 @@
-"""The figures, the table and the sentences of network/detectors, all from its rows by what they measure."""
+"""The figures, the table and the sentences of network/detectors, all from its rows by test and level."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TESTS = {  # name: (detector, how it is used)
 
 
 class Measured(NamedTuple):
-    """What a row measures: a fault by one of TESTS, at a level of false alarms per step, with a process noise."""
+    """The key of a row: a fault by one of TESTS, at a level of false alarms per step, with a process noise."""
 
     fault: str
     test: str
@@ -121,7 +121,7 @@ def table(rows: Rows) -> Table:
 
 
 def remarks(rows: Rows) -> list[str]:
-    """Which detectors are early, the first for the top of the report."""
+    """The earliest detectors; the first sentence is for the top of the report."""
     checked = [r for key, r in rows.items() if key.metric == "false_alarm_probability" and math.isfinite(r.value)]
     inside = sum(r.low <= LEVEL <= r.high for r in checked)
     three = []
@@ -131,25 +131,25 @@ def remarks(rows: Rows) -> list[str]:
             for n in ("1 alarm", "3 alarms")
         )
         three.append(f"{fault} {span(r.value for r in triple if r)} s against {span(r.value for r in single if r)} s")
-    beside = []
+    compared = []
     for fault in CASES:
         for noise in PROCESS_VARIANCE:
             found = {t: r.value for t in TESTS if (r := _one(rows, Measured(fault, t, LEVEL, noise))) is not None}
             if found:
                 first = min(found, key=found.__getitem__)
                 one, more = found["residual, 1 alarm"], found["residual, 3 alarms"]
-                beside.append(f"{fault} ({noise}) {one:.3g} and {more:.3g} s, {found[first]:.3g} s by {first}")
+                compared.append(f"{fault} ({noise}) {one:.3g} and {more:.3g} s, {found[first]:.3g} s by {first}")
     return [
         "Mean delay at one false alarm in a thousand steps by the paper's residual with one and with three alarms, and the "
-        f"earliest of all: {'; '.join(beside)}.",
+        f"earliest of all: {'; '.join(compared)}.",
         f"From the earliest to the latest: {_best(rows)}",
         f"Three consecutive alarms against one, at the same false-alarm rate: {'; '.join(three)}. Three alarms cost two more "
         "steps and allow a lower level.",
-        f"Levels are set on other healthy runs; before the onset {span(r.value for r in checked)} of the steps alarm, and the "
-        f"interval contains {LEVEL:g} in {inside} of {len(checked)} cases.",
-        "B18's own alpha = 2 has another false-alarm rate (network/false-alarms); its published detection times are beside "
-        "ours in network/governor and network/sign-flip.",
-        "The weak fault is of our choice; the paper has none. The Kalman filter knows the whole network and has the gain of "
+        f"Levels are set on other healthy runs; before the onset {span(r.value for r in checked)} of the steps have an alarm, "
+        f"and the interval contains {LEVEL:g} in {inside} of {len(checked)} cases.",
+        "B18's own alpha = 2 has another false-alarm rate (network/false-alarms); its published detection times are compared "
+        "with ours in network/governor and network/sign-flip.",
+        "The weak fault is our choice; the paper has none. The Kalman filter knows the whole network and has the gain of "
         "the steady state; it tests the innovations of the faulty area's sensors together.",
     ]
 

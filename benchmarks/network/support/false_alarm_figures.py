@@ -22,7 +22,7 @@ from fusion_sfdia.benchmarks.network.support.claims import (
     Rates,
     chosen,
     claim,
-    verdict,
+    claim_kept,
 )
 from fusion_sfdia.benchmarks.network.support.residuals import CORRECTED, MEMORYLESS, PAPER, VARIANTS
 from fusion_sfdia.evaluation.results import Row
@@ -47,12 +47,10 @@ WHO = ("one component", "one area")
 
 
 def exceeded(rates: Rates, *detectors: str) -> str:
-    """Where the components of a quantity alarm more often than (12) allows, where the interval decides it."""
+    """Quantities whose components exceed the false-alarm rate of (12), where the interval decides."""
     of = {k: r for d in detectors for k, r in chosen(rates, detector=d, metric=SINGLE, rule="").items()}
-    found = [
-        f"{r.value:.2g} for {k.claim:.2g} ({k.quantity}, {k.condition})" for k, r in of.items() if verdict(r, k.claim) == "no"
-    ]
-    return "; ".join(found) or "nowhere"
+    over = {k: r for k, r in of.items() if claim_kept(r, k.claim) == "no"}
+    return "; ".join(f"{r.value:.2g} for {k.claim:.2g} ({k.quantity}, {k.condition})" for k, r in over.items()) or "nowhere"
 
 
 def groups_figure(rates: Rates) -> Figure:
@@ -79,7 +77,7 @@ def groups_figure(rates: Rates) -> Figure:
         "quantities",
         "False alarms at alpha = 2 by quantity",
         f"By (15) as printed, an angle that 2, 3 or 4 areas share has {', '.join(printed)} false alarms per step (lit, "
-        "gaussian): the more areas share it, the less of the noise that is common to all is counted. By the corrected equation "
+        "gaussian): the more areas share it, the more the common noise is underestimated. By the corrected equation "
         "it has as many as any other quantity. Whiskers: 95 % intervals.",
         draw,
         "Bars of false alarms per step by quantity for three kinds of thresholds, two process noises and two laws of noise",
@@ -87,7 +85,7 @@ def groups_figure(rates: Rates) -> Figure:
 
 
 def claims_figure(rates: Rates, laws: Sequence[str]) -> Figure:
-    """Counted against claimed probabilities of each rule."""
+    """Measured over claimed probabilities of each rule."""
 
     def draw() -> Drawing:
         figure, axes = panels(list(laws), columns=3, width=9.6, height=3.0)
@@ -97,24 +95,24 @@ def claims_figure(rates: Rates, laws: Sequence[str]) -> Figure:
                 _points(panel, np.array(LEVELS) * 1.06 ** (i - 2), [_one(rates, key) for key in keys], i, rule)
             ends = np.array([4e-4, 0.25])
             panel.plot(ends, ends, "--", color="black", lw=1, label="as claimed")
-            panel.set(xscale="log", yscale="log", xlim=ends, ylim=(3e-7, 0.5), xlabel="claimed", ylabel="counted per step")
+            panel.set(xscale="log", yscale="log", xlim=ends, ylim=(3e-7, 0.5), xlabel="claimed", ylabel="measured per step")
         legend_above(figure)
         return figure
 
     return Figure(
         "rules",
-        "Claimed and counted false alarms of each rule",
+        "Claimed and measured false alarms of each rule",
         "All components, corrected thresholds without memory, process noise 'lit'. Below the dashed line a claim is kept; "
-        f"where there is no point, no false alarm was counted. {_broken(rates, MEMORYLESS.name)} The rules gaussian (for "
+        f"without a point, no false alarm occurred. {_broken(rates, MEMORYLESS.name)} The rules gaussian (for "
         "gaussian noise) and conformal claim the probability itself, so that at one level in forty the whole 95 % interval "
         "(whiskers) is above it by chance.",
         draw,
-        "Counted against claimed false-alarm probability on logarithmic axes for five rules, one panel for each law of noise",
+        "Measured over claimed false-alarm probability on logarithmic axes for five rules, one panel for each law of noise",
     )
 
 
 def consecutive_figure(rates: Rates) -> Figure:
-    """Consecutive alarms beside (1 / alpha^2)^q."""
+    """Consecutive alarms compared with (1 / alpha^2)^q."""
     runs = [where for where in SHOCKED if chosen(rates, metric=CONSECUTIVE, noise=where[0], law=where[1], alpha=ALPHAS[1], q=3)]
 
     def draw() -> Drawing:
@@ -132,10 +130,10 @@ def consecutive_figure(rates: Rates) -> Figure:
 
     return Figure(
         "consecutive",
-        "Consecutive alarms beside Proposition 5",
-        f"Corrected thresholds with memory 0.3. {_fifth(rates)} Where there is no point, none was counted.",
+        "Consecutive alarms compared with Proposition 5",
+        f"Corrected thresholds with memory 0.3. {_fifth(rates)} Without a point, none occurred.",
         draw,
-        "Probability of one, two and three consecutive alarms on a logarithmic axis beside the claim, for alpha 2, 5 and 10",
+        "Probability of one, two and three consecutive alarms on a logarithmic axis with the claim, for alpha 2, 5 and 10",
     )
 
 
@@ -149,7 +147,7 @@ def tables(rates: Rates, laws: Sequence[str]) -> list[Table]:
                 for p in LEVELS:
                     found = chosen(rates, metric=SINGLE, detector=v.name, law=law, rule=rule, level=p).values()
                     worst = max(found, key=lambda r: r.value, default=None)
-                    cells.append("none" if worst is None else f"{worst.value:.3g} ({verdict(worst, p)})")
+                    cells.append("none" if worst is None else f"{worst.value:.3g} ({claim_kept(worst, p)})")
                 audit.append((v.name, law, rule, *cells))
     confirmed = [
         (k.detector, k.quantity, k.condition, f"{r.value:.0%}", f"{r.low:.0%} to {r.high:.0%}", r.n)
@@ -157,10 +155,10 @@ def tables(rates: Rates, laws: Sequence[str]) -> list[Table]:
     ]
     return [
         Table(
-            "Counted false alarms per step, and whether the claim is kept",
+            "Measured false alarms per step, and whether the claim is kept",
             ("thresholds", "law", "rule", *(f"claimed {p:g}" for p in LEVELS)),
             tuple(audit),
-            "The larger one of both process noises, over all components.",
+            "The larger rate of both process noises, over all components.",
         ),
         Table(
             "Runs of 100 s in which a false alarm is confirmed by three consecutive steps",
@@ -171,29 +169,29 @@ def tables(rates: Rates, laws: Sequence[str]) -> list[Table]:
 
 
 def remarks(rates: Rates) -> list[str]:
-    """What holds and what does not, the first for the top of the report."""
+    """The claims that hold and those that do not; the first sentence is for the top of the report."""
     after = {v.name: _after(rates, v.name) for v in VARIANTS}
 
     def share(who: str, detector: str) -> str:
         return span(r.value for r in chosen(rates, metric=CONFIRMED, quantity=who, detector=detector, law="gaussian").values())
 
     return [
-        f"At alpha = 2, {_angles(rates, PAPER.name)} of the angles alarm falsely in a step by (15) as printed, "
+        f"At alpha = 2, {_angles(rates, PAPER.name)} of the angles have a false alarm in a step by (15) as printed, "
         f"{_angles(rates, CORRECTED.name)} by the corrected equation (gaussian, both noises). (12) allows 0.25, which is wide "
-        f"enough to hide the error. The printed thresholds exceed (12): {exceeded(rates, PAPER.name)}; the corrected ones: "
+        f"enough to mask the error. The printed thresholds exceed (12): {exceeded(rates, PAPER.name)}; the corrected ones: "
         f"{exceeded(rates, MEMORYLESS.name, CORRECTED.name)}.",
         f"The claim of every rule but gaussian is for any law. {_broken(rates, MEMORYLESS.name)} {_broken(rates, PAPER.name)} "
-        "Of the claims that are the probability itself, not a bound, one in forty is exceeded by chance.",
-        "Consecutive alarms are not independent, against (40): after an alarm, with gaussian noise and alpha 2, another "
+        "Where a claim is the probability itself, not a bound, one in forty is exceeded by chance.",
+        "Consecutive alarms are not independent, contrary to (40): after an alarm, with gaussian noise and alpha 2, another "
         f"follows with probability {after[CORRECTED.name]} (corrected), {after[PAPER.name]} (as printed), "
         f"{after[MEMORYLESS.name]} (corrected, without memory). Consecutive residuals depend on each other by the memory of "
         "the filter, and by the reading that both contain.",
         _fifth(rates),
-        "Runs of 100 s with a false alarm that three consecutive steps confirm, gaussian: in one and the same component "
+        "Runs of 100 s with a false alarm confirmed by three consecutive steps, gaussian: in the same component "
         f"{share(WHO[0], PAPER.name)} as printed, {share(WHO[0], CORRECTED.name)} corrected; in one area, in any of its "
         f"components, {share(WHO[1], PAPER.name)} and {share(WHO[1], CORRECTED.name)}. Proposition 5 bounds it by "
         "1 - (1 - 1/64)^(98 x 94) = 1: at alpha = 2 it guarantees nothing for a network.",
-        "An area alarms where any of its 5 to 7 components does: at alpha = 2 the sum of their bounds is more than 1.",
+        "An area has an alarm if any of its 5 to 7 components has one: at alpha = 2 the sum of their bounds is more than 1.",
     ]
 
 
@@ -232,7 +230,7 @@ def _broken(rates: Rates, detector: str) -> str:
     """Which rules' claims are exceeded, over all components."""
     broken: dict[str, set[str]] = {}
     for k, r in chosen(rates, detector=detector, metric=SINGLE, quantity="all").items():
-        if verdict(r, k.claim) == "no":
+        if claim_kept(r, k.claim) == "no":
             broken.setdefault(k.rule, set()).add(k.law)
     cases = "; ".join(f"{rule} ({', '.join(sorted(laws))})" for rule, laws in broken.items())
     return f"Claims exceeded by {LABELS[detector]}: {cases or 'none'}."
@@ -242,7 +240,7 @@ def _fifth(rates: Rates) -> str:
     """Where (1/alpha^2)^q is exceeded by consecutive alarms."""
     over: dict[str, list[str]] = {}
     for k, r in chosen(rates, metric=CONSECUTIVE, detector=CORRECTED.name).items():
-        if k.q > 1 and verdict(r, k.claim) == "no":
+        if k.q > 1 and claim_kept(r, k.claim) == "no":
             over.setdefault(k.runs, []).append(
                 f"{k.q} consecutive at alpha {k.alpha:g} {r.value:.1e} for at most {k.claim:.1e}"
             )

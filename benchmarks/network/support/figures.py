@@ -34,7 +34,7 @@ def legend_beside(axes: Axes) -> None:
 
 
 def grey(axes: Axes, start: float, end: float) -> None:
-    """The time from the fault to its end in grey, as in the paper; nothing where the end is infinite."""
+    """The time from the fault to its end in grey, as in the paper; nothing if the end is infinite."""
     if np.isfinite(end):
         axes.axvspan(start, end, color="0.85", zorder=0)
 

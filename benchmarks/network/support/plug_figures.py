@@ -27,7 +27,7 @@ CHANGED_IN = {"area 4": "without area 4", "areas 3, 5, 13": "without area 4", "a
 
 
 class Changed(NamedTuple):
-    """What a row counts: the areas of which some numbers change at an event."""
+    """The key of a row: areas of which some numbers change at an event."""
 
     event: str
     what: str
@@ -41,7 +41,7 @@ class Changed(NamedTuple):
 
 
 class Alarm(NamedTuple):
-    """What a row measures: alarms in a place and phase, with the diagnosers in one of MANNERS."""
+    """The key of a row: alarms in a place and phase, with the diagnosers in one of MANNERS."""
 
     place: str
     phase: str
@@ -70,7 +70,7 @@ def locality_figure(local: Mapping[str, Mapping[str, Array]], names: tuple[str, 
 
     return Figure(
         "locality",
-        "What changes when an area is unplugged or plugged in, bit for bit",
+        "Numbers that change when an area is unplugged or plugged in",
         "Blue: some bit changes. Model, weights and thresholds of an area's own states change only in the area and its "
         "neighbours. But the new consensus is sent to all areas that share their angles, so that the copies that their "
         "neighbours hold change, too: in areas that have no tie to the area that is switched.",
@@ -102,7 +102,7 @@ def alarm_figure(curves: Mapping[tuple[str, str], Array], names: tuple[str, ...]
     return Figure(
         "alarms",
         "Alarms of healthy areas around the changes",
-        "Share of the runs and areas that alarm, mean of three steps. Dotted: area 4 is unplugged, area 15 plugged in. "
+        "Share of the runs and areas with an alarm, mean of three steps. Dotted: area 4 is unplugged, area 15 plugged in. "
         f"{finding} Where the diagnosers are not updated, missing readings widen the thresholds, which hides part of the "
         "error.",
         draw,
@@ -152,11 +152,11 @@ def remarks(changed: Mapping[Changed, Row], alarms: Mapping[Alarm, Row]) -> list
         for what in ("own numbers", "any number")
     )
     return [
-        f"Replugged, {after[MANNERS[0]]} of the areas at a change alarm in a step after it, "
+        f"Replugged, {after[MANNERS[0]]} of the areas at a change have an alarm in a step after it, "
         f"{span(r.value for r in before if r)} before it; by sec. VI-A literally {after[MANNERS[1]]}, not updated "
         f"{after[MANNERS[2]]}.",
         "Sec. VI-A sets the angle and the weights of an unplugged area to 0. sum_j P_ij in A_ii still contains its tie, so "
-        "that the model of its neighbours contains a spring that is not there.",
+        "that the model of its neighbours contains a stiffness that is no longer present.",
         f"Areas of which models, weights and thresholds of the own states change: {own}, as B18 states. 'The FDI units of all "
         "other subsystems are unaffected' does not hold for shared angles: with the copies that areas hold of their "
         f"neighbours' angles, {anything}. They need no new model, but a new consensus, which they receive.",

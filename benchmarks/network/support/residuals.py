@@ -1,4 +1,4 @@
-"""What the scenarios on residuals of the power network share: noise laws, normalised residuals of healthy and faulty runs."""
+"""Shared by the scenarios on residuals of the power network: noise distributions, normalised residuals of runs."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def draw_of(law: str) -> Draw:
 
 
 def diagnosed(areas: Areas, moments: Iterable[NetworkSample], variant: Variant) -> Iterator[tuple[NetworkSample, Diagnosers]]:
-    """Each moment of the runs of a network, with its diagnosers after the readings of that moment."""
+    """Each sample of the runs of a network, with its diagnosers after the readings of that sample."""
     state = None
     for now in moments:
         if state is None:
@@ -75,7 +75,7 @@ def diagnosed(areas: Areas, moments: Iterable[NetworkSample], variant: Variant) 
 
 
 def normalised(state: Diagnosers) -> Array:
-    """Residuals over deviations (B, 4N + 2E) in the order of the plant's sensors, NaN where there is none to evaluate."""
+    """Residuals over deviations (B, 4N + 2E) in the order of the plant's sensors, NaN for components that are not evaluated."""
     residual, deviation = (
         np.concatenate([own.reshape(*own.shape[:-2], -1), shared], axis=-1)
         for own, shared in ((state.residual, state.residual_shared), (state.deviation, state.deviation_shared))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs, proportion
+from fusion_sfdia.evaluation.metrics import Estimate, bootstrap_over_runs, mean_over_runs
 from fusion_sfdia.evaluation.results import Published, Row, row_of
 
 Array = NDArray[Any]
@@ -41,11 +41,6 @@ def time_rows(
 
 def _quantile(values: Array, share: float) -> Callable[[Array], Array]:
     return lambda runs: np.quantile(values[runs], share, axis=-1, method="inverted_cdf")
-
-
-def share(what: Array) -> Estimate:
-    """The share of runs (B,) of which it is true."""
-    return proportion(int(np.sum(what)), int(np.size(what)))
 
 
 def spread(times: Array) -> str:

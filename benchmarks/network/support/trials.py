@@ -30,15 +30,15 @@ CONTROLLERS: dict[str, Callable[[], Control]] = {"generation": lambda: generatio
 ALPHA, LAM = 2.0, 0.3  # B18, sec. VIII
 CONFIRMATIONS = 3  # B18, sec. VIII-A: "after 3 consecutively alarms"
 ALARM_RULES = ("single alarms", f"{CONFIRMATIONS} consecutive")  # the last axis of `Alarms`
-PATIENCE = 30  # steps until the isolation ends; ours
+PATIENCE = 30  # steps until the isolation ends; our choice
 BOUND = 0.0427  # of noise and disturbances (B18, sec. VIII-A), the largest of 10 series of samples there
-LATE = 70.0  # s; the angles from then on show whether the area is under control, whatever happened before
+LATE = 70.0  # s; the angles from then on show whether the area is under control
 SHOWN = ("t", "reference", "reached", "load", "angles", "speeds", "residual", "deviation")
 
 
 @dataclass(frozen=True)
 class Watch:
-    """How the runs are diagnosed: the area whose alarms count from `onset` (s) on, and the mode of the diagnosers.
+    """The diagnosis of the runs: the area whose alarms count from `onset` (s) on, and the mode of the diagnosers.
 
     hypotheses: faults of the area by name, None for no fault; none at all for no isolation. alpha, exclusions: thresholds and
     confirmations of the isolation. reconfigure: compensate for an isolated gain of the input.
@@ -135,10 +135,10 @@ class Alarms:
 
     def take(self, t: float, now: Diagnosers) -> Array:
         """Which runs (B,) have their first confirmed alarm now."""
-        beside = np.abs(now.residual_shared) > ALPHA * now.deviation_shared
+        shared_alarm = np.abs(now.residual_shared) > ALPHA * now.deviation_shared
         start = self.areas.network.topology.start[:-1]
         alarm = np.any(np.abs(now.residual) > ALPHA * now.deviation, axis=-1)
-        alarm |= np.logical_or.reduceat(beside, start, axis=-1)
+        alarm |= np.logical_or.reduceat(shared_alarm, start, axis=-1)
         self._in_a_row = np.where(alarm, self._in_a_row + 1, 0)
         both = self._in_a_row[..., None] >= np.array([1, CONFIRMATIONS])
         if t <= self.onset:
@@ -234,7 +234,7 @@ def require_settings(settings: Settings, **known: Iterable[str]) -> None:
 
 
 def join_runs(results: Sequence[tuple[Any, Arrays]], key: Callable[[Any], Any]) -> dict[Any, Arrays]:
-    """The runs of all tasks with the same key joined; what is of one run only (after a prefix too) is of the first task."""
+    """The joined runs of all tasks with the same key; arrays of a single run (also with a prefix) are of the first task."""
     parts: dict[Any, list[Arrays]] = {}
     for task, arrays in results:
         parts.setdefault(key(task), []).append(arrays)

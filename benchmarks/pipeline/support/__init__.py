@@ -1,1 +1,1 @@
-"""What the scenarios on the gas pipeline share."""
+"""Shared by the scenarios on the gas pipeline."""

@@ -37,7 +37,7 @@ class JudgedRuns:
 
     @property
     def divergence(self) -> Estimate:
-        """Share of runs that diverged: every other number is of those that did not."""
+        """Share of runs that diverged; all other numbers are of the runs that did not."""
         return proportion(self.diverged, self.runs)
 
     def __getitem__(self, name: str) -> Array:
@@ -53,7 +53,7 @@ def aftermath(faulty: Array, samples: int = AFTERMATH) -> Array:
 
 
 def judged_runs(results: Sequence[tuple[Task, Arrays]], *keys: str) -> dict[tuple[Any, ...], JudgedRuns]:
-    """Join the results of the tasks that agree on keys."""
+    """Join the results of the tasks that are equal in `keys`."""
     parts: dict[tuple[Any, ...], list[Arrays]] = {}
     for task, arrays in results:
         parts.setdefault(tuple(task[k] for k in keys), []).append(arrays)

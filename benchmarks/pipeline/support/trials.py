@@ -1,4 +1,4 @@
-"""What the pipeline scenarios share: their tasks, the work of a task, and its arrays joined by case."""
+"""Shared by the pipeline scenarios: tasks, the work of a task, and its arrays."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ OURS = ("loo-chi2", "loo-glr")
 SINGLE = "kf-chi2"
 SENSORS = 63
 SETTLE = 30  # samples that are not judged: the filters forget their initial covariance
-AFTERMATH = 40  # samples after a fault in which a filter that trusted it recovers: left out where thresholds are swept
+AFTERMATH = 40  # samples after a fault in which a filter that followed it recovers: not judged where thresholds vary
 CHUNK = 25  # runs in one task
 # truth: the paper's readings come from the filter's own model ("model"), others may come from a finer grid ("finer")
-# process_noise: of the paper's filters, as printed ("nine-tenths" of the sensors' sigma) or the other reading; ours have OWN
+# process_noise: of the paper's filters, as printed ("nine-tenths" of the sensors' sigma) or "tenth"; ours have OWN
 COMMON: dict[str, Any] = {"steps": 360, "snr": "moderate", "process_noise": "nine-tenths", "truth": "model"}
 OWN = "tenth"  # the plant's own process noise
 
@@ -53,7 +53,7 @@ NEAR_NOISE = {  # faults of a few sigma: name, range, how many at once
 
 
 def initial(detector: str) -> str:
-    """P0 of a detector: the paper's identity for its Kalman filters; its ensemble leaves the gas model with +-1 MPa."""
+    """P0 of a detector: the paper's identity for its Kalman filters. Its ensemble would leave the gas model with +-1 MPa."""
     return "identity" if detector in ("fusing-ekf", "fusing-ukf") else "noise"
 
 
@@ -79,11 +79,11 @@ def steps(settings: Settings) -> int:
     return int(str(settings["steps"]))
 
 
-def check(settings: Settings) -> None:
-    """Raise ValueError for settings that no run can be made of, before any is begun."""
+def require_settings(settings: Settings) -> None:
+    """Raise ValueError for settings with which no run is possible, before the first run."""
     least = SETTLE + AFTERMATH + 5
     if steps(settings) < least:
-        raise ValueError(f"setting steps is {settings['steps']}; a fault takes its place from {least} samples on")
+        raise ValueError(f"setting steps is {settings['steps']}; a run with a fault needs at least {least} samples")
     for name, known in KNOWN.items():
         for value in np.atleast_1d(np.asarray(settings.get(name, known[0]))):
             if value not in known:
@@ -91,11 +91,11 @@ def check(settings: Settings) -> None:
 
 
 def tasks(settings: Settings, cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
-    """One task a cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `check` refuses.
+    """One task per cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `require_settings` refuses.
 
-    The setting process_noise is one of the paper's filters: the other detectors have the plant's own.
+    The setting process_noise applies to the paper's filters; the other detectors have the plant's own.
     """
-    check(settings)
+    require_settings(settings)
     common = {name: settings[name] for name in COMMON if name in settings}
     own = {"process_noise": OWN}
     return [

@@ -1,1 +1,1 @@
-"""What the measurements of speed share: the workloads, filterpy, and calls that are timed."""
+"""Shared by the measurements of speed: workloads, filterpy, and timed calls."""

@@ -1,6 +1,6 @@
-"""filterpy on the workloads of the benchmark, each of its filters called as its users call it.
+"""filterpy on the workloads of the benchmark, each filter called as in its documentation.
 
-filterpy's functions take one state at a time. `numpy_model` is a model as one writes it for filterpy: NumPy array
+filterpy's functions take one state at a time. `numpy_model` is a typical model for filterpy: NumPy array
 expressions for one state, its Jacobian by the complex step for all columns at once. `compiled_model` hands filterpy our
 compiled step and Jacobian instead, so that what remains is the filter alone.
 """

@@ -1,4 +1,4 @@
-"""Calls that are timed, what they take, and their rows."""
+"""Timed calls, their time and memory, and the rows."""
 
 from __future__ import annotations
 

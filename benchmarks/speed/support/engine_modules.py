@@ -1,6 +1,6 @@
-"""What the bounds of a step of the engine's modules cost: all ten at once over a batch of runs, and set inversion by codac.
+"""Cost of the bounds in a step of the engine's modules: all ten over a batch of runs, and set inversion by codac.
 
-Set inversion as Kougiatsos 2024 (11) has it: the z with 0 in z - phi(z, box), a call for each algebraic variable and step.
+Set inversion as in Kougiatsos 2024 (11): the z with 0 in z - phi(z, box), a call for each algebraic variable and step.
 A call builds codac's function too, with the step's readings in it as constants.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
-from fusion_sfdia.benchmarks.engine.support.campaign import engine_detector, noise, truth
+from fusion_sfdia.benchmarks.engine.support.campaign import noise, steady_detector, truth
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
 from fusion_sfdia.core.equation import argument_names
 from fusion_sfdia.core.modules import Modules
@@ -32,7 +32,7 @@ WIDEST = 5.0  # the initial box is the nominal value divided and multiplied by t
 @cache
 def detector() -> AdaptiveThreshold:
     """The engine's modules with valid thresholds at 5 % noise."""
-    return engine_detector("adaptive-threshold")
+    return steady_detector("adaptive-threshold")
 
 
 def step_call(runs: int = RUNS) -> Call:

@@ -2,9 +2,9 @@
 
     dx_i/dt = (x_{i+1} - x_{i-2}) x_{i-1} - x_i + F    (Lorenz 1996), F = 8
 
-Two sources of the same right-hand side: np.roll, as it is usually written and as costly for one state as for a hundred,
-and one gather of neighbours, some three times cheaper for a single state: how much a filter that calls its model state by
-state loses depends on what a call costs.
+Two implementations of the same right-hand side: np.roll, the usual one, as costly for one state as for a hundred, and one
+gather of neighbours, some three times cheaper for a single state. The cost of a call decides how much slower a filter is that
+calls its model state by state.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def lorenz_96(model: str = "np.roll") -> Plant:
 
 
 def pairs(kind: str, model: str) -> tuple[Call, Call]:
-    """Return predict and update in ours and in filterpy, each giving its estimate (63,).
+    """Return predict and update of this package and of filterpy, each giving its estimate (63,).
 
     kind: "kf", "ukf" or "enkf"; model: one of MODELS. For "kf" the tangent of the step is the constant matrix of both, and
     neither calls the model.

@@ -14,16 +14,17 @@ from fusion_sfdia.benchmarks.engine import process as engine_process
 from fusion_sfdia.benchmarks.engine import sensitivity as engine_sensitivity
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support import process_figures as engine_process_figures
-from fusion_sfdia.benchmarks.engine.support.campaign import VALID, engine_detector, first_firings, fork, noise, response, truth
+from fusion_sfdia.benchmarks.engine.support.campaign import VALID, first_firings, fork, noise, response, steady_detector, truth
 from fusion_sfdia.benchmarks.engine.support.noise_figures import AGENTS, FAULTS, OTHERS, OWN, condition, modules_of, published
 from fusion_sfdia.benchmarks.engine.support.trials import BIN, NAMES
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
+from fusion_sfdia.models.marine_engine.modules import MODULES
+from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.scenarios import scenario
 
 
 def readings(seeds: range, steps: int = 60) -> np.ndarray:
-    return truth(1.0).signal[:steps, None] + np.stack(list(noise(engine_detector(VALID).plant, steps, seeds)))
+    return truth(1.0).signal[:steps, None] + np.stack(list(noise(steady_detector(VALID).plant, steps, seeds)))
 
 
 @pytest.mark.slow
@@ -37,7 +38,7 @@ def test_healthy_runs_have_no_alarm(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_fault_of_two_thresholds_is_detected_at_its_onset() -> None:
-    """At full load no noise hides it."""
+    """At full load no noise masks it."""
     delays = [
         r
         for r in smallest("engine/load").summary.rows
@@ -52,7 +53,7 @@ def test_modules_and_sensors_have_one_order() -> None:
 
 
 def test_noise_of_a_seed_does_not_depend_on_the_others_and_stays_within_its_bounds() -> None:
-    plant = engine_detector(VALID).plant
+    plant = steady_detector(VALID).plant
     some = np.stack(list(noise(plant, 1100, [3, 4])))  # over the border of what is drawn at once
     np.testing.assert_array_equal(some[:, 1], np.stack(list(noise(plant, 1100, [4])))[:, 0])
     bound = np.array([s.noise_bound for s in plant.sensors])
@@ -62,8 +63,8 @@ def test_noise_of_a_seed_does_not_depend_on_the_others_and_stays_within_its_boun
     assert np.all(np.abs((ratio**2).mean(axis=0) - 1 / 3) < 4 * np.sqrt((1 / 5 - 1 / 9) / len(ratio)))
 
 
-def test_first_firings_say_what_the_decisions_say() -> None:
-    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+def test_first_firings_agree_with_the_decisions() -> None:
+    detector, t, u = steady_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
     y = readings(range(3))
     y[30:, 0, 3] -= 3.8e4
     y[40:, 1, 8] += 40.0
@@ -78,8 +79,8 @@ def test_first_firings_say_what_the_decisions_say() -> None:
     np.testing.assert_allclose(found["threshold"], decision.threshold.mean(axis=0), rtol=1e-12)
 
 
-def test_runs_that_part_at_the_onset_are_the_whole_runs() -> None:
-    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+def test_runs_forked_at_the_onset_equal_whole_runs() -> None:
+    detector, t, u = steady_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
     y = np.repeat(readings(range(2))[:, None], 2, axis=1)
     y[30:, 1, :, 0] *= 1.2
     _, whole = first_firings(detector, t, u, y)
@@ -93,12 +94,12 @@ def test_runs_that_part_at_the_onset_are_the_whole_runs() -> None:
 
 
 def test_one_envelope_serves_all_noise_up_to_the_usual() -> None:
-    small, usual = engine_detector(VALID, 0.01), engine_detector(VALID)
-    assert small.envelope == usual.envelope == pytest.approx(0.15) and engine_detector(VALID, 0.1).envelope == pytest.approx(
+    small, usual = steady_detector(VALID, 0.01), steady_detector(VALID)
+    assert small.envelope == usual.envelope == pytest.approx(0.15) and steady_detector(VALID, 0.1).envelope == pytest.approx(
         0.25
     )
     np.testing.assert_array_equal(small.slopes.signs, usual.slopes.signs)
-    # what is not proved over the wider one is next to nothing in small noise: below 0.1 % of the nominal values
+    # the part that is not proved over the wider one is negligible at small noise: below 0.1 % of the nominal values
     own = replace(small, envelope=None)
     both = [(d.slopes.unproved[:, :10] @ d._bound) / d.nominal for d in (own, small)]
     assert np.all(both[1] - both[0] < 1e-3)
@@ -140,8 +141,8 @@ def test_groups_of_modules() -> None:
     assert modules_of("S(1){1}", AGENTS) == modules_of("S(1){1}", OTHERS)
 
 
-def test_more_noise_hides_more() -> None:
-    """The same draws at rising levels: missed detections and delays by other agents rise, but for what chance allows."""
+def test_missed_detections_increase_with_the_noise() -> None:
+    """The same draws at rising levels: missed detections and delays by other agents increase, within chance."""
     one = scenario("engine/noise")
     settings = {**one.settings, "levels": (0.02, 0.04, 0.06, 0.1), "onset": 0.3, "duration": 1.3}
     rows = one.summarise(settings, [(t, one.work(t)) for t in one.tasks(settings, 20)]).rows
@@ -155,15 +156,15 @@ def test_more_noise_hides_more() -> None:
             assert all(after.high >= before.low for before, after in pairwise(rates))  # Wilson's 95 % intervals
             if group == AGENTS:
                 assert rates[-1].low > rates[0].value
-    # what all modules of other agents miss, all other modules need not: the first are among the second
+    # the modules of other agents are among all other modules, which may detect more
     by = {(r.fault, r.quantity, r.condition): r.value for r in rows if r.metric == "missed_detection_rate"}
     for (fault, quantity, level), value in by.items():
         if quantity == AGENTS:
             assert by[fault, OTHERS, level] <= value
 
 
-def test_two_thresholds_cannot_be_hidden() -> None:
-    detector, t, u = engine_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
+def test_faults_of_two_thresholds_are_always_detected() -> None:
+    detector, t, u = steady_detector(VALID), truth(1.0).t[:60], truth(1.0).u[:60]
     y = np.repeat(readings(range(5))[:, None], 10, axis=1)
     y[30:] += np.diag(campaign.sizes(detector, 2.0))[:, None]
     first = first_firings(detector, t, u, y)[1]["first"]
@@ -182,7 +183,7 @@ def test_attacks_change_the_reading_of_the_attacked_sensor_alone() -> None:
     assert offset.magnitude == pytest.approx((scaling.magnitude - 1) * nominal[7]) and sign.magnitude == -1
 
 
-def test_a_replay_at_constant_load_is_as_good_as_a_reading_and_a_load_step_betrays_it() -> None:
+def test_a_replay_is_undetectable_at_constant_load_and_detected_during_a_load_step() -> None:
     common = {"detector": VALID, "noise": 0.05, "onset": 0.5, "duration": 3.0, "what": "attack", "size": 2.0, "period": 0.4}
     cases = engine_process_figures.attack_cases()
     replay = [i for i, (kind, _) in enumerate(cases) if kind == "replay"]
@@ -205,7 +206,7 @@ def test_a_sentence_states_what_a_process_fault_isolates() -> None:
 def test_gains_are_those_of_the_designs() -> None:
     task = {"detector": VALID, "level": 0.05, "onset": 0.3, "duration": 0.5, "seeds": [0], "gains": "K22"}
     found = engine_sensitivity.sensitivity_work(task)
-    gains = engine_detector(VALID, 0.05, "K22").plant.structure.modules.gains
+    gains = steady_detector(VALID, 0.05, "K22").plant.structure.modules.gains
     assert gains == {"fuel": 1.16, "p_receiver": 445.0, "p_charge": 319.98}
     assert found["detected"].shape == (3, engine_sensitivity.SIZES.size, 1) and not found["beyond"].any()
     assert found["detected"][:, -1].all()  # 5 noise bounds
@@ -223,13 +224,13 @@ def test_gains_are_those_of_the_designs() -> None:
         ("engine/process", {"drives": ("jump",)}, "drives has jump"),
     ],
 )
-def test_settings_that_cannot_be(name: str, settings: dict[str, object], message: str) -> None:
+def test_invalid_settings_are_refused(name: str, settings: dict[str, object], message: str) -> None:
     one = scenario(name)
     with pytest.raises(ValueError, match=message):
         one.tasks({**one.settings, **settings}, 1)
 
 
-def test_a_campaign_gives_the_same_bits_however_its_seeds_are_dealt_out() -> None:
+def test_a_campaign_gives_the_same_bits_for_any_division_of_its_seeds() -> None:
     task = {"detector": VALID, "onset": 0.3, "duration": 0.5, "level": 0.05}
     both = engine_noise.noise_work({**task, "seeds": [5, 6]})["first"]
     alone = engine_noise.noise_work({**task, "seeds": [6]})["first"]

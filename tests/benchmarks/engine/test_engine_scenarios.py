@@ -26,7 +26,15 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detectable
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays
-from fusion_sfdia.models.marine_engine.published import SIGNATURES, THREE_FAULTS, TWO_FAULTS, Offset, minimum_fault, signatures
+from fusion_sfdia.models.marine_engine.published import (
+    SIGNATURES,
+    THREE_FAULTS,
+    TWO_FAULTS,
+    Offset,
+    PrintedTable,
+    minimum_fault,
+    signatures,
+)
 from fusion_sfdia.scenarios import scenario
 
 
@@ -35,7 +43,7 @@ def value(rows: list[Row], **expected: str) -> float:
     return found.value
 
 
-def test_published_numbers_say_where_they_stand() -> None:
+def test_published_numbers_state_their_source() -> None:
     assert [minimum_fault(m).value for m in NAMES] == [5.06, 20.36, 14.06, 63.68, 5.0, 50.8, 11.37, 4.88, 0.03, 68.97]
     assert "Table V" in minimum_fault("M(1,1)").source
     first = THREE_FAULTS.first_alarm("M(3,1)")
@@ -44,7 +52,7 @@ def test_published_numbers_say_where_they_stand() -> None:
     assert set(THREE_FAULTS.fired) | set(TWO_FAULTS.fired) <= set(NAMES)
 
 
-def test_the_printed_timelines_by_hand() -> None:
+def test_the_printed_timelines_checked_by_hand() -> None:
     """K24: 2, 4, 5, 6 sensors isolated from 20, 45.06, 69.9, 70.01 s on. K22: 2, 3, 3, 4 from 10, 20, 22.1, 25.3 s on."""
     for published, counts in ((THREE_FAULTS, [2, 4, 5, 6]), (TWO_FAULTS, [2, 3, 3, 4])):
         lines = timeline(published_first(published.fired), published.faults, published.duration)
@@ -126,16 +134,17 @@ def test_a_module_that_alarms_by_itself_has_no_smallest_fault() -> None:
 
 
 def test_matrices_differ_from_the_printed_in_three_entries() -> None:
-    found: dict[str, set[tuple[str, str]]] = {}
+    found: dict[PrintedTable, set[tuple[str, str]]] = {}
     for task in engine_signatures.signature_tasks({}, 1):
         arrays: Arrays = engine_signatures.signature_work(task)
-        lines, faults = list(signatures(task["table"])), list(engine_signatures.FAULTS)
-        found[task["table"]] = {(lines[i], faults[j]) for i, j in np.argwhere(arrays["ours"] != arrays["printed"])}
+        table = PrintedTable(*task["table"])
+        lines, faults = list(signatures(table)), list(engine_signatures.FAULTS)
+        found[table] = {(lines[i], faults[j]) for i, j in np.argwhere(arrays["ours"] != arrays["printed"])}
     turbine, speed = {("E(3,3)", "f1(4)")}, {("E(2,1)", "f3(2)"), ("E(2,2)", "f3(2)")}
     assert found == {name: set() for name in SIGNATURES} | {
-        "K24 Table I": speed,
-        "K24 Table II": turbine,
-        "K22 Table 1": turbine,
+        PrintedTable("K24", "Table I"): speed,
+        PrintedTable("K24", "Table II"): turbine,
+        PrintedTable("K22", "Table 1"): turbine,
     }
     rows = smallest("engine/signatures").summary.rows
     assert sum(r.value for r in rows if r.metric == "entries_equal") == 230 - 4
@@ -150,7 +159,7 @@ def test_matrices_differ_from_the_printed_in_three_entries() -> None:
         ({"detectors": ("limits",)}, "setting detectors has limits; known"),
     ],
 )
-def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], expected: str) -> None:
+def test_impossible_settings_are_refused_before_any_run(changes: dict[str, object], expected: str) -> None:
     one = scenario("engine/three-faults")
     with pytest.raises(ValueError, match=expected):
         one.tasks({**one.settings, **changes}, 1)

@@ -59,7 +59,7 @@ def short(variant: str) -> tuple[Arrays, list[Offset]]:
     return follow(detector, healthy.t, y, healthy.u, healthy.signal, faults, (2.0, 2.0)), faults
 
 
-def test_what_is_kept_of_a_run() -> None:
+def test_the_arrays_of_a_run() -> None:
     found, faults = short(GUARANTEED)
     own = [NAMES.index("M(2,3)"), NAMES.index("M(4,2)")]
     np.testing.assert_allclose(found["first"][:, own], [[0.2, 1.0]] * 3, rtol=1e-12)
@@ -73,14 +73,14 @@ def test_what_is_kept_of_a_run() -> None:
         sampled = 100 * np.abs(size[:, late, column] / fault.magnitude - 1).mean(axis=-1)
         # every KEPT-th sample of an estimate that changes seldom, by less than a tenth of itself
         np.testing.assert_allclose(found["mape"][:, i], sampled, rtol=0.1, atol=0.01)
-        told = np.isfinite(low[..., column])
-        assert np.all(((low <= fault.magnitude) & (fault.magnitude <= high))[..., column][told]) and told[:, late].all()
+        known = np.isfinite(low[..., column])
+        assert np.all(((low <= fault.magnitude) & (fault.magnitude <= high))[..., column][known]) and known[:, late].all()
         last = (high - low)[:, -1, column] / fault.magnitude
         np.testing.assert_allclose(found["width"][:, i], last, rtol=1e-3)  # of two numbers in single precision
     assert np.all(found["square"] < found["square_faulty"])
 
 
-def test_an_unseen_fault_counts_as_wholly_wrong() -> None:
+def test_an_undetected_fault_counts_as_an_error_of_100_percent() -> None:
     detector = virtual_sensors(0.03, GUARANTEED, "corners")
     healthy = recording(0.03, 40, (0, 1, 2))
     unseen = [Offset("S(2){3}", 0.1, 1.0)]
@@ -90,7 +90,7 @@ def test_an_unseen_fault_counts_as_wholly_wrong() -> None:
     assert np.isnan(found["rise"]).all() and not found["isolated"].any()
 
 
-def test_settings_that_no_run_can_be_made_of_are_refused() -> None:
+def test_impossible_settings_are_refused() -> None:
     one = scenario(NAME)
     with pytest.raises(ValueError, match=r"duration is 41\.0 s; expected more than 41"):
         one.tasks({**one.settings, "duration": 41.0}, 1)

@@ -24,7 +24,7 @@ def test_the_theory_of_consensus_is_the_corrected_threshold_without_memory() -> 
     np.testing.assert_allclose(np.sum(list(theory(areas, "corrected", 0.0).values()), axis=0), deviation**2, rtol=1e-12)
 
 
-def test_one_reading_alone_is_consensus_where_all_others_are_worthless() -> None:
+def test_consensus_with_useless_other_readings_is_the_own_reading() -> None:
     areas = network({"noise": "lit", "worse": 1e12})
     moments = list(run_network(network_model(), 20, [0, 1], loads=quiet))
     found = list(alone(areas, moments, CORRECTED.lam))

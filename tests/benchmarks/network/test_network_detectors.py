@@ -17,12 +17,12 @@ def quiet(t: float) -> np.ndarray[Any, Any]:
     return np.zeros(15)
 
 
-def test_innovations_are_white_and_of_the_covariance_they_claim() -> None:
+def test_innovations_are_white_with_the_computed_covariance() -> None:
     runs, steps = 20, 60
     model = network_model(unplugged=("15",))
     found = innovations(model, run_network(model, steps, range(runs), loads=quiet))
     mine = owners(model) == 3
-    assert found.sensors.size == 92  # area 15 and its one neighbour read each other's angles no more
+    assert found.sensors.size == 92  # area 15 and its only neighbour no longer read each other's angles
     per_run = chi_square(found, mine)[SETTLE:].mean(axis=0)
     margin = 4.5 * per_run.std(ddof=1) / np.sqrt(runs)  # standard errors
     assert abs(per_run.mean() - mine.sum()) < margin

@@ -1,4 +1,4 @@
-"""network/false-alarms: laws of noise, groups of components, counts of alarms and verdicts on claims."""
+"""network/false-alarms: noise distributions, groups of components, counts of alarms, and claims."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.benchmarks.network.false_alarms import counts, one_shock
-from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, CONSECUTIVE, SINGLE, Counted, verdict
+from fusion_sfdia.benchmarks.network.support.claims import ALPHAS, CONSECUTIVE, SINGLE, Counted, claim_kept
 from fusion_sfdia.benchmarks.network.support.residuals import draw_of, groups, owners
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.evaluation.results import Row
@@ -14,7 +14,7 @@ from fusion_sfdia.models.power_network.model import network_model
 
 
 @pytest.mark.parametrize("law", ["gaussian", "three-point 2"])
-def test_laws_of_noise_have_mean_0_and_variance_1(law: str) -> None:
+def test_noise_distributions_have_mean_0_and_variance_1(law: str) -> None:
     n = 200_000
     x = draw_of(law)(stream(0, "law"), (n,))
     # standard errors: of the mean 1/sqrt(n), of the variance sqrt((kurtosis - 1)/n) with kurtosis 3 and size^2 = 4
@@ -34,7 +34,7 @@ def test_an_unknown_law_is_refused() -> None:
         draw_of("cauchy")
 
 
-def test_groups_tell_each_component_once() -> None:
+def test_each_component_is_in_one_group() -> None:
     model = network_model()
     found = groups(model)
     assert np.all(np.sum(list(found.values()), axis=0) == 1)
@@ -44,7 +44,7 @@ def test_groups_tell_each_component_once() -> None:
     assert list(np.bincount(owners(model))) == [4 + k for k in np.diff(model.network.topology.start)]
 
 
-def test_alarms_in_a_row_are_counted_by_component_and_by_area() -> None:
+def test_consecutive_alarms_are_counted_by_component_and_by_area() -> None:
     z = np.zeros((6, 1, 3))  # two components of area 0, one of area 1
     z[1:4, 0, 0] = 3.0
     z[4, 0, 1] = -6.0
@@ -64,14 +64,14 @@ def test_a_claim_is_kept_broken_or_undecided() -> None:
 
     three = Counted(CONSECUTIVE, "chebyshev", "all", "lit", "gaussian", 5.0, q=3)
     assert three.condition == "3 consecutive, alpha 5, lit, gaussian"
-    assert three.claim == pytest.approx(5.0**-6) and verdict(counted(1e-4, 2e-4), three.claim) == "no"
+    assert three.claim == pytest.approx(5.0**-6) and claim_kept(counted(1e-4, 2e-4), three.claim) == "no"
     single = Counted(SINGLE, "chebyshev", "theta, 4 sharers", "lit", "gaussian", 2.0)
-    assert single.claim == 0.25 and verdict(counted(0.1, 0.3), single.claim) == "undecided"
-    assert verdict(counted(0.1, 0.3), 0.3) == "yes"
+    assert single.claim == 0.25 and claim_kept(counted(0.1, 0.3), single.claim) == "undecided"
+    assert claim_kept(counted(0.1, 0.3), 0.3) == "yes"
     assert Counted(SINGLE, "chebyshev", "all", "lit", "gaussian", rule="cantelli", level=0.01).claim == 0.01
 
 
-def test_one_shock_ends_one_row_of_alarms() -> None:
+def test_one_shock_causes_one_sequence_of_alarms() -> None:
     alpha = 10.0
     found = one_shock(list(range(20)), 20_000)
     for j, q in enumerate((1, 2, 3)):

@@ -1,4 +1,4 @@
-"""network/governor: deterministic thresholds, unplugging after the detection, runs that depend on their seeds alone."""
+"""network/governor: deterministic thresholds, unplugging after the detection, runs that depend on their seeds only."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from fusion_sfdia.models.power_network.operation import Switch
 from fusion_sfdia.scenarios import scenario
 
 
-def test_deterministic_thresholds_hold_what_is_bounded() -> None:
-    """The residuals of 200 steps with noise and disturbances of +- BOUND, by their very equation, stay below."""
+def test_deterministic_thresholds_bound_the_residuals_of_bounded_noise() -> None:
+    """The residuals of 200 steps with noise and disturbances of +- BOUND, by their own equation, stay below the thresholds."""
     model = network_model()
     areas = network_areas(model)
     rng = np.random.default_rng(0)
@@ -28,7 +28,7 @@ def test_deterministic_thresholds_hold_what_is_bounded() -> None:
     assert 0.5 < largest <= 1.0  # all signs at once are rare, none exceed
 
 
-def test_runs_are_their_seeds_whatever_runs_beside_them() -> None:
+def test_a_run_depends_on_its_own_seed_only() -> None:
     one = scenario("network/governor")
     task = one.tasks({**one.settings, "noises": ("lit",), "modes": ("corrected",), "duration": 72.0}, 3)[0]
     together, alone = one.work(task), one.work({**task, "seeds": [2]})

@@ -1,4 +1,4 @@
-"""network/plug: what a switch changes, and diagnosers that are replugged."""
+"""network/plug: effects of a switch, and replugged diagnosers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_change_reaches_neighbours_and_the_copies_that_others_hold_of_their_an
         assert numbered(found["copies"]) == beyond
 
 
-def test_diagnosers_that_are_replugged_follow_a_change_without_a_trace() -> None:
+def test_replugged_diagnosers_follow_a_change_exactly() -> None:
     model = network_model()
     quietly = list(run_network(model, 30, [0, 1], loads=quiet, switches=[Switch(20.0, unplug=("4",))]))
     # residuals are those of the noise alone: without its switch the same noise gives the same in an area far from it
@@ -41,7 +41,7 @@ def test_diagnosers_that_are_replugged_follow_a_change_without_a_trace() -> None
     assert opened.sum() == 6 and not with_switch[-1].residual_shared[:, opened].any()
 
 
-def test_the_letter_of_the_paper_keeps_the_spring_of_an_open_tie() -> None:
+def test_the_printed_rule_keeps_the_stiffness_of_an_open_tie() -> None:
     before, now = (network_areas(network_model(unplugged=away)) for away in ((), ("4",)))
     by_letter = switched(before, now, MANNERS[1])
     assert np.array_equal(by_letter.matrices, before.matrices) and np.array_equal(by_letter.slope, now.slope)

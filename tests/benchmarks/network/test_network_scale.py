@@ -1,4 +1,4 @@
-"""network/scale: each size has its rows, memory is what the arrays hold, and two processes where there is a cluster."""
+"""network/scale: rows of each size, memory as the sum of the arrays, and two processes if a cluster is installed."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ def test_each_size_has_its_times_and_its_memory() -> None:
     assert any("needs the packages distributed and cryptography" in remark for remark in summary.remarks)
 
 
-def test_what_is_timed_are_steps_that_go_on() -> None:
+def test_timed_steps_continue_the_run() -> None:
     areas = network_scale.network_areas(network_scale.network_of(15), named=False)
     step, arrays = network_scale.stepping(areas)
     for _ in range(3):
         step()
     settled = [a for a in arrays if a.shape == (1, 15, 4)]
-    assert sum(np.all((a > 0) & (a < 1)) for a in settled) >= 1  # the deviations, of which the diagnosers began unaware
+    assert sum(np.all((a > 0) & (a < 1)) for a in settled) >= 1  # the deviations, which the diagnosers start without
 
 
 @pytest.mark.skipif(not all(map(find_spec, network_scale.CLUSTER)), reason="needs distributed and cryptography")
-def test_two_processes_are_timed_beside_one() -> None:
+def test_two_processes_are_compared_with_one() -> None:
     summary = run(areas=(15,), parts=(30,))
     found = {(r.quantity, r.condition, r.metric): r.value for r in summary.rows}
     assert found["30 areas", "2 processes", "step_time"] > 0 and found["30 areas", "2 processes", "speedup"] < 1

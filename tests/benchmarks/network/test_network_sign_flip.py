@@ -19,7 +19,7 @@ def flipped(**changes: Any) -> dict[str, Any]:
     return trial(network_model(noise="small"), Watch(**watch), 75, range(6), loads="2", faults=[SIGN_FLIP.fault])
 
 
-def test_a_sign_flip_is_detected_isolated_and_made_up_for() -> None:
+def test_a_sign_flip_is_detected_isolated_and_compensated() -> None:
     alone, helped = flipped(), flipped(reconfigure=True)
     for found in (alone, helped):  # the same until the isolation
         assert np.all((found["detected"][:, 1] >= 48.0) & (found["detected"][:, 1] <= 51.0))

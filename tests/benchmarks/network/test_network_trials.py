@@ -1,4 +1,4 @@
-"""What the scenarios with a faulty area share: published times, rows of times, joined runs, settings."""
+"""Shared by the scenarios with a faulty area: published times, rows of times, joined runs, settings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fusion_sfdia.models.power_network.published import ATTACKS, GOVERNOR, SIGN_
 from fusion_sfdia.scenarios import scenario
 
 
-def test_published_times_say_where_they_stand() -> None:
+def test_published_times_state_their_source() -> None:
     delay, at = GOVERNOR.delay(GOVERNOR.detected), GOVERNOR.at(GOVERNOR.detected)
     assert delay is not None and at is not None
     assert (delay.value, at.value) == (8.0, 43.0) and "VIII-A" in delay.source
@@ -24,7 +24,7 @@ def test_published_times_say_where_they_stand() -> None:
     assert [fault.value for _, fault in ATTACKS if fault] == [-1.0, 2.0, 10.0]
 
 
-def test_what_times_say() -> None:
+def test_summaries_of_times() -> None:
     make = partial(row, "s", "chebyshev:paper", "f", "area 4")
     rows = {r.metric: r.value for r in time_rows(make, "detection", np.array([40.0, 44.0, np.inf]), 35.0, None, None)}
     assert rows == {"detection_delay": 7.0, "first_alarm_time": 40.0, "first_alarm_time_p5": 40.0, "first_alarm_time_p95": 44.0}
@@ -33,7 +33,7 @@ def test_what_times_say() -> None:
     assert all(np.isnan(r.value) and r.n == 0 for r in empty)
 
 
-def test_runs_of_several_tasks_stand_side_by_side_and_one_is_shown() -> None:
+def test_runs_of_several_tasks_are_joined_and_one_is_shown() -> None:
     names = ("answer", "alone_angle", "t", "alone_reached", "unplugged_bounds")
     parts = [({"k": 1}, dict.fromkeys(names, np.full(2, v))) for v in (1, 2)]
     both = join_runs(parts, lambda task: task["k"])[1]
@@ -44,7 +44,7 @@ def test_runs_of_several_tasks_stand_side_by_side_and_one_is_shown() -> None:
     ("name", "change", "message"),
     [
         ("network/governor", {"noises": ("large",)}, "one of noises 'large'"),
-        ("network/governor", {"duration": 60.0}, "area 15 joins at 70 s"),
+        ("network/governor", {"duration": 60.0}, "expected more than 70 s, when area 15 is plugged in"),
         ("network/sign-flip", {"cases": ("two",)}, "one of cases 'two'"),
         ("network/sign-flip", {"controller": "none"}, "controller 'none'"),
         ("network/attacks", {"faults": ("3u",)}, "one of faults '3u'"),

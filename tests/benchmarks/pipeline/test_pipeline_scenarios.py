@@ -1,4 +1,4 @@
-"""The pipeline scenarios end to end, and what the default banks must reach on the paper's faults."""
+"""The pipeline scenarios end to end, and minimum performance of the default banks on the paper's faults."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def cells(
 
 
 def test_the_papers_filters_have_the_process_noise_that_it_prints() -> None:
-    """Sec. V: 10 % lower than the sensors'; ours have the plant's own, and so has every bank on other plants."""
+    """Sec. V: 10 % lower than the sensors' noise; our detectors, and all banks on other plants, have the plant's own."""
     plant = gas_pipeline(snr="high")
     printed = as_printed(plant)
     np.testing.assert_allclose(printed.process_cov, 0.81 * plant.sensor_cov, rtol=1e-12)
@@ -58,7 +58,7 @@ def test_the_papers_filters_have_the_process_noise_that_it_prints() -> None:
         assert of == {d: {"tenth"} if d.startswith("loo") else both for d in of}, name
 
 
-def test_both_readings_stand_beside_the_published_value() -> None:
+def test_both_interpretations_are_compared_with_the_published_value() -> None:
     one = scenario("pipeline/estimation")
     settings = {**one.settings, "steps": 75}
     chosen = [t for t in one.tasks(settings, 1) if t["detector"] == "ukf" and t["snr"] == "moderate"]
@@ -67,7 +67,7 @@ def test_both_readings_stand_beside_the_published_value() -> None:
     literal = rmse["pressure", "moderate SNR"]
     other = rmse["pressure", "moderate SNR, process noise 0.1 sigma"]
     assert literal.published == other.published == pytest.approx(158.2)
-    assert literal.value > 2 * other.value  # a filter that trusts its model less follows its sensors
+    assert literal.value > 2 * other.value  # a filter with larger process noise follows its sensors
     (line,) = (r for r in summary.tables[0].rows if r[2] == "pressure")
     assert line[3:] == (
         literal.published,
@@ -88,7 +88,7 @@ def test_the_default_banks_isolate_the_papers_faults() -> None:
 
 
 @pytest.mark.slow
-def test_a_window_sees_a_pressure_bias_of_three_sigma() -> None:
+def test_a_window_detects_a_pressure_bias_of_three_sigma() -> None:
     found = cells(("loo-chi2", "loo-glr"), ("bias-3-sigma",), 12, False, ("pressure",))
     area = {
         d: detection_metrics.auc(found[d, "bias-3-sigma", "pressure"]["score"][..., 0], c.active, c.judged)
@@ -96,7 +96,7 @@ def test_a_window_sees_a_pressure_bias_of_three_sigma() -> None:
         if (c := found[d, "bias-3-sigma", "pressure"])
     }
     assert area["loo-glr"].value >= 0.93
-    assert area["loo-chi2"].high < area["loo-glr"].low  # one sample lets it in
+    assert area["loo-chi2"].high < area["loo-glr"].low  # a test of one sample absorbs it
 
 
 def test_the_reading_of_a_faulty_sensor_before_and_after_it_is_replaced() -> None:
@@ -153,7 +153,7 @@ def test_areas_are_reported_with_and_without_the_samples_after_a_fault() -> None
     assert found["auc_all_samples"] == pytest.approx(1 - 0.5 * 10 / 105, abs=3 * 10 / 105 * np.sqrt((1 / 60 + 1 / 40) / 12))
 
 
-def test_published_numbers_are_in_si_and_say_where_they_stand() -> None:
+def test_published_numbers_are_in_si_and_state_their_source() -> None:
     moderate = published.rmse("moderate", "fusing-ukf", "pressure")
     assert moderate is not None and moderate.value == pytest.approx(123.07) and "Table IV" in moderate.source
     weak = published.accuracy("low", "fusing-ekf", "mass flow", "weak-bias")
@@ -171,8 +171,8 @@ def test_the_aftermath_of_a_fault_is_what_follows_its_end() -> None:
 
 
 @pytest.mark.slow
-def test_the_central_covariance_is_true_in_every_quantity() -> None:
-    """NEES per state within [0.9, 1.1] on truth that obeys the model.
+def test_the_central_covariance_is_consistent_in_every_quantity() -> None:
+    """NEES per state within [0.9, 1.1] with a truth that obeys the model.
 
     Errors of 21 states in 10 runs of 120 samples that forget themselves in some ten: standard error sqrt(2 / 2520) = 0.028.
     """
@@ -202,13 +202,13 @@ def test_decisions_on_the_pipeline_do_not_change_from_pascal_to_bar(name: str) -
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"steps": 20}, "from 75 samples on"),
+        ({"steps": 20}, "needs at least 75 samples"),
         ({"snr": "loud"}, "known: high, moderate, low"),
         ({"process_noise": "half"}, "known: tenth, nine-tenths"),
         ({"truth": "bogus"}, "known: model, finer"),
     ],
 )
-def test_settings_that_no_run_can_be_made_of_are_refused_before_any(changes: dict[str, object], expected: str) -> None:
+def test_impossible_settings_are_refused_before_any_run(changes: dict[str, object], expected: str) -> None:
     one = scenario("pipeline/units")
     with pytest.raises(ValueError, match=expected):
         one.tasks({**one.settings, **changes}, 1)

@@ -1,4 +1,4 @@
-"""The benchmark: what is compared computes the same, and the rows are there. Speed itself is not tested."""
+"""The benchmark: compared calls compute the same, and all rows exist. Speed itself is not tested."""
 
 import json
 from importlib.util import find_spec
@@ -18,14 +18,14 @@ from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.filters import ekf, ukf
 from fusion_sfdia.filters.gaussian import condition, dense
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
-from fusion_sfdia.models.marine_engine.plant import MODULES
+from fusion_sfdia.models.marine_engine.modules import MODULES
 
 SHORT = 1e-3  # s
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 @pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "numpy"])
-def test_filterpy_on_the_pipeline_estimates_what_ours_does(kind: str, compiled: bool) -> None:
+def test_filterpy_on_the_pipeline_gives_the_same_estimates(kind: str, compiled: bool) -> None:
     plant = gas_pipeline(nodes=9)
     u = plant.input_at(0.0)
     y = plant.x0 + 2 * plant.sensor_sigma * np.sin(np.arange(27))
@@ -40,7 +40,7 @@ def test_filterpy_on_the_pipeline_estimates_what_ours_does(kind: str, compiled: 
         x, P, _ = ukf.predict(points, x, P, lambda s: np.array([model.step(p) for p in s]), Q)
         joint = ukf.joint(points, x, P, lambda s: s, R)
     ours = condition(joint, np.where(np.arange(27) == 4, np.nan, y)).x
-    # weights of 1e6 magnify the rounding of 8.4 MPa beside 500 Pa: eps 1e6 (8.4e6 / 500) = 4e-6 sigma, 50 operations of it
+    # weights of 1e6 magnify the rounding of 8.4 MPa relative to 500 Pa: eps 1e6 (8.4e6 / 500) = 4e-6 sigma, 50 operations of it
     tolerance = 50 * 4e-6 if kind == "ukf" else 1e-9
     np.testing.assert_allclose(theirs() / plant.state_scale, ours / plant.state_scale, rtol=0, atol=tolerance)
     np.testing.assert_array_equal(theirs(), theirs())  # each call repeats the same step
@@ -48,14 +48,14 @@ def test_filterpy_on_the_pipeline_estimates_what_ours_does(kind: str, compiled: 
 
 
 @pytest.mark.parametrize("kind", ["kf", "ukf"])
-def test_filterpy_on_lorenz_96_estimates_what_ours_does(kind: str) -> None:
+def test_filterpy_on_lorenz_96_gives_the_same_estimates(kind: str) -> None:
     ours, theirs = lorenz_96.pairs(kind, "np.roll")
     theirs()
     # weights of 1e6 magnify rounding of values near 8, over 127 points
     np.testing.assert_allclose(ours(), theirs(), rtol=0, atol=1e6 * 8 * np.finfo(float).eps * 127 if kind == "ukf" else 1e-11)
 
 
-def test_the_two_sources_of_lorenz_96_are_one_equation() -> None:
+def test_both_implementations_of_lorenz_96_agree() -> None:
     x = np.random.default_rng(1).standard_normal((3, 63))
     nothing = np.empty(0)
     a, b = (f(0.0, x, nothing, nothing, 8.0) for f in lorenz_96.MODELS.values())

@@ -55,7 +55,7 @@ def rms(difference: Array) -> Array:
     return root
 
 
-# --- the paper and others
+# --- published values
 
 
 def test_dimensions_and_names(plant: Plant) -> None:
@@ -93,7 +93,7 @@ def linepack(x: Array) -> Array:
 
 
 def test_mass_balance() -> None:
-    """Linepack gained = what came in - what went out, over the fast ramp, to the error of the scheme."""
+    """Change of linepack = inflow - outflow over the fast ramp, to the error of the scheme."""
     plant = gas_pipeline(nodes=81)
     x = trajectory(plant, 1200.0)
     gained = linepack(x) - linepack(x[0])
@@ -102,7 +102,7 @@ def test_mass_balance() -> None:
     assert np.abs(gained - exchanged).max() < 1e-4 * np.abs(gained).max()
     mean_p, mean_T = x[0, :81].mean(), x[0, 162:].mean()
     rho = mean_p / (equations.gas(mean_p, mean_T, C)[0] * C.gas_constant * mean_T)
-    assert linepack(x[0]) == pytest.approx(rho * C.length * AREA, rel=3e-3)  # the profile is that little bent
+    assert linepack(x[0]) == pytest.approx(rho * C.length * AREA, rel=3e-3)  # the profile is nearly linear
 
 
 def test_energy_balance_of_an_insulated_pipe() -> None:
@@ -307,7 +307,7 @@ def test_second_process_starts_from_the_cache(root: Path) -> None:
     assert hits > 0 and misses == 0
 
 
-def test_the_outlet_flow_is_the_users() -> None:
+def test_the_outlet_flow_can_be_set() -> None:
     plant = gas_pipeline(outlet_flow=lambda t: 200.0 + t)
     np.testing.assert_array_equal(plant.x0[21:42], 200.0)
     assert plant.input_at(0.0)[2] == 210.0  # at the end of the step, to which it runs

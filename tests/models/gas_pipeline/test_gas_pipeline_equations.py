@@ -32,7 +32,7 @@ def density(p: Any, T: Any) -> Any:
 
 
 def printed_matrix(p: float, m: float, T: float) -> tuple[Array, float, float]:
-    """A of Shaheen 2024 (6) as it stands in print, v and a_s."""
+    """A of Shaheen 2024 (6) as printed, v and a_s."""
     z, a1, a2, cp = equations.gas(p, T, C)
     R, A = C.gas_constant, AREA
     rho = density(p, T)
@@ -164,7 +164,7 @@ def test_colebrook_white(m: float, roughness: float) -> None:
     assert slope == pytest.approx(-2 * root**-3 * -by_m / by_root, rel=1e-10)
 
 
-def test_reversed_flow_is_no_number() -> None:
+def test_reversed_flow_gives_nan() -> None:
     with np.errstate(invalid="ignore", divide="ignore"):
         assert np.isnan(equations.friction_factor(np.float64(-10.0), C))
 
@@ -241,7 +241,7 @@ def test_plain_boundaries_are_not() -> None:
 
 
 def test_steady_state_holds_still() -> None:
-    """The profile by an ODE solver is a rest of the semi-discrete equations to their order, ds^4."""
+    """The profile by an ODE solver is a steady state of the semi-discrete equations to their order, ds^4."""
     worst = []
     for nodes in (21, 41, 81):
         physics = pipeline_physics(nodes, C)

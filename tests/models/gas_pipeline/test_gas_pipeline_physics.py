@@ -43,7 +43,7 @@ def test_steady_state_by_the_general_flow_equation(flow: float) -> None:
 @pytest.mark.parametrize("flow", [300.0, 450.0])
 def test_steady_state_of_the_gas_itself(flow: float) -> None:
     """Momentum p_s + rho v v_s = -f rho v^2 / 2d and energy m (cp T_s - cp mu p_s + v v_s) = -pi d k (T - T_a), along the
-    pipe with the properties of GERG-2008 (mu: Joule and Thomson) where ours have the fit, and f by a root finder.
+    pipe with the properties of GERG-2008 (mu: Joule and Thomson) where this package has the fit, and f by a root finder.
     """
     pytest.importorskip("pyaga8")
     d = C.diameter
@@ -73,7 +73,7 @@ def test_steady_state_of_the_gas_itself(flow: float) -> None:
 
 @pytest.mark.parametrize(("case", "viscosity", "tolerance"), [("PC", 1.193e-5, 4e-5), ("N", 1e-12, 2e-4)])
 def test_one_pipe_of_a_commercial_solver(shared_fixtures: Path, case: str, viscosity: float, tolerance: float) -> None:
-    """STANET's outlet pressure by Prandtl-Colebrook, and by Nikuradse's law, to which ours goes for vanishing viscosity.
+    """STANET's outlet pressure by Prandtl-Colebrook, and by Nikuradse's law, the limit of ours for vanishing viscosity.
 
     Its gas: z = 1, 0.84 kg/m3 at 101325 Pa and 273.15 K, isothermal (here by a huge heat capacity); pressures are above
     1.01325 bar; k/(3.71 d) where Shaheen 2024 has k/(3.7 d). What is left: acceleration, which STANET leaves out (2e-5 of

@@ -34,7 +34,7 @@ def random_states() -> tuple[Array, Array]:
     return rng.uniform(*PRESSURES, 200), rng.uniform(*TEMPERATURES, 200)
 
 
-def test_composition_is_whole() -> None:
+def test_mole_fractions_sum_to_one() -> None:
     assert sum(COMPOSITION.values()) == pytest.approx(1.0, abs=1e-12)
 
 

@@ -13,8 +13,9 @@ from scipy.integrate import quad
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import CONSTANT_SLIP, EQUATIONS, NOMINAL_SPEED, variables_of
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
+from fusion_sfdia.models.marine_engine.modules import MODULES
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
-from fusion_sfdia.models.marine_engine.plant import MODULES, SENSORS
+from fusion_sfdia.models.marine_engine.plant import SENSORS
 
 Array = NDArray[Any]
 

@@ -17,7 +17,7 @@ PLANT = marine_engine()
 
 def test_the_operating_point_at_full_load() -> None:
     found = engine_variables(PLANT.x0, C)
-    # the digits to which the point was worked out by hand; half a unit of the last one is allowed for
+    # the digits to which the point was computed by hand; half a unit of the last one is allowed for
     for name, value, half_a_digit in (
         ("fuel", 2.835e-3, 5e-7),
         ("p_cylinder", 1.7075e6, 50),

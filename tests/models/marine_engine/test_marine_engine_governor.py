@@ -1,4 +1,4 @@
-"""The governor: another speed, a heavier propeller, limits, and what is refused."""
+"""The governor: another speed, a heavier propeller, limits, and refused settings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOMINAL = 1000 / 60  # 1/s
 
 
 def test_the_governor_holds_the_balance_and_reaches_another_speed() -> None:
-    # the speed at rest is that asked for to 1e-12 of the equilibrium: so is the setting
+    # the steady speed is the reference to 1e-12 of the equilibrium, and so is the setting
     np.testing.assert_allclose(governed_settings(lambda t: NOMINAL, 5), 1.0, atol=1e-10)
     settings = governed_settings(lambda t: NOMINAL if t < 1 else 0.9 * NOMINAL, 4000)
     recording = simulate(PLANT, 4000, [0], inputs=settings, truth="model")
@@ -42,7 +42,7 @@ def test_the_governor_counters_a_heavier_propeller() -> None:
 
 
 def test_the_governor_does_not_wind_up_at_a_limit() -> None:
-    # asked for more than there is for 20 s: as soon as less is asked for, the setting falls
+    # a reference that cannot be reached for 20 s: as soon as it decreases, the setting decreases
     settings = governed_settings(lambda t: 1.2 * NOMINAL if t < 20 else 0.9 * NOMINAL, 2010)[:, 0]
     np.testing.assert_array_equal(settings[:2000], 1.0)
     assert settings[2000] < 1.0

@@ -1,4 +1,4 @@
-"""Engine files: units, provenance, what is refused, and another engine from another file."""
+"""Engine files: units, provenance, refused files, and another engine from another file."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_units_are_converted() -> None:
 
 def test_what_follows_from_the_file() -> None:
     c = engine_parameters()
-    # worked out by hand to these digits
+    # computed by hand to these digits
     assert c.compression == pytest.approx(12.536, abs=5e-4)
     assert c.expansion_end == pytest.approx(0.8888, abs=5e-5)
     assert c.fuel_nominal == pytest.approx(2.835e-3, rel=1e-12)
@@ -94,7 +94,7 @@ def test_a_bad_file_is_named_with_the_cure(tmp_path: Path, old: str, new: str, m
     assert message in str(error.value)
 
 
-def test_a_full_load_that_does_not_close_is_refused() -> None:
+def test_a_full_load_without_equilibrium_is_refused() -> None:
     for changes, message in (
         ({"p_receiver": 5e5}, "must fall in this order"),
         ({"cp_air": 200.0}, "c_v would not be positive"),

@@ -10,6 +10,7 @@ from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.power_network import equations
+from fusion_sfdia.models.power_network.area_model import area_model
 from fusion_sfdia.models.power_network.control import generation_control
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch
@@ -24,7 +25,7 @@ EPS = np.finfo(float).eps
 
 
 def test_power_balances() -> None:
-    """What the areas' inertia takes up is what is made less what is used: the ties only carry it."""
+    """The power into the areas' inertia is generation less consumption: the ties only carry power."""
     taken = 2 * MODEL.constants[:, 0] * rates(MODEL, X, REFERENCE, LOAD)[:, 1]
     made = X[:, 2] - MODEL.constants[:, 2] * X[:, 1] - LOAD
     largest = np.abs(MODEL.stiffness * X[:, 0]).max() + np.abs(taken).max()
@@ -61,7 +62,7 @@ def test_references_that_follow_the_loads_are_an_equilibrium(discretisation: str
 
 def test_the_matrices_are_those_of_the_paper() -> None:
     H, R, D, T_t, T_g = load_network().constants[3]
-    area = MODEL.area_model("4")
+    area = area_model(MODEL, "4")
     total = 2 + 3 + 2  # ties to 3, 5, 13
     assert area.A == pytest.approx(
         np.array(
@@ -106,7 +107,7 @@ def test_the_plant_has_the_sensors_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize(("noise", "variance"), [("lit", [1e-4] * 4), ("small", [1e-5, 1e-5, 1e-4, 1e-4])])
-def test_the_two_readings_of_the_process_noise(noise: str, variance: list[float]) -> None:
+def test_the_two_interpretations_of_the_process_noise(noise: str, variance: list[float]) -> None:
     assert power_network(noise=noise).process_cov[:4].tolist() == variance
     assert power_network(noise=noise, dt=0.5).process_cov[:4].tolist() == [v / 2 for v in variance]
 
@@ -167,7 +168,7 @@ def test_faults_and_switches_make_another_truth() -> None:
     assert not different[:42].any() and different[42:].all()  # row k is the reading at k + 1 s
 
 
-def test_plants_that_cannot_be() -> None:
+def test_impossible_plants_are_refused() -> None:
     for settings, message in (
         ({"areas": 1}, "at least 2"),
         ({"faults": [AreaFault("governor", "16", 1.0)]}, "unknown node '16'"),

@@ -8,9 +8,10 @@ from network_loop import rates
 from scipy.linalg import expm
 
 from fusion_sfdia.models.power_network import equations
+from fusion_sfdia.models.power_network.area_model import area_model
 from fusion_sfdia.models.power_network.model import NetworkModel, network_model
 from fusion_sfdia.models.power_network.parameters import generate_network, load_network
-from fusion_sfdia.models.power_network.plant import network_sensors, power_network
+from fusion_sfdia.models.power_network.plant import power_network
 
 MODEL = network_model()
 RNG = np.random.default_rng(1)
@@ -85,7 +86,7 @@ def test_unplugging_changes_the_neighbours_alone() -> None:
     without = MODEL.switched(unplug=["4"])
     assert changed_rows(MODEL, without) == {"3", "4", "5", "13"}
     for name in set(NAMES) - {"3", "4", "5", "13"}:
-        before, after = MODEL.area_model(name), without.area_model(name)
+        before, after = area_model(MODEL, name), area_model(without, name)
         assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True) if not isinstance(a, dict))
     joined = network_model(unplugged=["15"]).switched(plug_in=["15"])
     assert changed_rows(network_model(unplugged=["15"]), joined) == {"14", "15"}
@@ -93,10 +94,10 @@ def test_unplugging_changes_the_neighbours_alone() -> None:
 
 def test_unplugging_takes_the_slope_out_of_both_ends_at_once() -> None:
     without = MODEL.switched(unplug=["4"])
-    before, after = MODEL.area_model("5"), without.area_model("5")
+    before, after = area_model(MODEL, "5"), area_model(without, "5")
     assert after.neighbours == ("2", "6")
     assert after.A[1, 0] - before.A[1, 0] == pytest.approx(3 / (2 * 10), abs=4 * EPS)  # P_45 / 2 H_5
-    assert without.area_model("4").A[1, 0] == 0 and without.area_model("4").neighbours == ()
+    assert area_model(without, "4").A[1, 0] == 0 and area_model(without, "4").neighbours == ()
     # with the tie out of `external` alone, a common shift of the others' angles would drive area 5
     flat = np.zeros((15, 4))
     flat[:, 0] = 0.3
@@ -121,29 +122,12 @@ def test_there_and_back_restores_every_bit() -> None:
 def test_other_constants_change_one_area() -> None:
     slow = MODEL.altered("4", governor_time=1000.0)
     assert changed_rows(MODEL, slow) == {"4"}
-    assert slow.area_model("4").A[3].tolist() == [0, -1 / (0.08 * 1000.0), 0, -1 / 1000.0]
+    assert area_model(slow, "4").A[3].tolist() == [0, -1 / (0.08 * 1000.0), 0, -1 / 1000.0]
     for change, message in (({"governor_time": 0.0}, "governor_time of area 4 is 0"), ({"T_g": 1.0}, "unknown constants T_g")):
         with pytest.raises(ValueError, match=message):
             MODEL.altered("4", **change)
     with pytest.raises(ValueError, match="unknown node '16'"):
         MODEL.altered("16", governor_time=1.0)
-
-
-def test_an_area_predicts_itself_from_what_crosses_its_border() -> None:
-    after = MODEL.step(X, REFERENCE, LOAD)
-    for i, name in enumerate(NAMES):
-        area = MODEL.area_model(name)
-        theta = X[[NAMES.index(j) for j in area.neighbours], 0]
-        own = area.transition @ X[i] + area.by_reference * REFERENCE[i] + area.by_load * LOAD[i] + area.by_angles @ theta
-        assert own == pytest.approx(after[i], abs=100 * EPS * np.abs(area.transition).max())
-
-
-def test_what_crosses_the_border_of_an_area() -> None:
-    area = network_model(unplugged=["13"]).area_model("4")
-    assert area.received == ("theta_3", "theta_5") and area.shared == ("theta_3@4", "theta_5@4")
-    assert area.sharers == {"4": ("4", "3", "5"), "3": ("3", "2", "4"), "5": ("5", "2", "4", "6")}
-    owners = {s.name: s.owner for s in network_sensors(MODEL)}
-    assert all(owners[name] == "area 4" for name in area.shared) and owners["theta_3"] == "area 3"
 
 
 @pytest.mark.parametrize(
@@ -180,7 +164,7 @@ def test_a_network_of_150_000_areas_fits_in_memory() -> None:
     assert sum(a.nbytes for a in arrays) < 400 * n  # bytes: 24 numbers of its discretisation, five constants, 4.5 sides
     x = np.random.default_rng(0).standard_normal((n, 4))
     after = model.step(x, np.zeros(n), np.zeros(n))
-    area = model.area_model("75000")
+    area = area_model(model, "75000")
     theta = x[[int(j) - 1 for j in area.neighbours], 0]
     assert area.transition @ x[74999] + area.by_angles @ theta == pytest.approx(after[74999], abs=1e-11)
     without = model.switched(unplug=["75000"])

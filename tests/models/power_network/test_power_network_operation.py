@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fusion_sfdia.models.power_network.area_model import area_model
 from fusion_sfdia.models.power_network.model import network_model
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch, load_profile, network_conditions
 from fusion_sfdia.models.power_network.parameters import LoadStep, load_steps
@@ -25,7 +26,7 @@ def test_loads_are_the_sums_of_their_steps() -> None:
         load_profile(MODEL, [LoadStep(1.0, "16", 0.1)])
 
 
-def test_what_each_fault_does() -> None:
+def test_the_effect_of_each_fault() -> None:
     def step(*faults: AreaFault) -> np.ndarray:
         return network_conditions(MODEL, faults)(10.0).step(X, REFERENCE, LOAD)
 
@@ -48,9 +49,9 @@ def test_events_act_from_their_time_until_their_end() -> None:
     assert at(11.0) is at(11.5)
 
 
-def test_a_fault_is_in_the_truth_and_not_in_what_is_known() -> None:
+def test_a_fault_changes_the_truth_and_not_the_known_model() -> None:
     now = network_conditions(MODEL, [AreaFault("governor", "4", 1000.0, onset=5.0)], [Switch(8.0, unplug=("4",))])(9.0)
-    assert now.true.area_model("4").A[3, 3] == -1e-3 and now.known.area_model("4").A[3, 3] == -10
+    assert area_model(now.true, "4").A[3, 3] == -1e-3 and area_model(now.known, "4").A[3, 3] == -10
     assert np.array_equal(now.true.side_slope, now.known.side_slope)
 
 
@@ -65,7 +66,7 @@ def test_a_fault_is_in_the_truth_and_not_in_what_is_known() -> None:
         ({"onset": 3.0, "end": 3.0}, "onset before the end"),
     ],
 )
-def test_faults_that_are_none(fault: dict[str, object], message: str) -> None:
+def test_fault_values_without_effect_are_refused(fault: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         AreaFault(**({"kind": "governor", "area": "4", "value": 1.0} | fault))  # type: ignore[arg-type]
 

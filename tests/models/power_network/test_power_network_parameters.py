@@ -93,7 +93,7 @@ def test_load_steps_come_in_order_of_time() -> None:
         ("[tie]", "[tie", "is not a TOML file"),
     ],
 )
-def test_a_file_that_is_wrong(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_wrong_files_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in TEXT
     path = tmp_path / "network.toml"
     path.write_text(TEXT.replace(old, new, 1), encoding="utf-8")
@@ -110,7 +110,7 @@ def test_a_file_that_is_wrong(tmp_path: Path, old: str, new: str, message: str) 
         ("recalled = [[5", "remembered = [[5", "provenance 'remembered'"),
     ],
 )
-def test_load_steps_that_are_wrong(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_wrong_load_steps_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "network.toml"
     path.write_text(TEXT.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(ValueError, match=message):
@@ -154,6 +154,6 @@ def test_generated_networks_are_connected_and_of_the_stated_degree(areas: int, d
         (10, 0, float("nan"), "degree is nan"),
     ],
 )
-def test_networks_that_cannot_be(areas: int, seed: int, degree: float, message: str) -> None:
+def test_impossible_networks_are_refused(areas: int, seed: int, degree: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         generate_network(areas, seed, degree)

@@ -1,4 +1,4 @@
-"""Networks that change while they run: in place what a new model would be, to the bit, and nothing where a change fails."""
+"""Networks that change while they run: in place with the bits of a new model, and unchanged if a change fails."""
 
 from __future__ import annotations
 

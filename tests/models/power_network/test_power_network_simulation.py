@@ -16,8 +16,8 @@ from fusion_sfdia.models.power_network.parameters import LoadStep, load_steps
 
 def test_a_run_depends_on_its_own_seed_alone() -> None:
     alone = closed_loop(generation_control, 20, seeds=[7], process_noise=True)
-    beside = closed_loop(generation_control, 20, seeds=[3, 7], process_noise=True)
-    for a, b in zip(alone, beside, strict=True):
+    among_others = closed_loop(generation_control, 20, seeds=[3, 7], process_noise=True)
+    for a, b in zip(alone, among_others, strict=True):
         assert np.array_equal(a.y[0], b.y[1]) and np.array_equal(a.x[0], b.x[1]) and np.array_equal(a.u[0], b.u[1])
 
 

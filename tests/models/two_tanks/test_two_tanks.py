@@ -1,4 +1,4 @@
-"""The two tanks: what can be checked by hand."""
+"""The two tanks, checked by hand."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_at_rest_levels_are_equal_and_all_flows_the_inflow() -> None:
     np.testing.assert_array_equal(plant.input_at(1e6), [INFLOW])
 
 
-def test_water_is_neither_made_nor_lost() -> None:
+def test_water_is_conserved() -> None:
     """What both tanks gain is what flows in less what flows out: the sum of the equations, and of the discrete step."""
     physics, c = tank_physics(), Tanks()
     assert physics.phi is not None
@@ -56,7 +56,7 @@ def test_an_empty_inflow_drains_the_upper_tank_by_torricelli() -> None:
     assert x[0] == pytest.approx((1.0 - c.outlet * t / (2 * c.area)) ** 2, abs=20 * (5 / 60) ** 5 / 120)
 
 
-def test_the_equations_serve_intervals_as_they_stand() -> None:
+def test_the_equations_accept_intervals() -> None:
     flow = EQUATIONS["flow_12"](Interval(np.array(0.81), np.array(1.21)), Tanks())
     assert flow.lo <= 0.9 * 6e-4 and flow.hi >= 1.1 * 6e-4
     assert flow.hi - flow.lo == pytest.approx(0.2 * 6e-4, rel=1e-9)
@@ -73,7 +73,7 @@ def test_the_inflow_swings_when_asked_and_the_levels_follow_late() -> None:
     assert upper == pytest.approx(0.753, rel=0.05) and lower == pytest.approx(0.753**2, rel=0.05)
 
 
-def test_the_truth_differs_from_the_model_by_less_than_the_noise_and_rests_where_it_is_said_to() -> None:
+def test_the_truth_differs_from_the_model_by_less_than_the_noise_and_has_the_stated_steady_state() -> None:
     plant = two_tanks()
     assert plant.truth.finer is not None
     truth, to_states = plant.truth.finer()

@@ -1,7 +1,7 @@
-"""Both readings of the process noise of Shaheen 2024, beside its tables.
+"""The two interpretations of the process noise of Shaheen 2024, and its tables compared with both.
 
 Sec. V makes the process noise "10% lower" than the measurement noise: 0.9 sigma, read literally, the default of the scenarios.
-"10 % of" it, 0.1 sigma, is the other reading, which agrees better with Table IV.
+"10 % of" it, 0.1 sigma, is the other interpretation, which agrees better with Table IV.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE
 from fusion_sfdia.report.content import Interval, Table
 
-Cases = Mapping[tuple[str, ...], Mapping[str, Estimate]]  # (detector, ...): {reading: value}
+Cases = Mapping[tuple[str, ...], Mapping[str, Estimate]]  # (detector, ...): {interpretation: value}
 
 
-def readings(settings: Settings) -> dict[str, str]:
-    """Both readings, that of the settings first, with what is added to the condition in the rows of the other."""
+def interpretations(settings: Settings) -> dict[str, str]:
+    """Both interpretations by name, that of the settings first, each with the suffix of the condition in its rows."""
     chosen = str(settings["process_noise"])
     return {chosen: ""} | {k: f", process noise {v:g} sigma" for k, v in PROCESS_NOISE.items() if k != chosen}
 
 
 def condition(snr: str, suffix: str = "") -> str:
-    """The condition of a row: the level of noise, and the other reading where it is of that."""
+    """The condition of a row: the noise level, and the suffix of the other interpretation."""
     return f"{snr} SNR{suffix}"
 
 
-def readings_table(
+def interpretations_table(
     title: str, header: tuple[str, ...], found: Cases, published: Mapping[tuple[str, ...], Published | None]
 ) -> Table:
-    """Each case with its published value and ours by reading, the literal one first."""
+    """Each case with its published value and ours by interpretation, the literal one first."""
     order = sorted(PROCESS_NOISE, key=lambda k: -PROCESS_NOISE[k])
     lines: list[tuple[str | float | Interval, ...]] = []
     for case, values in found.items():
@@ -54,7 +54,7 @@ def interval(e: Estimate) -> Interval:
 
 
 def nearer(found: Cases, published: Mapping[tuple[str, ...], Published | None]) -> str:
-    """For how many published values each reading is the nearer one, where both have one and differ."""
+    """The number of published values to which each interpretation is nearer, of those for which both have a value."""
     count = dict.fromkeys(PROCESS_NOISE, 0)
     for case, values in found.items():
         theirs = published.get(case)
