@@ -20,8 +20,8 @@ from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+from fusion_sfdia.kalman_banks.sequential_rules import Cusum, Ewma, SequentialRule, Shewhart, SumOfSquares
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 from fusion_sfdia.structural_residuals.structure import modules_of
@@ -37,7 +37,7 @@ PAPER_PROCESS = {
 PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 computes in MPa, kg/s, K: its residual (20) adds these units
 
 PAPER_FILTERS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(redraw=False), "enkf": Ensemble()}
-RULES: dict[str, Rule] = {"window": SumOfSquares(15), "cusum": Cusum(1.0), "ewma": Ewma(0.2)}
+RULES: dict[str, SequentialRule] = {"window": SumOfSquares(15), "cusum": Cusum(1.0), "ewma": Ewma(0.2)}
 
 
 def as_printed(plant: Plant) -> Plant:

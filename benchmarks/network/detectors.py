@@ -29,7 +29,7 @@ from fusion_sfdia.models.power_network.operation import AreaFault, load_profile
 from fusion_sfdia.models.power_network.parameters import load_steps
 from fusion_sfdia.models.power_network.simulation import run_network
 from fusion_sfdia.report.content import Summary
-from fusion_sfdia.stochastic_thresholds.confirmation import Consecutive, Cusum, SequentialTest, WindowGlr, run
+from fusion_sfdia.stochastic_thresholds.confirmation import Confirmation, ConfirmationCusum, Consecutive, WindowGlr, run
 from fusion_sfdia.stochastic_thresholds.threshold_rules import conformal_alpha
 
 Array = NDArray[Any]
@@ -72,7 +72,7 @@ def detector_work(task: Task) -> Arrays:
     found = innovations(model, moments)
     fresh = standardised(found, mine)[SETTLE:]
 
-    def largest(test: SequentialTest, values: Array) -> Array:
+    def largest(test: Confirmation, values: Array) -> Array:
         known = values[..., np.isfinite(values).all(axis=(0, 1))]
         return np.asarray(run(test, known).max(axis=-1))
 
@@ -81,10 +81,10 @@ def detector_work(task: Task) -> Arrays:
     statistics = (
         largest(Consecutive(level, 1), memory),
         largest(Consecutive(level, 3), memory),
-        largest(Cusum(level, DRIFT), plain),
+        largest(ConfirmationCusum(level, DRIFT), plain),
         largest(WindowGlr(level, WINDOW), plain),
         chi_square(found, mine)[SETTLE:],
-        largest(Cusum(level, DRIFT), fresh),
+        largest(ConfirmationCusum(level, DRIFT), fresh),
         largest(WindowGlr(level, WINDOW), fresh),
     )
     return dict(zip(TESTS, statistics, strict=True))

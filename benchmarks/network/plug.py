@@ -37,7 +37,7 @@ from fusion_sfdia.models.power_network.simulation import NetworkSample, run_netw
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings, initial_state
 from fusion_sfdia.stochastic_thresholds.network_step import network_step
-from fusion_sfdia.stochastic_thresholds.replug import forgotten, opened_sides
+from fusion_sfdia.stochastic_thresholds.replug import opened_sides, reset_sides
 
 Array = NDArray[Any]
 
@@ -86,7 +86,7 @@ def replugged(model: NetworkModel, moments: Iterable[NetworkSample], manner: str
         state, _ = network_step(areas, state, given, 1.0, CORRECTED.lam)
         yield state
         after = switched(areas, network_areas(now.condition.known, named=False), manner)
-        state, areas = Diagnosers(*map(np.ascontiguousarray, forgotten(state, opened_sides(areas, after)))), after
+        state, areas = Diagnosers(*map(np.ascontiguousarray, reset_sides(state, opened_sides(areas, after)))), after
 
 
 def switched(before: Areas, now: Areas, manner: str) -> Areas:

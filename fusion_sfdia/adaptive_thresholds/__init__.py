@@ -1,1 +1,1 @@
-"""Detectors on observers and equations: thresholds that bounded noise does not exceed, diagnosis sets, virtual sensors."""
+"""Detectors on observers and equations: thresholds above the effect of bounded noise, diagnosis sets, virtual sensors."""

@@ -1,4 +1,4 @@
-"""Adaptive observer: a state and the constant fault of its own sensor, estimated together (V22, sec. 4.1, (12), (13)).
+"""Adaptive observer: joint estimation of a state and the constant fault of its own sensor (V22, sec. 4.1, (12), (13)).
 
 V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines", IFAC-PapersOnLine 55-31, 333-338.
 """
@@ -14,7 +14,7 @@ Array = NDArray[Any]
 
 
 class Estimates(NamedTuple):
-    """Of a state, its sensitivity Omega to the fault's estimate, and the fault: arrays (...) of one shape."""
+    """Estimate of a state, its sensitivity Omega to the fault estimate, and the fault estimate; arrays (...) of one shape."""
 
     state: Array
     omega: Array
@@ -22,7 +22,7 @@ class Estimates(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Of a state and its observer, all in 1/s: its own rate of decay, the gain L, and the learning rate Gamma."""
+    """Rate of decay of a state, gain L and learning rate Gamma of its observer, all in 1/s."""
 
     rate: float
     gain: float
@@ -30,13 +30,13 @@ class Rates(NamedTuple):
 
 
 def adapt(now: Estimates, h: Array, before: Array, reading: Array, active: Array, dt: float, rates: Rates) -> Estimates:
-    """Return the estimates a step of dt seconds later, of x' = -rate x + h with the readings y = x + f before and after it.
+    """Return the estimates after a step of dt seconds, for x' = -rate x + h and y = x + f.
 
         x^' = -rate x^ + h + L (y - x^ - f^) + Omega f^'    Omega' = -(rate + L) Omega - L
         f^' = Gamma (Omega + 1) D (y - x^ - f^)
 
-    with L and Gamma of the rates; D: active, bool. The linear part is exact for h and y held over
-    the step, the adaptive law is Euler's. Readings that are NaN correct nothing.
+    before, reading: y before and after the step. active: D, bool. L and Gamma are those of `rates`. The linear part is exact
+    for h and y held over the step; the adaptive law uses an Euler step. A NaN reading corrects nothing.
     """
     rate, gain, learning = rates
     known = np.isfinite(before)
@@ -52,9 +52,9 @@ def adapt(now: Estimates, h: Array, before: Array, reading: Array, active: Array
 
 
 def adaptive_rate(rates: Rates) -> float:
-    """Return Gamma (1 + Omega)^2, 1/s, with Omega = -L / (rate + L) once it has settled: how fast the fault's error decays.
+    """Return Gamma (1 + Omega)^2, 1/s, the decay rate of the fault's error at steady Omega = -L / (rate + L).
 
-    The innovation is (1 + Omega)(f - f^) then: a gain far above the rate makes the observer follow the faulty reading.
+    The innovation is then (1 + Omega)(f - f^): with a gain far above the rate the observer follows the faulty reading.
     """
     rate, gain, learning = rates
     return learning * (rate / (rate + gain)) ** 2

@@ -1,24 +1,26 @@
 """Detector: observers and algebraic residuals with adaptive thresholds, and diagnosis sets from their decisions.
 
-Kougiatsos and Reppa 2024 (K24). A module compares the sensor of one variable with the equation that computes it. A state
-has a Luenberger observer (6), here sampled: exact for its linear part, with h and the reading y held over a step,
+Kougiatsos and Reppa 2024 (K24). A monitoring module compares the sensor of one variable with the equation that computes it.
+A state has a Luenberger observer (6), here in discrete time: exact for the linear part, with h and the reading y held over a
+step,
 
     x+ = lam x + (1 - lam)/a (h + L y),   a = rate + L,   lam = exp(-a dt),
 
-an algebraic variable its equation at the readings, (11)-(13). A threshold bounds what noise within the sensors' bounds d can
-do: the state's error e obeys
+An algebraic variable has its equation, evaluated at the readings, (11)-(13). A threshold bounds the effect of noise within the
+sensors' bounds d. The state's error e obeys
 
     |e|+ <= lam |e| + (1 - lam)/a (sup |h - h(true)| + L d) + moved,   |y - x| <= |e| + d
 
-where `moved` bounds the change of the state within a step, see monitoring. The supremum, as the interval of an algebraic
-residual, comes from the corners of the equation over the box of true values that are possible with the readings
-(`corner_bounds`). No false alarm is possible while the plant obeys its equations, readings are within their bounds, variables
-within the envelope and, over one step, monotone (h is evaluated at the middle of the two readings of a step, its box contains
-both), and states move by no more than their `drift`. For a missing reading the box is the whole envelope; readings at which an
-equation has no value are moved into the envelope for that equation.
+where `moved` bounds the change of the state within a step (see monitoring). The supremum, and the interval of an algebraic
+residual, come from the corners of the equation over the box of true values that the readings allow (`corner_bounds`).
 
-With `observer_bounds` the thresholds of the observers are (10) with given constants instead, as published. The Lipschitz
-constant of (10) is the slope at the nominal point there: a law with an infinite slope within the box has none.
+No false alarm is possible as long as the plant obeys its equations, readings are within their bounds, variables are within the
+envelope and monotone over one step, and states move by no more than their `drift`. h is evaluated at the middle of the two
+readings of a step; its box contains both. For a missing reading the box is the whole envelope. Readings at which an equation
+has no value are moved into the envelope for that equation.
+
+With `observer_bounds` the thresholds of the observers are (10) with given constants, as published. The Lipschitz constant of
+(10) is then the slope at the nominal point: an equation with an infinite slope within the box has no Lipschitz constant.
 """
 
 from __future__ import annotations
@@ -34,24 +36,23 @@ from numpy.typing import NDArray
 from fusion_sfdia.adaptive_thresholds.algebraic_bounds import METHODS, enclosed
 from fusion_sfdia.adaptive_thresholds.corner_bounds import Slopes, prove
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic, module_logic
-from fusion_sfdia.adaptive_thresholds.monitoring import Settings, monitor, verdict
-from fusion_sfdia.core.arguments import number, shown
+from fusion_sfdia.adaptive_thresholds.monitored_plant import envelope_ends, modules_of, require_one_bounded_sensor_each
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, decide, monitor, quantities_of
+from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
-from fusion_sfdia.core.detector import Decision, NotApplicableError
-from fusion_sfdia.core.equation import COMPLEX_STEP, argument_names
+from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.equation import COMPLEX_STEP
 from fusion_sfdia.core.modules import Modules, ObserverBound
 from fusion_sfdia.core.state import mapped
 
 Array = NDArray[Any]
 
-ENVELOPE = 0.05  # of the nominal values, beyond twice the noise, which is assumed to contain healthy readings
-
 
 class MonitoringMemory(NamedTuple):
-    """In SI, by state (..., S), by variable (..., E) or by sensor (..., N), all in the order of the equations.
+    """Memory in SI units. States (..., S) and variables (..., E) are in the order of the equations.
 
-    x, error: (..., S) the observers' estimates and bounds of their errors. reading: (..., E) the last ones, NaN where missing.
-    fired: (..., N) modules that have fired, in the order of the sensors. elapsed: (...) s since the start.
+    x, error: (..., S) the observers' estimates and bounds of their errors. reading: (..., E) the last readings, NaN where
+    missing. fired: (..., N) modules that have fired, in the order of the sensors. elapsed: (...) s since the start.
     """
 
     x: Array
@@ -65,20 +66,22 @@ class MonitoringMemory(NamedTuple):
 class AdaptiveThreshold(BatchDetector):
     """Monitoring modules of a plant whose `modules` state its equations; hypotheses are the sensors.
 
-    envelope: the range of healthy readings: half its width as a share of the nominal values, or {variable: (least, most)} in
-    SI for those that change with the load, including twice the noise bound on either side; otherwise twice the largest
-    noise bound plus 5 %. A varying load needs an envelope as wide as its transients, or else alarms are no proof of a fault.
-    drift: {state: share of its nominal value by which it moves at most in one plant.dt}, for which the plant's modules have
-    values at a steady load. Give one for a load that varies, even within the envelope (for loads of the engine within 3 %
-    marine_engine.receiver_drift). For other states the model and the readings bound it.
+    envelope: the range of healthy readings. A number: half of its width as a share of the nominal values. {variable: (least,
+    most)} in SI is for variables that change with the load; include twice the noise bound on either side. Default: twice the
+    largest noise bound plus 5 %. A varying load needs an envelope as wide as its transients; otherwise an alarm does not prove
+    a fault.
+    drift: {state: share of its nominal value by which it moves at most in one plant.dt}. Default: the values of the plant's
+    modules, for a steady load. Give it for a load that varies, even within the envelope (for loads of the engine within 3 %
+    marine_engine.receiver_drift). For other states the model and the readings bound the drift.
     bounds: of algebraic variables: "corners"; "inclusion", interval arithmetic through the equation, K22 (36); "sivia", set
-    inversion, K24 (11), or "codac", the same by that library. These are wider and slow.
-    margins: {variable: share of its nominal value} added to its threshold. latch: a module that has fired stays fired, (16).
-    agents: whether an agent of which no module fires exonerates its own sensors, (17), (18).
+    inversion, K24 (11); or "codac", set inversion by that library. The alternatives are wider and slow.
+    margins: {variable: share of its nominal value} added to its threshold. latch: the decision of a module that has fired
+    stays, (16).
+    agents: whether an agent exonerates its own sensors while none of its modules fires, (17), (18).
 
-    isolated are the members of all diagnoses: suspects, perhaps most sensors, whose readings stay as they are in the
-    reconstruction; none where no set of faults explains the modules that fire. The fault size is the residual, which of an
-    observer is only the part of the fault that it has not followed.
+    isolated: the members of all diagnoses, which may be most sensors; no sensor where no set of faults explains the modules
+    that fire. The reconstruction keeps the readings of isolated sensors. The fault size is the residual; for an observer it is
+    only the part of the fault that the observer has not followed.
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None
@@ -92,38 +95,18 @@ class AdaptiveThreshold(BatchDetector):
     def __post_init__(self) -> None:
         super().__post_init__()
         modules, plant = self._modules, self.plant
-        measured = [s.measures for s in plant.sensors]
-        for variable in modules.equations:
-            if len(several := [s.name for s in plant.sensors if s.measures == variable]) > 1:
-                raise NotApplicableError(
-                    f"sensors {', '.join(several)} all read {variable}; a module compares one: build the plant with one of them"
-                )
-        if sorted(measured) != sorted(modules.equations):
-            raise NotApplicableError(
-                f"plant {plant.name!r} has sensors of {', '.join(measured)}, equations of {', '.join(modules.equations)}; "
-                "expected one sensor for each equation"
-            )
-        if unbounded := [s.name for s in plant.sensors if not np.isfinite(s.noise_bound)]:
-            raise NotApplicableError(
-                f"sensors {', '.join(unbounded)} have no noise bound; an adaptive threshold needs one: give bound"
-            )
+        require_one_bounded_sensor_each(plant, modules)
         if self.bounds not in METHODS:
             raise ValueError(f"bounds is {shown(self.bounds)}; known: {', '.join(METHODS)}")
         for what, known in (("observer_bounds", modules.states), ("drift", modules.states), ("margins", modules.equations)):
             if unknown := [v for v in getattr(self, what) or () if v not in known]:
-                raise ValueError(f"{what} names {', '.join(unknown)}; expected some of {', '.join(known)}")
+                raise ValueError(f"{what} has {', '.join(unknown)}; expected some of {', '.join(known)}")
         if isinstance(self.envelope, Mapping) and (unknown := [v for v in self.envelope if v not in modules.equations]):
-            raise ValueError(f"envelope names {', '.join(unknown)}; expected some of {', '.join(modules.equations)}")
+            raise ValueError(f"envelope has {', '.join(unknown)}; expected some of {', '.join(modules.equations)}")
 
     @property
     def _modules(self) -> Modules:
-        if self.plant.structure.modules is None:
-            raise NotApplicableError(
-                f"plant {self.plant.name!r} does not state its scalar equations; give "
-                "Plant(structure=Structure(modules=Modules(...))) or take "
-                "another detector"
-            )
-        return self.plant.structure.modules
+        return modules_of(self.plant)
 
     @cached_property
     def _sensor(self) -> Array:
@@ -149,17 +132,7 @@ class AdaptiveThreshold(BatchDetector):
     @cached_property
     def ends(self) -> tuple[Array, Array]:
         """Least and largest healthy readings by variable (E,), SI."""
-        given = self.envelope if isinstance(self.envelope, Mapping) else {}
-        if isinstance(self.envelope, Mapping) or self.envelope is None:
-            if zero := [v for v, n in zip(self._modules.equations, self.nominal, strict=True) if n == 0 and v not in given]:
-                raise ValueError(f"the nominal value of {', '.join(zero)} is 0, no measure of a range; give envelope")
-            measured = self.nominal != 0
-            share = 2 * float(np.max((self._bound[measured] / np.abs(self.nominal[measured])), initial=0.0)) + ENVELOPE
-        else:
-            share = number("envelope", self.envelope)
-        usual = zip(self.nominal - share * np.abs(self.nominal), self.nominal + share * np.abs(self.nominal), strict=True)
-        found = np.array([given.get(v, pair) for v, pair in zip(self._modules.equations, usual, strict=True)])
-        return found[:, 0], found[:, 1]
+        return envelope_ends(self._modules, self.nominal, self._bound, self.envelope)
 
     @cached_property
     def half_width(self) -> Array:
@@ -176,16 +149,19 @@ class AdaptiveThreshold(BatchDetector):
 
     @cached_property
     def _steepness(self) -> Array:
-        """|dh/dx| of each state's own equation at the nominal point (S,), 1/s."""
+        """|dh/dx| of each state's equation by that state at the nominal point (S,), 1/s."""
         m = self._modules
         at = dict(m.nominal) | {s.name: s.nominal for s in self.plant.inputs}
         moved: list[dict[str, Any]] = [{**at, v: at[v] + 1j * COMPLEX_STEP} for v in m.states]
-        rates = [m.equations[v](*(p[a] for a in named(m, v)), m.parameters) for v, p in zip(m.states, moved, strict=True)]
+        rates = [
+            m.equations[v](*(p[a] for a in quantities_of(m.equations[v])), m.parameters)
+            for v, p in zip(m.states, moved, strict=True)
+        ]
         return np.asarray(np.abs(np.imag(rates)) / COMPLEX_STEP)
 
     @cached_property
     def logic(self) -> DiagnosisLogic:
-        """Signature matrices from the arguments of the equations: 1 for an observer's own sensor, * for the others read."""
+        """Signature matrices from the equations' arguments: 1 for an observer's own sensor, * for other sensors it reads."""
         return module_logic(self.plant, self._modules, agents=self.agents)
 
     @cached_property
@@ -204,10 +180,10 @@ class AdaptiveThreshold(BatchDetector):
 
     @cached_property
     def _layers(self) -> tuple[Array, Array, Array]:
-        """What `verdict` adds to the radii by variable (E,), the variable and the scale of each sensor (N,)."""
+        """Arguments of `decide`: what it adds to the radii by variable (E,), variable and scale of each sensor (N,)."""
         margin = np.array([self.margins.get(v, 0.0) for v in self._modules.equations]) * np.abs(self.nominal)
         scale = np.broadcast_to(self.plant.sensor_scale, self._sensor.shape).copy()
-        return self._bound + margin, np.argsort(self._sensor), scale
+        return self._bound + margin, self._variable, scale
 
     def _start(self, batch: tuple[int, ...], seed: int) -> MonitoringMemory:
         count, e = len(self._modules.states), len(self.nominal)
@@ -222,7 +198,7 @@ class AdaptiveThreshold(BatchDetector):
             return mapped(lambda a: a.reshape(*y.shape[:-1], *a.shape[1:]), after), nested(decision, y.shape[:-1])
         x, error, before, fired, elapsed = memory
         extra, variable, scale = self._layers
-        y, u = np.array(y, order="C"), np.array(u, order="C")  # of one layout, for compiled code
+        y, u = np.array(y, order="C"), np.array(u, order="C")  # one memory layout, for compiled code
         reading = (y / scale).take(self._sensor, axis=-1)
         x, error, lower, upper = self._monitor(x, error, before, reading, u, now.dt, self._settings)
         if self.bounds != "corners":
@@ -231,7 +207,7 @@ class AdaptiveThreshold(BatchDetector):
         radius = self._published(error, elapsed) if self.observer_bounds else error
         if not self.latch:
             fired = np.zeros_like(fired)
-        residual, threshold, reconstruction, fired, lost = verdict(
+        residual, threshold, reconstruction, fired, lost = decide(
             y, x, radius, lower, upper, extra, variable, scale, fired, float(self.threshold_scale)
         )
         isolated = self.logic.isolated(fired)
@@ -249,7 +225,7 @@ class AdaptiveThreshold(BatchDetector):
         return MonitoringMemory(x, error, reading, fired, elapsed), decision
 
     def _published(self, error: Array, t: Array) -> Array:
-        """What bounds the states' errors (B, S) at t (B,) since the start: (10) less the noise where constants are given."""
+        """Bounds of the states' errors (B, S) at t (B,) since the start: (10) less the noise where constants are given."""
         error = error.copy()
         for e, variable in enumerate(self._modules.states):
             if variable in self.observer_bounds:
@@ -259,12 +235,7 @@ class AdaptiveThreshold(BatchDetector):
 
 
 def nested(decision: Decision, batch: tuple[int, ...]) -> Decision:
-    """The decision of a batch of one axis as one of that shape."""
+    """The decision of a batch with one axis, reshaped to the given batch shape."""
     arrays = (getattr(decision, f.name) for f in fields(Decision))
     shaped: list[Any] = [a if a is None or not a.ndim else a.reshape(*batch, *a.shape[1:]) for a in arrays]
     return Decision(*shaped)
-
-
-def named(modules: Modules, variable: str) -> list[str]:
-    """The variables and inputs that the equation of a variable takes."""
-    return [a for a in argument_names(modules.equations[variable]) if a != "c"]

@@ -1,9 +1,10 @@
 """Bounds of algebraic variables by interval methods, alternatives to the corners of `monitoring`.
 
-"inclusion": the equation in interval arithmetic over the box that the readings leave (Kougiatsos 2022, (36)); wider where an
-argument occurs often. "sivia": the z with 0 in z - phi(z, box) by set inversion from an initial box (Kougiatsos 2024, (11));
-only z is bisected, yet contraction with a narrow z removes part of the overestimation of inclusion. Array code, far slower.
-"codac": the same by codac, an optional dependency, one run at a time, still slower.
+- "inclusion": the equation in interval arithmetic over the box that the readings allow (Kougiatsos 2022, (36)). It is wider
+  where an argument occurs several times.
+- "sivia": all z with 0 in z - phi(z, box) by set inversion from an initial box (Kougiatsos 2024, (11)). Only z is bisected, but
+  contraction with a narrow z removes part of the overestimation of inclusion. Array code, far slower.
+- "codac": set inversion by codac, an optional dependency, one run at a time, still slower.
 """
 
 from __future__ import annotations
@@ -14,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, into_envelope
-from fusion_sfdia.core.equation import argument_names
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, into_envelope, quantities_of
 from fusion_sfdia.core.modules import Modules
 from fusion_sfdia.intervals.codac_adapter import codac_sivia
 from fusion_sfdia.intervals.expression import Expression, record
@@ -25,13 +25,15 @@ from fusion_sfdia.intervals.sivia import sivia
 Array = NDArray[Any]
 
 METHODS = ("corners", "inclusion", "sivia", "codac")
-INITIAL = 5.0  # the initial box of a variable is its nominal value divided and multiplied by this; ours
-TOLERANCE = 0.01  # of set inversion, in noise bounds; ours
+INITIAL = 5.0  # the initial box of a variable is its nominal value divided and multiplied by this; chosen here, not published
+TOLERANCE = 0.01  # of set inversion, in noise bounds; chosen here, not published
 
 
 def enclosed(method: str, m: Modules, reading: Array, u: Array, s: Settings) -> tuple[Array, Array]:
-    """Return lower and upper bounds (B, E - S) of the algebraic variables from readings (B, E), NaN where missing, and inputs
-    (B, V - E). Where there is none, as for a root of negative readings, of readings moved into the envelope.
+    """Return lower and upper bounds (B, E - S) of the algebraic variables.
+
+    reading (B, E): NaN where missing. u: inputs (B, V - E). Where an equation has no value, such as a root of negative
+    readings, the readings are moved into the envelope.
     """
     ends = box(reading, reading, u, s)
     columns = []
@@ -47,7 +49,7 @@ def enclosed(method: str, m: Modules, reading: Array, u: Array, s: Settings) -> 
 
 def enclosure(method: str, m: Modules, variable: str, low: Array, high: Array, s: Settings) -> Interval:
     """Enclosure (B,) of a variable over boxes low..high (B, V)."""
-    names = [a for a in argument_names(m.equations[variable]) if a != "c"]
+    names = quantities_of(m.equations[variable])
     over = {v: Interval(low[:, j], high[:, j]) for j, v in enumerate(m.variables)}
     value = _recorded(m, variable, False)
     found = value.evaluate([over[a] for a in names])[value.outputs[0]]
@@ -63,12 +65,12 @@ def enclosure(method: str, m: Modules, variable: str, low: Array, high: Array, s
 
 
 def _hulls(residual: Expression, start: Interval, tolerance: float, given: list[Interval]) -> Interval:
-    """Where the residual can be 0 (B,), from its first argument's box (1,) and the others' (B,)."""
+    """Where the residual can be 0 (B,), from the boxes of its first argument (1,) and of the others (B,)."""
     return sivia(residual, Interval(0.0), start, tolerance, parameters=given).hull[..., 0]
 
 
 def codac_hulls(residual: Expression, start: Interval, tolerance: float, given: list[Interval]) -> Interval:
-    """The same by codac, one problem after the other."""
+    """As `_hulls` by codac, one problem after the other."""
     runs = range(max((g.lo.size for g in given), default=1))
     at = [[g if g.shape == () else g[b] for g in given] for b in runs]
     return Interval.stack([codac_sivia(residual, Interval(0.0), start, tolerance, parameters=g).hull[0] for g in at])
@@ -76,9 +78,9 @@ def codac_hulls(residual: Expression, start: Interval, tolerance: float, given: 
 
 @lru_cache(maxsize=256)
 def _recorded(m: Modules, variable: str, implicit: bool) -> Expression:
-    """The equation phi of its arguments, or z - phi of z and the other arguments."""
+    """The equation phi of its arguments; implicit: z - phi of z and the other arguments."""
     function = m.equations[variable]
-    names = [a for a in argument_names(function) if a != "c"]
+    names = quantities_of(function)
     others = [a for a in names if a != variable]
 
     def residual(z: Any, *given: Any) -> Any:

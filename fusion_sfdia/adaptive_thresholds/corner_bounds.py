@@ -1,14 +1,13 @@
-"""Bounds of explicit equations over boxes from two corners, proved beforehand over an envelope and fast afterwards.
+"""Bounds of explicit equations over boxes from two corners; the signs of slopes are proved once, over an envelope.
 
 Over the envelope, a box that contains all healthy readings, interval derivatives prove the sign of each partial derivative
-of each equation, or else bound its magnitude. Inside it an equation f lies between its corners
+of each equation, or else bound its magnitude. Inside the envelope an equation f lies between its corners
 
     f(m_i - s_i r_i) - sum_j G_j r_j   and   f(m_i + s_i r_i) + sum_j G_j r_j
 
 for the box of middle m and radius r, where s_i = +-1 is the sign of the slope and G_i = 0. If the sign is not proved,
-l <= df/dx_i <= h with l < 0 < h, then either s_i is the sign of the larger and G_i twice the smaller of -l and h, by which
-f may fall short of its end; or s_i = 0 and G_i is the larger. The mean value theorem in one variable after the other proves
-both.
+l <= df/dx_i <= h with l < 0 < h, there are two choices: s_i is the sign of the larger of -l and h, and G_i is twice the
+smaller; or s_i = 0 and G_i is the larger. The mean value theorem, applied to one variable after the other, proves both.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import argument_names
+from fusion_sfdia.adaptive_thresholds.monitoring import quantities_of
 from fusion_sfdia.intervals.expression import record
 from fusion_sfdia.intervals.interval import Interval
 from fusion_sfdia.intervals.monotone import derivative, gradient
@@ -29,22 +28,22 @@ from fusion_sfdia.intervals.monotone import derivative, gradient
 Array = NDArray[Any]
 Equations = Mapping[str, Callable[..., Any]]
 
-NEGLIGIBLE = 1e-12  # of the slope of the other sign: rounding, where a slope is 0 at an end of a box
-TRIED = 64  # boxes on which the side to halve is chosen
+NEGLIGIBLE = 1e-12  # share of the slope of the other sign that counts as rounding, where a slope is 0 at an end of a box
+TRIED = 64  # sample of boxes on which the side to halve is chosen
 BOXES = 4096  # into which an envelope is cut at most to prove the signs of one equation
 
 
 def slopes(function: Callable[..., Any], low: Array, high: Array, budget: int = BOXES) -> tuple[Array, Array]:
     """Return guaranteed lower and upper bounds (n,) of the partial derivatives of a function of n scalars over a box.
 
-    For each argument in turn, boxes where the sign is open are halved, along the side that narrows its bounds the most, until
-    it is proved up to NEGLIGIBLE, both signs have occurred, or `budget` boxes are spent.
+    For each argument in turn, boxes where the sign of the slope is not proved are halved along the side that narrows the bounds
+    the most. This ends when the sign is proved up to NEGLIGIBLE, both signs have occurred, or `budget` boxes have been used.
     """
     expression = record(function, n := len(low))
 
     def bounds(lo: Array, hi: Array, argument: int) -> tuple[Array, Array]:
         values = expression.evaluate([Interval(lo[:, i], hi[:, i]) for i in range(n)])
-        # their overestimations differ: backward multiplies by the outer slopes first, forward by the inner ones
+        # they overestimate differently: backward multiplies by the outer slopes first, forward by the inner ones
         found = gradient(expression, values)[argument].intersection(derivative(expression, values, argument))
         return np.broadcast_to(found.lo, len(lo)), np.broadcast_to(found.hi, len(lo))
 
@@ -56,8 +55,8 @@ def slopes(function: Callable[..., Any], low: Array, high: Array, budget: int = 
 
 
 def _slope(bounds: Callable[[Array, Array], tuple[Array, Array]], low: Array, high: Array, budget: int) -> tuple[float, float]:
-    """Bounds of one slope."""
-    least, most = np.inf, -np.inf  # over the boxes that are done with
+    """Lower and upper bound of one slope."""
+    least, most = np.inf, -np.inf  # over the boxes that need no further cut
     falls = rises = False  # somewhere
     lo, hi, spent = low[None], high[None], 0
     below, above = bounds(lo, hi)
@@ -92,9 +91,10 @@ def _halved(lo: Array, hi: Array, side: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Slopes:
-    """Of equations by variables (E, V): the signs s, -1, 0 or 1, and the slack G where they are not proved.
+    """Slopes of E equations by V variables.
 
-    size (E, V): a bound of |derivative|, a Lipschitz constant by channel; 0 where an equation does not have a variable.
+    signs (E, V): s, -1, 0 or 1. unproved (E, V): the slack G where a sign is not proved. size (E, V): a bound of |derivative|,
+    a Lipschitz constant for each variable; 0 where an equation does not contain the variable.
     """
 
     signs: Array
@@ -109,7 +109,7 @@ def prove(equations: Equations, variables: Sequence[str], low: Array, high: Arra
     """
     if not np.all((low < high) & np.isfinite(low) & np.isfinite(high)):
         wrong = [v for v, a, b in zip(variables, low, high, strict=True) if not (np.isfinite(a) and np.isfinite(b) and a < b)]
-        raise ValueError(f"the envelope of {', '.join(wrong)} is no finite range; expected low < high")
+        raise ValueError(f"the envelope of {', '.join(wrong)} is not a finite range; expected low < high")
     proved: Callable[..., tuple[Array, Array]] = _proved
     try:
         hash(c)
@@ -118,7 +118,7 @@ def prove(equations: Equations, variables: Sequence[str], low: Array, high: Arra
     shape = len(equations), len(variables)
     signs, unproved, size = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for e, (name, function) in enumerate(equations.items()):
-        columns = [variables.index(a) for a in argument_names(function) if a != "c"]
+        columns = [variables.index(a) for a in quantities_of(function)]
         if columns:
             least, most = proved(function, tuple(low[columns].tolist()), tuple(high[columns].tolist()), c, budget)
             if not np.all(np.isfinite(least) & np.isfinite(most)):
@@ -138,5 +138,5 @@ def prove(equations: Equations, variables: Sequence[str], low: Array, high: Arra
 def _proved(
     function: Callable[..., Any], low: tuple[float, ...], high: tuple[float, ...], c: Any, budget: int
 ) -> tuple[Array, Array]:
-    """The slopes of an equation with its parameters, once a process."""
+    """The slopes of an equation with its parameters, computed once in a process."""
     return slopes(lambda *a: function(*a, c), np.array(low), np.array(high), budget)

@@ -1,20 +1,20 @@
 """Which sets of sensor faults explain the decisions of monitoring modules (Kougiatsos 2024, sec. V, (16)-(18)).
 
-One semantics: a set of faults is a diagnosis when
+A set of faults is a diagnosis when
 
-1. it is consistent: every row that fired has an entry 1 or * among the faults, and no row that has not fired has a 1 among
-   them (a row that has not fired exonerates by 1, never by *); rows are the modules and the agents, which fire when any of
-   their modules does;
-2. it has no unsupported fault: each fault has an entry 1 or * in a module that fired. There is no evidence of others.
+1. it is consistent: every row that fired has an entry 1 or * among the faults, and no row that has not fired has an entry 1
+   among them (a row that has not fired exonerates by 1, never by *). Rows are the modules and the agents; an agent fires when
+   any of its modules does;
+2. it has no unsupported fault: each fault has an entry 1 or * in a module that fired. There is no evidence of other faults.
 
-Without detection the diagnosis set is empty, and so it is where no consistent set exists (`explained` distinguishes
-the two). S^F, the sensors isolated, are the members of all diagnoses; all agents are intersected at once, as in (18).
+The diagnosis set is empty without a detection, and also where no consistent set exists (`explained` distinguishes the two).
+S^F, the isolated sensors, are the members of all diagnoses. All agents are intersected at once, as in (18).
 
-The sets printed with the paper's scenario are these with at most one fault for each agent, a restriction that it
-does not state and that would exclude two faults in one agent; S^F there is the same. Two textbook alternatives fail on that
-scenario: minimal sets lose the torque sensor, which is faulty, once a third fault explains its detection; consistent
-sets with unsupported faults isolate 8 of 10 sensors, two of which no module that fired reads. Exoneration lasts until the
-row fires: with latched decisions sensors are only added, as long as the pattern is explained.
+The sets printed with the paper's scenario are these sets with at most one fault for each agent. The paper does not state this
+restriction, which would exclude two faults in one agent; S^F is the same. Two textbook alternatives fail on that scenario.
+Minimal sets lose the torque sensor, which is faulty, once a third fault explains its detection. Consistent sets with
+unsupported faults isolate 8 of 10 sensors; no module that fired reads two of them. Exoneration lasts until the row fires: with
+latched decisions sensors are only added, as long as the pattern is explained.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 
-TABLE = 16  # modules up to which the answer to every pattern is kept
+TABLE = 16  # largest number of modules for which the results of all patterns are stored
 
 
 def latched(decisions: Array, axis: int = 0) -> Array:
-    """Return decisions that stay once they are made, along the axis of time: D = 1 for t >= T_D (Kougiatsos 2024, (16))."""
+    """Return latched decisions, along the axis of time: D = 1 for t >= T_D (Kougiatsos 2024, (16))."""
     return np.logical_or.accumulate(decisions, axis=axis)
 
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisLogic:
-    """The combinatorial decision logic over local signatures and, where agents are given, the global ones.
+    """The combinatorial decision logic over local signatures and, where agents are given, global signatures.
 
-    Without agents, an agent that has not fired does not exonerate its own sensors (see signatures.global_signatures): more
+    Without agents, the sensors of an agent that has not fired are not exonerated (see signatures.global_signatures): more
     sensors stay isolated, and a fault that shows only in other agents is not excluded.
 
     decisions are (..., M) bool, modules in the order of `local.rows`; any leading axes, seeds or time.
@@ -76,8 +76,9 @@ class DiagnosisLogic:
         return self._answers(self._checked(decisions))[1]
 
     def consistent(self, decisions: Array, faults: Array) -> Array:
-        """Return whether sets of faults, masks, are consistent with decisions, with unsupported faults or not: both (...)
-        broadcast.
+        """Return whether sets of faults, masks (...), are consistent with decisions (..., M), also with unsupported faults.
+
+        Leading axes are broadcast.
         """
         fired = self._fired(self._checked(decisions))
         possible, certain = zip(*(matrix.columns(faults) for matrix in self._matrices), strict=True)
@@ -87,13 +88,13 @@ class DiagnosisLogic:
     def diagnoses(self, decisions: Array) -> tuple[frozenset[str], ...]:
         """Return the diagnosis set of one pattern (M,), the smallest sets of faults first."""
         if np.ndim(decisions) != 1:
-            raise ValueError(f"decisions have shape {np.shape(decisions)}; diagnoses are those of one pattern (M,)")
-        named = np.flatnonzero(self.isolated(decisions))
-        if not named.size:
+            raise ValueError(f"decisions have shape {np.shape(decisions)}; expected one pattern (M,)")
+        isolated = np.flatnonzero(self.isolated(decisions))
+        if not isolated.size:
             return ()
-        chosen = members(combinations(named.size), named.size)
+        chosen = members(combinations(isolated.size), isolated.size)
         faults = np.zeros((len(chosen), len(self.local.sensors)), bool)
-        faults[:, named] = chosen
+        faults[:, isolated] = chosen
         faults = faults[self.consistent(decisions, masks(faults))]
         return tuple(
             frozenset(self.local.sensors[j] for j in np.flatnonzero(row))
@@ -117,7 +118,7 @@ class DiagnosisLogic:
         agents = (decisions[..., None, :] & self._membership).any(axis=-1)
         return np.concatenate([decisions, agents], axis=-1)
 
-    def _judge(self, decisions: Array) -> tuple[Array, Array]:
+    def _diagnose(self, decisions: Array) -> tuple[Array, Array]:
         """Return isolated (P, N) and explained (P,) of patterns (P, M)."""
         fired = self._fired(decisions)
         possible = np.concatenate([matrix.possible_masks for matrix in self._matrices])
@@ -130,13 +131,13 @@ class DiagnosisLogic:
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
-        """Return the answers to all 2^M patterns."""
+        """Return isolated (2^M, N) and explained (2^M,) of all patterns."""
         count = len(self.local.rows)
-        return self._judge(members(np.arange(2**count, dtype=np.uint64), count))
+        return self._diagnose(members(np.arange(2**count, dtype=np.uint64), count))
 
     @cached_property
     def _place(self) -> Array:
-        """Return 2^m (M,): a pattern times it is its row in the table."""
+        """Return 2^m (M,), whose product with a pattern is the row in the table."""
         return 2 ** np.arange(len(self.local.rows))
 
     def _checked(self, decisions: Array) -> Array:
@@ -151,22 +152,22 @@ class DiagnosisLogic:
         """Return isolated (..., N) and explained (...)."""
         patterns = masks(decisions)
         if len(self.local.rows) <= TABLE:
-            named, explained = self._table
-            return named[patterns], explained[patterns]
+            isolated, explained = self._table
+            return isolated[patterns], explained[patterns]
         distinct, which = np.unique(patterns, return_inverse=True)
-        named, explained = self._judge(members(distinct, len(self.local.rows)))
+        isolated, explained = self._diagnose(members(distinct, len(self.local.rows)))
         which = which.reshape(patterns.shape)
-        return named[which], explained[which]
+        return isolated[which], explained[which]
 
 
 def module_logic(plant: Plant, modules: Modules, *, agents: bool = True) -> DiagnosisLogic:
-    """Return the logic of a plant's modules, in the order of its sensors, an agent being the modules of one owner.
+    """Return the logic of a plant's modules, in the order of its sensors; an agent has the modules of one owner.
 
-    Signatures come from the arguments of the equations: 1 for an observer's own sensor, * for the others read.
+    Signatures come from the arguments of the equations: 1 for an observer's own sensor, * for other sensors it reads.
     """
     sensor = {s.measures: s.name for s in plant.sensors}
-    named = {modules.names[s.measures]: (s.measures, *argument_names(modules.equations[s.measures])) for s in plant.sensors}
-    reads = sensors_read(named, sensor, known=(*modules.inputs, "c"))
+    arguments = {modules.names[s.measures]: (s.measures, *argument_names(modules.equations[s.measures])) for s in plant.sensors}
+    reads = sensors_read(arguments, sensor, known=(*modules.inputs, "c"))
     local = local_signatures(reads, {modules.names[v]: (sensor[v],) for v in modules.states}, plant.sensor_names)
     if not agents:
         return DiagnosisLogic(local)

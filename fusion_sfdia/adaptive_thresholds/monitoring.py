@@ -1,11 +1,11 @@
-"""One step of the observers and algebraic residuals of a plant's modules, with bounds, on arrays.
+"""One step of the observers and algebraic residuals of a plant's modules, with bounds, in array code.
 
-The true error of an observer, x^ - x, over a step in which its correction L (y - x^) uses the reading y at its beginning:
+The error of an observer, e = x^ - x, over a step whose correction L (y - x^) uses the reading y at the beginning of the step:
 
     e+ = lam e + int_0^dt exp(-a (dt - s)) [h^ - h(s) + L (y - x(0)) - L (x(s) - x(0))] ds.
 
 The last term is the change of the state within the step, at most min(drift, s sup|h - rate x(0)|).
-A plant may have the same compiled (`Modules.monitor`).
+A plant may provide a compiled form of this step (`Modules.monitor`).
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from fusion_sfdia.core.modules import Modules
 
 Array = NDArray[Any]
 
-ROUNDING = 1e-12  # relative, by which bounds are widened: some thousand times the rounding of a hundred operations
+ROUNDING = 1e-12  # relative widening of bounds: some thousand times the rounding of a hundred operations
 
 
 class Settings(NamedTuple):
-    """Of the E variables, the S states first, and the V - E inputs: middles and half-widths of the envelope, noise bounds (E,),
-    rates and gains (S,), the signs and slacks of the equations' corners (E, V), see corner_bounds, and the states' largest
-    drifts a second (S,), 0 at a steady load. On arrays, bounds and gains may differ from run to run (B, ...).
+    """Constants of E variables, the S states first, and V - E inputs.
+
+    nominal, half_width: middle and half-width of the envelope (E,). bound: noise bounds (E,). rates, gains: (S,), 1/s. signs,
+    unproved: signs and slacks of the equations' corners (E, V), see corner_bounds. drift: largest drift of each state per
+    second (S,), 0 at a steady load. In array code, bound and gains may differ between runs (B, ...).
     """
 
     nominal: Array
@@ -41,18 +43,22 @@ class Settings(NamedTuple):
     rounding: float = ROUNDING
 
 
+def quantities_of(equation: Callable[..., Any]) -> list[str]:
+    """Return the names of the variables and inputs that an equation takes: its arguments without its parameters c."""
+    return [a for a in argument_names(equation) if a != "c"]
+
+
 def monitor(
     m: Modules, x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Settings
 ) -> tuple[Array, Array, Array, Array]:
     """Return estimates of the states and bounds of their errors (B, S) after a step, and bounds of the others (B, E - S).
 
-    An equation that has no value at the readings takes them moved into the envelope.
-
-    x, error (B, S) before the step; the readings before and after it (B, E), NaN where missing; u (B, V - E) during it. The
-    equations are those of the modules m, of its variables, then inputs, in their order.
+    m: the modules, whose equations take variables, then inputs, in their order. x, error (B, S): before the step. before,
+    reading (B, E): readings before and after the step, NaN where missing. u (B, V - E): during the step. Where an equation has
+    no value at the readings, they are moved into the envelope.
     """
     variables, c = m.variables, m.parameters
-    functions = [(f, [variables.index(a) for a in argument_names(f) if a != "c"]) for f in m.equations.values()]
+    functions = [(f, [variables.index(a) for a in quantities_of(f)]) for f in m.equations.values()]
     states = len(s.rates)
     drift = np.broadcast_to(s.drift, states)
     low, high = box(np.minimum(before, reading), np.maximum(before, reading), u, s)
@@ -92,7 +98,7 @@ def monitor(
 
 
 def box(low: Array, high: Array, u: Array, s: Settings) -> tuple[Array, Array]:
-    """Ends (B, V) of the box of true values, from the least and largest reading; the envelope where one is missing."""
+    """Return the ends (B, V) of the box of true values from least and largest reading; the envelope where one is missing."""
     missing = np.isnan(low) | np.isnan(high)
     low, high = (
         np.where(missing, s.nominal - s.half_width, low - s.bound),
@@ -102,7 +108,7 @@ def box(low: Array, high: Array, u: Array, s: Settings) -> tuple[Array, Array]:
 
 
 def into_envelope(low: Array, high: Array, s: Settings) -> tuple[Array, Array]:
-    """Ends (B, V) of boxes moved into the envelope, in which equations have values."""
+    """Return the ends (B, V) of boxes moved into the envelope, in which equations have values."""
     free = np.full(low.shape[1] - len(s.nominal), np.inf)
     least, most = np.append(s.nominal - s.half_width, -free), np.append(s.nominal + s.half_width, free)
     return np.clip(low, least, most), np.clip(high, least, most)
@@ -125,7 +131,7 @@ def _corners(
 
 
 @compiled
-def verdict(
+def decide(
     y: Array,
     x: Array,
     state_bound: Array,
@@ -137,11 +143,12 @@ def verdict(
     fired: Array,
     factor: float,
 ) -> Any:
-    """Return residual, threshold, reconstruction, whether each module fires or has fired (B, N), and where a prediction is not
-    a number (B,): of readings y (B, N) in sensor units, `scale` to SI, sensors of the variables `variable` (N,).
+    """Return residual, threshold, reconstruction, whether each module fires or has fired (B, N), and whether a prediction of
+    the run is not finite (B,).
 
-    x, state_bound (B, S), lower, upper (B, E - S): the predictions; extra (E,) is added to their radius, and `factor`
-    multiplies that. fired (B, N): before.
+    y: readings (B, N) in sensor units. x, state_bound (B, S), lower, upper (B, E - S): the predictions in SI.
+    extra (E,): added to the radius of a prediction. variable (N,): of each sensor.
+    scale (N,): sensor units of one SI unit. fired (B, N): before this step. factor: multiplies the threshold.
     """
     size, count = y.shape
     states = x.shape[1]

@@ -1,9 +1,9 @@
-"""Fault signature matrices: in which residuals a sensor fault shows, derived from the sensors that each residual reads.
+"""Fault signature matrices: which residuals each sensor fault affects, derived from the sensors that each residual reads.
 
-Rows are residuals (monitoring modules, or agents), columns sensor faults. An entry is 0 where the residual does not depend
-on the sensor, 1 where a fault must show and * where it may (Kougiatsos 2024, sec. V and Tables I-IV): * is the weaker
-statement, a fault too small for the threshold, masked, late or attenuated by the propagation through other agents. A set of
-faults is a bit mask, bit j the j-th sensor.
+Rows are residuals (monitoring modules or agents), columns are sensor faults. An entry is 0 where the residual does not depend
+on the sensor, 1 where the residual must exceed its threshold and * where it may (Kougiatsos 2024, sec. V and Tables I-IV). An
+entry * is for a fault that may be too small for the threshold, masked, delayed, or attenuated by its propagation through other
+agents. A set of faults is a bit mask; bit j is the j-th sensor.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-WIDTH = 64  # bits of a mask
+WIDTH = 64  # number of bits of a mask
 
 
 class Agent(NamedTuple):
@@ -30,7 +30,7 @@ class Agent(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SignatureMatrix:
-    """Entries as two relations (R, N) bool: possible where the entry is not 0, certain where it is 1."""
+    """Entries of R rows, N sensors as two relations (R, N) bool: possible where an entry is not 0, certain where it is 1."""
 
     rows: tuple[str, ...]
     sensors: tuple[str, ...]
@@ -42,15 +42,17 @@ class SignatureMatrix:
             if not 0 < len(names) <= WIDTH:
                 raise ValueError(f"{len(names)} {kind}; expected 1 to {WIDTH}: split the system into several matrices")
             if len(set(names)) < len(names):
-                raise ValueError(f"{kind} {names} repeat a name; give each its own")
+                raise ValueError(f"{kind} {names} repeat a name; give unique names")
         shape = (len(self.rows), len(self.sensors))
         for field, relation in (("possible", self.possible), ("certain", self.certain)):
             if relation.shape != shape or relation.dtype != bool:
                 raise ValueError(f"{field} is {relation.dtype} {relation.shape}; expected bool {shape}: rows, then sensors")
         if np.any(self.certain & ~self.possible):
-            raise ValueError("an entry is certain but not possible; what must show may show")
+            raise ValueError("an entry is certain but not possible; a certain entry must be possible, too")
         if blind := [self.rows[i] for i in np.flatnonzero(~self.possible.any(axis=1))]:
-            raise ValueError(f"{', '.join(blind)}: no sensor, so no fault explains a detection there; name one or drop the row")
+            raise ValueError(
+                f"{', '.join(blind)}: no sensor, so no fault explains a detection; give a sensor or remove the row"
+            )
 
     def __str__(self) -> str:
         table = [["", *self.sensors]] + [[row, *self.entries[row].values()] for row in self.rows]
@@ -74,11 +76,11 @@ class SignatureMatrix:
         return masks(self.certain)
 
     def columns(self, faults: Array) -> tuple[Array, Array]:
-        """Return (possible, certain) (..., R) of sets of simultaneous faults, masks (...): 1 where one of them has a 1,
-        else * where one has a *, else 0.
+        """Return the entries of sets of simultaneous faults, masks (...), as (possible, certain), each (..., R).
 
-        Kougiatsos 2024, sec. VII, calls it a conjunction; its own diagnosis sets (two faults that show in different
-        modules explain both) need the disjunction. That two faults may cancel in a residual is neglected, as there.
+        An entry is 1 where a fault of the set has a 1, else * where one has a *, else 0. Kougiatsos 2024, sec. VII, calls it a
+        conjunction; the diagnosis sets of the paper need the disjunction, since two faults that affect different modules
+        explain both detections. Cancellation of two faults in a residual is neglected, as in the paper.
         """
         sets = np.asarray(faults, np.uint64)[..., None]
         return (sets & self.possible_masks) != 0, (sets & self.certain_masks) != 0
@@ -100,7 +102,7 @@ def members(mask: Array, n: int) -> Array:
 def combinations(n: int) -> Array:
     """Return the masks of all non-empty sets of n sensors (2^n - 1,), n at most 20."""
     if n > 20:
-        raise ValueError(f"{n} sensors have {2**n - 1} combinations; list them for 20 at most")
+        raise ValueError(f"{n} sensors have {2**n - 1} combinations; expected at most 20 sensors")
     return np.arange(1, 2**n, dtype=np.uint64)
 
 
@@ -112,7 +114,7 @@ def signature_matrix(entries: Mapping[str, Mapping[str, str]], sensors: Sequence
     known = set(sensors)
     for row, line in entries.items():
         if unknown := sorted(set(line) - known):
-            raise ValueError(f"{row} names {', '.join(unknown)}; the sensors are {', '.join(sensors)}")
+            raise ValueError(f"{row} has {', '.join(unknown)}; the sensors are {', '.join(sensors)}")
         if wrong := sorted(set(line.values()) - {"0", "1", "*"}):
             raise ValueError(f"{row} has the entries {wrong}; expected '0', '1' or '*'")
     table = np.array([[line.get(s, "0") for s in sensors] for line in entries.values()], str).reshape(-1, len(sensors))
@@ -122,10 +124,11 @@ def signature_matrix(entries: Mapping[str, Mapping[str, str]], sensors: Sequence
 def local_signatures(
     reads: Mapping[str, Collection[str]], certain: Mapping[str, Collection[str]], sensors: Sequence[str]
 ) -> SignatureMatrix:
-    """Return the matrices F^(I) of all agents, one above the other: 1 for the certain sensors of a module, * for others read.
+    """Return the stacked matrices F^(I) of all agents: 1 for the certain sensors of a module, * for the other sensors it reads.
 
-    Kougiatsos 2024, Tables II and III, has a 1 for the state an observer corrects with its own sensor and * elsewhere;
-    Kougiatsos 2022, Tables 1 and 2, has it for all local sensors of an observer. `certain` says which: {module: sensors}.
+    reads, certain: {module: sensors}. Kougiatsos 2024, Tables II and III, has a 1 for the sensor with which an observer
+    corrects its state, and * elsewhere. Kougiatsos 2022, Tables 1 and 2, has a 1 for all local sensors of an observer. Raises
+    ValueError where a module does not read one of its certain sensors.
     """
     for module, names in certain.items():
         if extra := sorted(set(names) - set(reads.get(module, ()))):
@@ -135,18 +138,18 @@ def local_signatures(
 
 
 def global_signatures(local: SignatureMatrix, agents: Mapping[str, Agent]) -> SignatureMatrix:
-    """Return the matrix F^chi of agents: 1 for an agent's own sensors, * for those its modules read from others, else 0.
+    """Return the matrix F^chi of agents: 1 for an agent's own sensors, * for other sensors that its modules read, else 0.
 
-    Kougiatsos 2024, sec. V-B and Table IV. It is a stronger claim than the local matrices: a fault with only * in its own
-    agent's modules must nevertheless show in one of them. Raises ValueError where modules or sensors are not dealt out one by
-    one.
+    Kougiatsos 2024, sec. V-B and Table IV. It claims more than the local matrices: a fault with only * in the modules of its
+    own agent must be detected by one of them. Raises ValueError unless each module and each sensor belongs to exactly one
+    agent.
     """
-    for kind, expected, dealt in (
+    for kind, expected, assigned in (
         ("modules", local.rows, [m for agent in agents.values() for m in agent.modules]),
         ("sensors", local.sensors, [s for agent in agents.values() for s in agent.sensors]),
     ):
-        if sorted(dealt) != sorted(expected):
-            raise ValueError(f"agents have the {kind} {sorted(dealt)}; expected each of {sorted(expected)} once")
+        if sorted(assigned) != sorted(expected):
+            raise ValueError(f"agents have the {kind} {sorted(assigned)}; expected each of {sorted(expected)} once")
     symbols = {
         name: {
             s: "1" if s in agent.sensors else "*" for m in agent.modules for s in local.sensors if local.entries[m][s] != "0"
@@ -163,18 +166,18 @@ def sensors_read(
     computed: Mapping[str, Iterable[str]] | None = None,
     known: Collection[str] = (),
 ) -> dict[str, frozenset[str]]:
-    """Return the sensors each residual reads, {module: sensors}, from the variables in it: the one it checks and the arguments
-    of its prediction (equation.argument_names).
+    """Return the sensors that each residual reads, {module: sensors}.
 
-    sensor_of: {measured variable: its sensor}. computed: {variable that is calculated instead of measured: its own
-    arguments}, which takes precedence, so that a prediction may stand in for a reading. known: inputs and parameters,
-    which no sensor reads. Raises ValueError for a name that is none of these, and for a circle among the computed ones.
+    variables: {module: variables of its residual}, the variable that it checks and the arguments of its prediction
+    (equation.argument_names). sensor_of: {measured variable: its sensor}. computed: {variable that is computed, not measured:
+    its arguments}; it takes precedence, so that a prediction may replace a reading. known: inputs and parameters, which no
+    sensor reads. Raises ValueError for a name that is none of these, and for a cycle among the computed variables.
     """
     given = {name: tuple(arguments) for name, arguments in (computed or {}).items()}
 
     def resolve(name: str, above: tuple[str, ...]) -> frozenset[str]:
         if name in above:
-            raise ValueError(f"computed is circular: {' <- '.join((*above[above.index(name) :], name))}; measure one of them")
+            raise ValueError(f"computed has a cycle: {' <- '.join((*above[above.index(name) :], name))}; measure one of them")
         if name in given:
             return frozenset().union(*(resolve(argument, (*above, name)) for argument in given[name]))
         if name in sensor_of:

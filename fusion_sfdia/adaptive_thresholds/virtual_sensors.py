@@ -1,24 +1,24 @@
-"""Detector: virtual sensors, which estimate the fault of a sensor and pass the reading without it to the other modules (V22).
+"""Detector: virtual sensors, which estimate a sensor's fault and send the reading without it to the other modules (V22).
 
 V22: Kougiatsos and Reppa 2022, "A distributed virtual sensor scheme for marine fuel engines", IFAC-PapersOnLine 55-31, 333-338.
-Thresholds are those of `adaptive_threshold`. Once the own module of a sensor fires, V22's D = 1, the sensor is assumed to have
-a constant offset f from then on. Its equation at the other readings, of a state without its correction by that sensor,
-bounds the healthy value, z in [lower, upper], so that with noise within d
+Thresholds are those of `adaptive_threshold`. When the module of a sensor fires (D = 1 in V22), the sensor is assumed to have a
+constant offset f from then on. Its equation at the other readings bounds the healthy value, z in [lower, upper]; the observer
+of a state runs without its correction by that sensor. With noise within d,
 
     f  in  y - [lower, upper] + [-d, d]                                                     (16), see below
 
-at each step, and in the intersection of these over time. The middle is the estimate (17), y_H = y - f^ the reconstructed
-reading (11), which the other modules receive with the remaining interval as its noise bound, so that their thresholds stay
-guaranteed. An empty intersection means that the sensor has no constant offset, or that another sensor is faulty, too. Its
-reading then counts as missing.
+at each step, and in the intersection of these intervals over time. The middle is the estimate (17), and y_H = y - f^ is the
+reconstructed reading (11). The other modules receive y_H with the remaining interval in its noise bound, so that their
+thresholds remain guaranteed. An empty intersection means that the sensor has no constant offset, or that another sensor is
+faulty, too; the reading then counts as missing.
 
-As printed, (16) adds d where it must be subtracted; the middle is the same. V22 prints no intersection over time, but shows
-an interval that narrows (its Fig. 4(d)), as readings of single instants do not.
+As printed, (16) adds d where it must be subtracted; the middle is the same. V22 states no intersection over time, but shows an
+interval that narrows (its Fig. 4(d)), which intervals of single instants do not.
 
-Where several modules fire at once, the sensor is isolated without which the fewest modules fire (ours; V22 does not treat this
-case): the others may fire only because they read it. What was computed from its readings is reset: observers restart from the
-envelope, and the intervals of sensors isolated before, as far as they depend on it, begin again. If a fault shows first in the
-module of another sensor, that sensor is isolated falsely: intervals are guaranteed only where every faulty sensor is isolated.
+If several modules fire at once, the isolated sensor is the one without which the fewest modules fire (V22 does not treat
+this case): the other modules may fire only because they read it. Everything computed from its readings is reset: observers
+restart from the envelope, and intervals that depend on it restart. If a fault first exceeds the threshold of another sensor's
+module, that sensor is isolated falsely: intervals are guaranteed only where every faulty sensor is isolated.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, Rates, adapt
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold, named
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.algebraic_bounds import enclosure
 from fusion_sfdia.adaptive_thresholds.fault_memory import FaultMemory
-from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, monitor
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, monitor, quantities_of
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.modules import Modules
@@ -48,9 +48,7 @@ INVERSIONS = ("corners", "sivia")
 
 
 class ModuleBounds(NamedTuple):
-    """Observers after the step (B, S), bounds of each sensor's healthy value and whether its module fires, by variable (B,
-    E).
-    """
+    """Observers after the step, x and error (B, S); bounds of each healthy value and whether its module fires (B, E)."""
 
     x: Array
     error: Array
@@ -59,7 +57,7 @@ class ModuleBounds(NamedTuple):
     firing: Array
 
     def where(self, condition: Array, other: ModuleBounds) -> ModuleBounds:
-        """These runs where the condition (B,) holds, the others' elsewhere."""
+        """Return these runs where the condition (B,) holds, those of `other` elsewhere."""
         return ModuleBounds(*(np.where(condition[:, None], a, b) for a, b in zip(self, other, strict=True)))
 
 
@@ -67,14 +65,16 @@ class ModuleBounds(NamedTuple):
 class VirtualSensors(BatchDetector):
     """Fault sizes and reconstructed readings on a plant whose `modules` state its equations; hypotheses are the sensors.
 
-    isolated: sensors whose own module has fired, given the reconstructed readings of the others; from then on.
-    fault_size: the middle of the fault's interval, or the adaptive observer's; the residual where no constant offset fits.
-    reconstruction: the readings without the faults; the equation's value where there is no reading or no constant offset.
+    isolated: sensors whose own module has fired, given the reconstructed readings of the other sensors; they stay isolated.
+    fault_size: the middle of the fault's interval, or the estimate of the adaptive observer; the residual where no constant
+    offset fits. reconstruction: the readings without the faults; the value of the equation where a reading is missing or no
+    constant offset fits.
 
-    envelope, drift: as of AdaptiveThreshold. learning_rates: {state: Gamma, 1/s} of those whose fault is estimated by an
-    adaptive observer (12) with the gain of their module; its estimate has no guarantee, the interval has. intersect: False for
-    the interval of each instant alone, as (14) and (17) are printed. inversion: "corners", or "sivia" for the algebraic
-    equations of isolated sensors by set inversion (15), slow.
+    envelope, drift: as of AdaptiveThreshold.
+    learning_rates: {state: Gamma, 1/s} for states whose fault an adaptive observer (12) estimates, with the gain of their
+    module. Its estimate is not guaranteed; the interval is.
+    intersect: False for the interval of each instant alone, as (14) and (17) are printed.
+    inversion: "corners", or "sivia" for set inversion (15) of the algebraic equations of isolated sensors, which is slow.
     """
 
     envelope: float | Mapping[str, tuple[float, float]] | None = None
@@ -89,12 +89,13 @@ class VirtualSensors(BatchDetector):
         if self.inversion not in INVERSIONS:
             raise ValueError(f"inversion is {self.inversion!r}; known: {', '.join(INVERSIONS)}")
         if unknown := [v for v in self.learning_rates if v not in modules.states]:
-            raise ValueError(f"learning_rates names {', '.join(unknown)}; the states are {', '.join(modules.states)}")
+            raise ValueError(f"learning_rates has {', '.join(unknown)}; the states are {', '.join(modules.states)}")
         if wrong := [f"{v}={g}" for v, g in self.learning_rates.items() if not (np.isfinite(g) and g > 0)]:
             raise ValueError(f"learning rates {', '.join(wrong)}; expected positive numbers in 1/s")
 
     def fault_interval(self, state: State) -> Interval:
-        """Return the intervals (*batch, N) of the sensors' constant offsets in their units, after the step that gave `state`.
+        """Return the intervals (*batch, N) of the sensors' constant offsets in sensor units, after the step that returned
+        `state`.
 
         -inf to inf for a sensor that is not isolated, empty where no constant offset fits.
         """
@@ -105,7 +106,7 @@ class VirtualSensors(BatchDetector):
 
     @cached_property
     def thresholds(self) -> AdaptiveThreshold:
-        """The detector whose modules these are."""
+        """The detector with the same modules and thresholds."""
         return AdaptiveThreshold(self.plant, envelope=self.envelope, drift=self.drift)
 
     @property
@@ -117,10 +118,10 @@ class VirtualSensors(BatchDetector):
         return self.thresholds._settings
 
     @cached_property
-    def _rests_on(self) -> Array:
+    def _depends_on(self) -> Array:
         """Whether the value of equation e depends on the reading of variable j (E, E), directly or through others."""
         m = self._modules
-        reads = np.array([[v == w or w in named(m, v) for w in m.equations] for v in m.equations])
+        reads = np.array([[v == w or w in quantities_of(m.equations[v]) for w in m.equations] for v in m.equations])
         return np.linalg.matrix_power(reads.astype(float), len(reads)) > 0
 
     def _start(self, batch: tuple[int, ...], seed: int) -> FaultMemory:
@@ -132,11 +133,11 @@ class VirtualSensors(BatchDetector):
         m = FaultMemory(*(a.reshape(-1, a.shape[-1]) for a in memory))
         reading = np.ascontiguousarray((y / scale)[..., of._sensor].reshape(len(m.x), -1))
         u = np.ascontiguousarray(u.reshape(len(m.x), -1))
-        judged = self._look(m, reading, u, now.dt)
-        while np.any(fresh := judged.firing & ~m.isolated):
-            m, judged = self._isolate(m, judged, fresh, reading, u, now.dt)
-        m = self._after(m, judged, reading, u, now.dt)
-        middle, radius = (judged.low + judged.high) / 2, (judged.high - judged.low) / 2
+        bounds = self._step_modules(m, reading, u, now.dt)
+        while np.any(fresh := bounds.firing & ~m.isolated):
+            m, bounds = self._isolate(m, bounds, fresh, reading, u, now.dt)
+        m = self._after(m, bounds, reading, u, now.dt)
+        middle, radius = (bounds.low + bounds.high) / 2, (bounds.high - bounds.low) / 2
         residual, threshold = reading - middle, self.threshold_scale * (radius + self._settings.bound)
         size = np.where(np.isfinite(m.size), m.size, residual)
         usable = np.isfinite(reading) & ~(m.isolated & np.isnan(m.size))
@@ -145,7 +146,7 @@ class VirtualSensors(BatchDetector):
         healthy, residual, size = ((a * scale).reshape(y.shape) for a in of_sensors)
         isolated = m.isolated[:, of._variable].reshape(y.shape)
         decision = Decision(
-            estimate=judged.x.reshape(*shape, -1),
+            estimate=bounds.x.reshape(*shape, -1),
             reconstruction=np.where(np.isfinite(y) & ~isolated, y, healthy),
             residual=residual,
             threshold=(threshold[:, of._variable] * np.abs(scale)).reshape(y.shape),
@@ -157,8 +158,8 @@ class VirtualSensors(BatchDetector):
         )
         return FaultMemory(*(a.reshape(*shape, -1) for a in m)), decision
 
-    def _look(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
-        """A step of the modules on reconstructed readings, observers of isolated sensors uncorrected."""
+    def _step_modules(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> ModuleBounds:
+        """A step of the modules on reconstructed readings, without correction of the observers of isolated sensors."""
         s, states = self._settings, len(self._settings.gains)
         (before, _), (healthy, bound) = (m.reconstructed(a, s.bound) for a in (m.before, reading))
         gains = np.where(m.isolated[:, :states], 0.0, s.gains)
@@ -172,7 +173,7 @@ class VirtualSensors(BatchDetector):
     def _monitor(
         self, m: FaultMemory, before: Array, healthy: Array, bound: Array, gains: Array, u: Array, dt: float
     ) -> list[Array]:
-        """Compiled, run by run since each has its own bounds and gains; otherwise on arrays."""
+        """As `monitor`: compiled code run by run, since bounds and gains differ between runs; otherwise array code."""
         modules, s = self._modules, self._settings
         given = m.x, m.error, before, healthy, u
         if modules.monitor is None:
@@ -187,7 +188,7 @@ class VirtualSensors(BatchDetector):
     def _inverted(
         self, m: FaultMemory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array
     ) -> tuple[Array, Array]:
-        """The bounds (B, E - S) with those of isolated sensors by set inversion, where it finds some."""
+        """The bounds (B, E - S), for isolated sensors by set inversion where it finds a solution."""
         s, states = self._settings, len(self._settings.gains)
         low, high = box(healthy, healthy, u, s._replace(bound=bound))
         lower, upper = lower.copy(), upper.copy()
@@ -202,32 +203,32 @@ class VirtualSensors(BatchDetector):
         return lower, upper
 
     def _isolate(
-        self, m: FaultMemory, judged: ModuleBounds, fresh: Array, reading: Array, u: Array, dt: float
+        self, m: FaultMemory, bounds: ModuleBounds, fresh: Array, reading: Array, u: Array, dt: float
     ) -> tuple[FaultMemory, ModuleBounds]:
         """Isolate one of the sensors whose modules fire (B, E) in each run: the one without which the fewest modules fire."""
         s, best = self._settings, m
         fewest = np.full(len(fresh), np.iinfo(int).max)
         for e in np.flatnonzero(fresh.any(axis=0)):
-            tried = m.without(int(e), self._rests_on[:, e], s.nominal, s.half_width)
-            seen = self._look(tried, reading, u, dt)
+            tried = m.without(int(e), self._depends_on[:, e], s.nominal, s.half_width)
+            seen = self._step_modules(tried, reading, u, dt)
             left = np.where(fresh[:, e], (seen.firing & ~tried.isolated).sum(axis=-1), np.iinfo(int).max)
             better = left < fewest
-            best, judged, fewest = tried.where(better, best), seen.where(better, judged), np.where(better, left, fewest)
-        return best, judged
+            best, bounds, fewest = tried.where(better, best), seen.where(better, bounds), np.where(better, left, fewest)
+        return best, bounds
 
-    def _after(self, m: FaultMemory, judged: ModuleBounds, reading: Array, u: Array, dt: float) -> FaultMemory:
+    def _after(self, m: FaultMemory, bounds: ModuleBounds, reading: Array, u: Array, dt: float) -> FaultMemory:
         """The memory after the step: observers, and the faults' intervals and estimates."""
-        low, high = m.interval(reading, judged.low, judged.high, self._settings.bound, self.intersect)
+        low, high = m.interval(reading, bounds.low, bounds.high, self._settings.bound, self.intersect)
         with np.errstate(invalid="ignore"):
             size = np.where(np.isfinite(high - low), (low + high) / 2, np.nan)
         adaptive = self._adapted(m, reading, u, dt) if self.learning_rates else Estimates(m.state, m.omega, m.fault)
         for e, variable in enumerate(self._modules.states):
             if variable in self.learning_rates:
                 size[:, e] = np.where(np.isfinite(size[:, e]), adaptive.fault[:, e], np.nan)
-        return FaultMemory(judged.x, judged.error, reading, m.isolated, low, high, size, *adaptive)
+        return FaultMemory(bounds.x, bounds.error, reading, m.isolated, low, high, size, *adaptive)
 
     def _adapted(self, m: FaultMemory, reading: Array, u: Array, dt: float) -> Estimates:
-        """The adaptive observers after the step, fed with the mean of the reconstructed readings before and after it."""
+        """The adaptive observers after the step, with the mean of the reconstructed readings before and after it as input."""
         modules, s = self._modules, self._settings
         new = [a.copy() for a in (m.state, m.omega, m.fault)]
         middle = (m.reconstructed(m.before, s.bound)[0] + m.reconstructed(reading, s.bound)[0]) / 2
@@ -236,7 +237,8 @@ class VirtualSensors(BatchDetector):
             if variable not in self.learning_rates:
                 continue
             values = dict(zip(modules.variables, at.T, strict=True)) | {variable: m.state[:, e]}
-            h = modules.equations[variable](*(values[a] for a in named(modules, variable)), modules.parameters)
+            equation = modules.equations[variable]
+            h = equation(*(values[a] for a in quantities_of(equation)), modules.parameters)
             own, gamma = Estimates(m.state[:, e], m.omega[:, e], m.fault[:, e]), self.learning_rates[variable]
             after = adapt(own, h, m.before[:, e], reading[:, e], m.isolated[:, e], dt, Rates(rate, s.gains[e], gamma))
             for column, value in zip(new, after, strict=True):

@@ -1,7 +1,7 @@
 """Set inversion by codac (C++; the optional extra `codac`), with the arguments and the result of `sivia`.
 
-An independent implementation to check against or to use instead. It has no budget and takes one problem at a time. codac
-sets the processor to round upward when it is imported; `rounding_to_nearest` restores the mode after each use.
+An independent implementation, for comparison or as an alternative. It has no budget and takes one problem at a time. codac sets
+the processor to round upward when it is imported; `rounding_to_nearest` restores the mode after each use.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def codac_sivia(
 ) -> Paving:
     """Return the pavings of `sivia` as codac finds them; box: (n,), targets and parameters: ().
 
-    `examined` is the number of boxes that came back. Raises ImportError without codac, and ValueError for bad input as
+    `examined` is the number of returned boxes. Raises ImportError without codac, and ValueError for bad input as
     `sivia` does, for a batch, and for a function that codac does not have.
     """
     try:
@@ -54,7 +54,7 @@ def codac_sivia(
     targets = [target] if isinstance(target, Interval) else list(target)
     given = [p if isinstance(p, Interval) else Interval(p) for p in parameters]
     if box.shape != (n,) or any(x.shape for x in (*targets, *given)):
-        raise ValueError("codac takes one problem at a time: box (n,), targets and parameters without a batch")
+        raise ValueError("codac takes one problem at a time: expected box (n,), targets and parameters without a batch")
 
     def interval(x: Interval) -> Any:
         return codac.Interval(float(x.lo), float(x.hi))

@@ -1,7 +1,7 @@
 """Forward-backward contraction (HC4-revise; Benhamou, Goualard, Granvilliers and Puget 1999).
 
 An equation's values are computed forward; a bound on its result is then projected backward through each operation onto
-its arguments. The part that is removed contains no solution: all arguments in the box whose result is in the target remain.
+its arguments. The removed part contains no solution: all arguments in the box whose result is in the target remain.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NEGATIVE = Interval(-np.inf, 0.0)
 
 
 def backward(expression: Expression, values: Sequence[Interval], targets: Sequence[Interval]) -> list[Interval]:
-    """Return the arguments that remain when each result is held to its target; all are empty where no solution is left.
+    """Return the arguments that remain when each result is restricted to its target; all are empty without a solution.
 
     `values` are those of `expression.evaluate`; targets broadcast against them, one for each output.
     """
@@ -36,7 +36,7 @@ def backward(expression: Expression, values: Sequence[Interval], targets: Sequen
 
 
 def factor(z: Interval, x: Interval, y: Interval) -> Interval:
-    """Return the x with x y in z for a y in [y]: two pieces, each cut to [x], where [y] reaches across zero and z does not."""
+    """Return the x with x y in z for a y in [y]; two pieces, each cut to [x], where [y] contains zero and z does not."""
     through_zero = y.contains(0.0)
     if not through_zero.any():
         return x.intersection(z / y)
@@ -45,12 +45,12 @@ def factor(z: Interval, x: Interval, y: Interval) -> Interval:
 
 
 def both_signs(magnitude: Interval, x: Interval) -> Interval:
-    """Return the part of [x] whose magnitude is in the interval given."""
+    """Return the part of [x] whose magnitude is in the given interval."""
     return x.intersection(magnitude).hull(x.intersection(-magnitude))
 
 
 def base(z: Interval, x: Interval, y: Interval) -> Interval:
-    """Return the x with x^y in z; only an exponent that is one number is projected back."""
+    """Return the x with x^y in z; only for an exponent that is a single number."""
     if y.shape or y.lo != y.hi:
         return x
     n = float(y.lo)
@@ -75,7 +75,7 @@ def exponent(z: Interval, x: Interval, y: Interval) -> Interval:
 
 
 def of_minimum(z: Interval, x: Interval, y: Interval) -> Interval:
-    """Return the x with min(x, y) in z: at least the least of z, and in z where y is certainly above it."""
+    """Return the x with min(x, y) in z: at least the lower end of z, and in z where y is certainly above z."""
     return select(y.lo > z.hi, z, Interval.unchecked(z.lo, z.hi + np.inf))
 
 
@@ -85,7 +85,7 @@ def of_maximum(z: Interval, x: Interval, y: Interval) -> Interval:
     return negated
 
 
-# for z = f(x, ...): one function of (z, x, ...) for each argument, which returns what remains possible for it
+# for z = f(x, ...): one function of (z, x, ...) for each argument, which returns its remaining values
 PROJECTIONS: dict[np.ufunc, tuple[Callable[..., Interval], ...]] = {
     np.positive: (lambda z, x: z,),
     np.negative: (lambda z, x: -z,),
@@ -107,6 +107,6 @@ PROJECTIONS: dict[np.ufunc, tuple[Callable[..., Interval], ...]] = {
     np.log1p: (lambda z, x: np.expm1(z),),
     np.tanh: (lambda z, x: np.arctanh(z),),
     np.arctanh: (lambda z, x: np.tanh(z),),
-    np.sin: (lambda z, x: x,),  # many branches: sin and cos are evaluated, not projected back
+    np.sin: (lambda z, x: x,),  # many branches: sin and cos are evaluated, but not projected back
     np.cos: (lambda z, x: x,),
 }

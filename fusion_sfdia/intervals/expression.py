@@ -1,7 +1,7 @@
-"""The expression behind an equation, recorded by running the equation once on symbols.
+"""The expression of an equation, recorded by running the equation once on symbols.
 
-Set inversion needs more than values. The recorded operations serve to project a bound on the result back onto the arguments
-(`contractors`), to form partial derivatives (`monotone`), and to find whether the result is defined on a whole box.
+The recorded operations serve to project a bound of the result back onto the arguments (`contractors`), to form partial
+derivatives (`monotone`), and to determine whether the result is defined on a whole box.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ class Expression:
     def evaluate(self, arguments: Sequence[Interval]) -> list[Interval]:
         """Return the value of every slot: the natural inclusion of each intermediate result."""
         if len(arguments) != self.n_arguments:
-            raise ValueError(f"{len(arguments)} arguments for an expression of {self.n_arguments}")
+            raise ValueError(f"{len(arguments)} arguments; expected the {self.n_arguments} of the expression")
         values: list[Any] = [*arguments, *self.slots[self.n_arguments :]]
         for i, ufunc, operands in self.operations:
             values[i] = ufunc(*(values[k] for k in operands))
         return values
 
     def is_defined(self, values: Sequence[Interval]) -> Array:
-        """Whether each operation has a value on all of its arguments' intervals: those that `evaluate` returned."""
+        """Return whether each operation is defined on all of its arguments' intervals; values: those of `evaluate`."""
         defined = np.ones((), dtype=bool)
         for _, ufunc, operands in self.operations:
             if ufunc in DOMAINS:
@@ -73,7 +73,7 @@ DOMAINS: dict[np.ufunc, Callable[..., Array]] = {
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """A slot while it is recorded: an operation on it adds a slot."""
+    """A slot during recording: an operation on it adds a slot."""
 
     __slots__ = ("index", "slots")
 
@@ -85,7 +85,7 @@ class Symbol(NDArrayOperatorsMixin):
         if kwargs.get("out") == (inputs[0],):  # x += y, which binds x to a new slot
             del kwargs["out"]
         if method != "__call__" or kwargs or ufunc not in KERNELS:
-            raise TypeError(f"an equation on intervals does not use {ufunc.__name__}")
+            raise TypeError(f"{ufunc.__name__} is not available for equations on intervals")
         operands = tuple(x.index if isinstance(x, Symbol) else add_constant(self.slots, x) for x in inputs)
         return Symbol(self.slots, (ufunc, operands))
 
@@ -102,9 +102,9 @@ def add_constant(slots: list[Any], x: Any) -> int:
 def record(function: Callable[..., Any] | Expression, n_arguments: int) -> Expression:
     """Return the expression of an equation of `n_arguments` scalars that returns one result or a tuple of them.
 
-    An expression is returned unchanged, so an equation that is evaluated often is recorded once.
+    An expression is returned unchanged, so that an equation that is used often can be recorded once.
 
-    Raises ValueError where the equation takes another number of arguments, or holds an array instead of a scalar.
+    Raises ValueError where the equation takes another number of arguments, or contains an array instead of a scalar.
     """
     if isinstance(function, Expression):
         expression = function

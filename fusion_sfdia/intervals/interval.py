@@ -1,14 +1,14 @@
-"""Interval arrays: what an equation gives for every value within bounds, rounding included.
+"""Interval arrays: enclosures of the results of an equation for all values within bounds, including rounding errors.
 
     x = Interval(2.0, 3.0)
     np.sqrt(x) * (1 - x**2)  # an Interval that contains the result for every number in [2, 3]
 
 Bounds are float arrays; a batch is leading axes, which are broadcast. NumPy's operators and elementwise functions
-take intervals (`interval_kernels.KERNELS` lists which), alone and mixed with numbers and arrays, so the equations of the
-physics take them as they are. A literal stands for its nearest float.
+take intervals (`interval_kernels.KERNELS` lists which), alone and mixed with numbers and arrays, so they can be
+passed to the equations of the physics. A literal stands for its nearest float.
 
-The empty set is NaN, NaN: no solution, or no value in the domain. An operation on it gives the empty set. A missing reading
-is not the empty set but its physical range, so NaN is refused as a bound; `Interval.empty` makes an empty interval.
+The empty set is NaN, NaN: no solution, or no value in the domain. An operation on it returns the empty set. A missing reading
+is not the empty set but its physical range, so NaN is rejected as a bound; `Interval.empty` makes an empty interval.
 """
 
 from __future__ import annotations
@@ -39,18 +39,20 @@ class Interval(NDArrayOperatorsMixin):
     def __init__(self, lo: ArrayLike, hi: ArrayLike | None = None) -> None:
         low = np.asarray(lo, dtype=float)
         if hi is None:
-            high = low  # one array twice: by this the kernels recognise a point
+            high = low  # the same array twice: so the kernels recognise a point
         else:
             low, high = np.broadcast_arrays(low, np.asarray(hi, dtype=float))
         if (np.isnan(low) | np.isnan(high)).any():
-            raise ValueError("a bound is NaN: give a missing value its physical range; the empty set is Interval.empty(shape)")
+            raise ValueError(
+                "a bound is NaN; give a missing value its physical range, or use Interval.empty(shape) for the empty set"
+            )
         if (wrong := low > high).any():
             raise ValueError(
                 f"lower bound {low[wrong][0]} above upper bound {high[wrong][0]} ({np.sum(wrong)} of {wrong.size}): "
                 "swap them, or use Interval.empty(shape) if no value is possible"
             )
         if ((low == np.inf) | (high == -np.inf)).any():
-            raise ValueError("an interval holds real numbers: its lower bound must be below inf, its upper bound above -inf")
+            raise ValueError("lower bound inf or upper bound -inf; expected lower bound below inf, upper bound above -inf")
         self.lo, self.hi = low, high
 
     @classmethod
@@ -83,7 +85,7 @@ class Interval(NDArrayOperatorsMixin):
         if not rounds_to_nearest():
             raise RuntimeError(
                 "the processor does not round to nearest, so no bound would hold: a library changed the mode (codac does "
-                "when imported; call it through fusion_sfdia.intervals.codac_adapter) and has to set it back"
+                "when imported; call it through fusion_sfdia.intervals.codac_adapter) and has to restore it"
             )
         arguments = [x if isinstance(x, Interval) else Interval(x) for x in inputs]
         with np.errstate(all="ignore"):
@@ -110,7 +112,7 @@ class Interval(NDArrayOperatorsMixin):
 
     @property
     def mid(self) -> Array:
-        """A finite point inside: the middle, 0 for the real line, the largest float on a half-line; NaN for empty."""
+        """A finite point of the interval: the middle, 0 for the real line, the largest float for a half-line; NaN for empty."""
         lo, hi = np.maximum(self.lo, -MAX), np.minimum(self.hi, MAX)
         middle = np.minimum(np.maximum(0.5 * lo + 0.5 * hi, lo), hi)
         upward, downward = np.isinf(self.hi), np.isinf(self.lo)
@@ -118,13 +120,13 @@ class Interval(NDArrayOperatorsMixin):
 
     @property
     def width(self) -> Array:
-        """Upper minus lower bound, rounded up; 0 for a point, NaN for empty."""
+        """Upper minus lower bound, rounded upward; 0 for a point, NaN for empty."""
         with np.errstate(all="ignore"):
             return np.where(self.lo == self.hi, 0.0, above(self.hi - self.lo))
 
     @property
     def radius(self) -> Array:
-        """The least float with [mid - radius, mid + radius] around the interval, to a unit in the last place."""
+        """The least float for which [mid - radius, mid + radius] contains the interval, to a unit in the last place."""
         with np.errstate(all="ignore"):
             half = np.maximum(self.hi - self.mid, self.mid - self.lo)
             return np.where(self.lo == self.hi, 0.0, above(half))
@@ -133,17 +135,17 @@ class Interval(NDArrayOperatorsMixin):
         return Interval.unchecked(*kernels.intersection((self.lo, self.hi), (other.lo, other.hi)))
 
     def hull(self, other: Interval) -> Interval:
-        """Return the least interval around both."""
+        """Return the least interval that contains both."""
         return Interval.unchecked(*kernels.hull((self.lo, self.hi), (other.lo, other.hi)))
 
     def contains(self, other: Interval | ArrayLike) -> Array:
-        """Whether the interval contains every value of other (points or intervals); every interval contains the empty set."""
+        """Return whether the interval contains all of other (points or intervals); every interval contains the empty set."""
         if isinstance(other, Interval):
             return other.is_empty | ((self.lo <= other.lo) & (other.hi <= self.hi))
         return (self.lo <= np.asarray(other)) & (np.asarray(other) <= self.hi)
 
     def bisect(self) -> tuple[Interval, Interval]:
-        """Return both halves, which share their point in the middle."""
+        """Return both halves, which share the midpoint."""
         middle = self.mid
         return Interval.unchecked(self.lo, middle), Interval.unchecked(middle, self.hi)
 

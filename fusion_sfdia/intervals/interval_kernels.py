@@ -1,9 +1,9 @@
-"""Interval arithmetic on bounds, rounded outward: one kernel a NumPy ufunc.
+"""Interval arithmetic on bounds, rounded outward: one kernel for each NumPy ufunc.
 
-A kernel maps bounds (lo, hi), two float arrays, to bounds. NaN, NaN is the empty set; a point may come as one array
-twice (lo is hi), which saves half of the corners. The flavour is IEEE 1788's set-based one: an argument is cut to the
-function's domain, and where nothing remains the result is empty. Every result encloses the exact
-range, rounded outward as `rounding` does; sums and products that are 0 stay 0.
+A kernel maps bounds (lo, hi), two float arrays, to bounds. NaN, NaN is the empty set; a point may be given as the same array
+twice (lo is hi), which saves half of the corners. The flavour is the set-based one of IEEE 1788: an argument is cut to the
+domain of the function; where nothing remains the result is empty. Every result encloses the exact range, rounded outward by
+`rounding`; sums and products that are exactly 0 stay 0.
 
 Kernels expect floating-point warnings to be off, subnormal numbers to be on and rounding to nearest.
 """
@@ -30,7 +30,7 @@ def is_empty(a: Bounds) -> Array:
 
 
 def emptied(a: Bounds, where: Array) -> Bounds:
-    """Return the bounds, empty where `condition` holds."""
+    """Return the bounds, empty where `where` holds."""
     return (np.where(where, np.nan, a[0]), np.where(where, np.nan, a[1])) if where.any() else a
 
 
@@ -41,7 +41,7 @@ def intersection(a: Bounds, b: Bounds) -> Bounds:
 
 
 def hull(a: Bounds, b: Bounds) -> Bounds:
-    """Return the least interval around both."""
+    """Return the least interval that contains both."""
     return np.fmin(a[0], b[0]), np.fmax(a[1], b[1])
 
 
@@ -62,8 +62,9 @@ def subtract(a: Bounds, b: Bounds) -> Bounds:
 
 
 def corners(function: Callable[[Array, Array], Array], a: Bounds, b: Bounds) -> Bounds:
-    """Return the least and greatest value at the corners. Limits without a value (0 inf, 0/0, inf/inf) are left out:
-    where one corner has none, the neighbouring corners attain the ends of its range of limits.
+    """Return the least and greatest value at the corners.
+
+    Undefined values (0 inf, 0/0, inf/inf) are left out: the neighbouring corners attain the ends of the range of limits there.
     """
     left, right = (x[:1] if x[0] is x[1] else x for x in (a, b))
     values = [function(x, y) for x in left for y in right]
@@ -71,7 +72,7 @@ def corners(function: Callable[[Array, Array], Array], a: Bounds, b: Bounds) -> 
 
 
 def outward_product(lo: Array, hi: Array, a: Bounds, b: Bounds) -> Bounds:
-    """Round a product or quotient outward, without leaving the side of zero on which the signs of a and b put it."""
+    """Round a product or quotient outward, without crossing zero where the signs of a and b determine its sign."""
     low, high = below(lo), above(hi)
     if not ((lo == 0) | (hi == 0)).any():
         return low, high
@@ -96,7 +97,7 @@ def divide(a: Bounds, b: Bounds) -> Bounds:
     if not ((b[0] <= 0) & (b[1] >= 0)).any():
         lo, hi = corners(np.divide, a, b)
         return outward_product(lo, hi, a, b)
-    lo, hi = corners(np.divide, a, (b[0] + 0.0, -(0.0 - b[1])))  # a zero at an end is approached from inside: +0, -0
+    lo, hi = corners(np.divide, a, (b[0] + 0.0, -(0.0 - b[1])))  # an end at zero is approached from inside: +0, -0
     across = (b[0] < 0) & (b[1] > 0) & ~((a[0] == 0) & (a[1] == 0)) & ~is_empty(a)
     lo, hi = np.where(across, -np.inf, lo), np.where(across, np.inf, hi)
     return emptied(outward_product(lo, hi, a, b), (b[0] == 0) & (b[1] == 0))
@@ -156,7 +157,7 @@ def real_power(a: Bounds, b: Bounds) -> Bounds:
 
 
 def power(a: Bounds, b: Bounds) -> Bounds:
-    """Return a^b: where b is a whole number the power of every a, as NumPy has it; elsewhere over a >= 0."""
+    """Return a^b: for an integer b the power of every a, as in NumPy; otherwise over a >= 0."""
     if b[0] is b[1] and b[0].ndim == 0:
         return integer_power(a, int(b[0])) if float(b[0]).is_integer() else real_power(a, b)
     whole = (b[0] == b[1]) & (b[0] == np.rint(b[0]))
@@ -168,13 +169,13 @@ def power(a: Bounds, b: Bounds) -> Bounds:
     return lo, hi
 
 
-def rising(
+def increasing(
     function: Callable[[Array], Array],
     domain: tuple[float, float] = (-np.inf, np.inf),
     image: tuple[float, float] = (-np.inf, np.inf),
     ulps: int = LIBRARY_ULPS,
 ) -> Kernel:
-    """Kernel of a function that rises over its domain; an end with no finite value is no part of it."""
+    """Kernel of a function that increases over its domain; an end without a finite value is not part of the domain."""
     least, greatest = (np.asarray(float(x)) for x in domain)
     with np.errstate(all="ignore"):
         open_low, open_high = (np.isfinite(x) and not np.isfinite(function(x)) for x in (least, greatest))
@@ -189,8 +190,8 @@ def rising(
     return kernel
 
 
-def wave(function: Callable[[Array], Array], crest: float) -> Kernel:
-    """Kernel of sin or cos, whose maxima lie at 2 pi (k + crest); a maximum or minimum that may lie within counts as within."""
+def periodic(function: Callable[[Array], Array], crest: float) -> Kernel:
+    """Kernel of sin or cos, with maxima at 2 pi (k + crest); an extremum that may be inside counts as inside."""
 
     def kernel(a: Bounds) -> Bounds:
         ends = function(a[0]), function(a[1])
@@ -198,7 +199,7 @@ def wave(function: Callable[[Array], Array], crest: float) -> Kernel:
         hi = np.minimum(above(np.maximum(*ends), LIBRARY_ULPS), 1.0)
         for shift, value in ((crest, 1.0), (crest + 0.5, -1.0)):
             turns = [x / (2 * np.pi) - shift for x in a]
-            margin = [4 * EPS * (np.abs(x) + 2) for x in turns]  # three roundings and that of pi, each half an EPS
+            margin = [4 * EPS * (np.abs(x) + 2) for x in turns]  # three roundings and the one of pi, half an EPS each
             inside = ~(np.ceil(turns[0] - margin[0]) > np.floor(turns[1] + margin[1])) & ~is_empty(a)  # true for inf - inf
             lo, hi = (np.where(inside, -1.0, lo), hi) if value < 0 else (lo, np.where(inside, 1.0, hi))
         infinite = np.isinf(a[0]) | np.isinf(a[1])
@@ -208,7 +209,7 @@ def wave(function: Callable[[Array], Array], crest: float) -> Kernel:
 
 
 def both(function: Callable[[Array, Array], Array]) -> Kernel:
-    """Kernel of a function that rises in both arguments and rounds nothing."""
+    """Kernel of a function that increases in both arguments and is exact."""
     return lambda a, b: (function(a[0], b[0]), function(a[1], b[1]))
 
 
@@ -226,14 +227,14 @@ KERNELS: dict[np.ufunc, Kernel] = {
     np.absolute: absolute,
     np.minimum: both(np.minimum),
     np.maximum: both(np.maximum),
-    np.sqrt: rising(np.sqrt, (0, np.inf), (0, np.inf), ulps=0),
-    np.exp: rising(np.exp, image=(0, np.inf)),
-    np.expm1: rising(np.expm1, image=(-1, np.inf)),
-    np.log: rising(np.log, (0, np.inf)),
-    np.log10: rising(np.log10, (0, np.inf)),
-    np.log1p: rising(np.log1p, (-1, np.inf)),
-    np.tanh: rising(np.tanh, image=(-1, 1)),
-    np.arctanh: rising(np.arctanh, (-1, 1)),
-    np.sin: wave(np.sin, 0.25),
-    np.cos: wave(np.cos, 0.0),
+    np.sqrt: increasing(np.sqrt, (0, np.inf), (0, np.inf), ulps=0),
+    np.exp: increasing(np.exp, image=(0, np.inf)),
+    np.expm1: increasing(np.expm1, image=(-1, np.inf)),
+    np.log: increasing(np.log, (0, np.inf)),
+    np.log10: increasing(np.log10, (0, np.inf)),
+    np.log1p: increasing(np.log1p, (-1, np.inf)),
+    np.tanh: increasing(np.tanh, image=(-1, 1)),
+    np.arctanh: increasing(np.arctanh, (-1, 1)),
+    np.sin: periodic(np.sin, 0.25),
+    np.cos: periodic(np.cos, 0.0),
 }

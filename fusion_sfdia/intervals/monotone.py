@@ -1,8 +1,8 @@
 """Bounds of an explicit equation y = f(x_1, ..., x_n) over a box, from the signs of its partial derivatives.
 
-Where df/dx_i keeps its sign over the whole box (proved with interval derivatives, not checked at one point), f is smallest
-and largest at an end of x_i; with every sign proved the bounds are two corners, tight to rounding (Moore, Kearfott and
-Cloud 2009, ch. 6).
+Where df/dx_i has one sign over the whole box (proved with interval derivatives, not checked at one point), f is smallest and
+largest at an end of x_i. With every sign proved the bounds are the values at two corners, tight to rounding (Moore, Kearfott
+and Cloud 2009, ch. 6).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 def gradient(expression: Expression, values: Sequence[Interval]) -> list[Interval]:
     """Return d f / d x_i over the box that the values of `expression.evaluate` belong to, accumulated backward.
 
-    Where f has a kink (abs, minimum, maximum) it holds every slope. Valid where f is defined on the whole box.
+    At a kink of f (abs, minimum, maximum) it contains every slope. Valid where f is defined on the whole box.
     """
     zero = Interval(0.0)
     slopes = [zero] * len(values)
@@ -38,7 +38,7 @@ def gradient(expression: Expression, values: Sequence[Interval]) -> list[Interva
 
 
 def derivative(expression: Expression, values: Sequence[Interval], argument: int) -> Interval:
-    """Return d f / d x_i for one argument over the box of the values, accumulated forward; else as `gradient`."""
+    """Return d f / d x_i for one argument over the box of the values, accumulated forward; otherwise as `gradient`."""
     zero = Interval(0.0)
     slopes = [zero] * len(values)
     slopes[argument] = Interval(1.0)
@@ -53,21 +53,21 @@ def derivative(expression: Expression, values: Sequence[Interval], argument: int
 def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, pieces: int = 1) -> Interval:
     """Return an enclosure (...) of {function(x_1, ..., x_n): x in box}; box: (..., n).
 
-    Variables whose sign is proved are set to the end that bounds f, which may prove further signs; what stays an interval is
-    bounded by natural inclusion and mean-value form, f(m) + sum_i f_i([x]) ([x_i] - m_i). Where f is not defined on the whole
-    box it is the natural inclusion.
+    Variables whose sign is proved are set to the end that bounds f, which may prove further signs. For the remaining intervals
+    the bounds are the intersection of natural inclusion and mean-value form, f(m) + sum_i f_i([x]) ([x_i] - m_i). Where f is
+    not defined on the whole box the result is the natural inclusion.
 
-    Interval derivatives overestimate where a variable occurs often. With `pieces` > 1 everything is taken over that many
-    parts of each variable, pieces^n boxes in all.
+    Interval derivatives overestimate where a variable occurs several times. With `pieces` > 1 each variable is cut into that
+    many parts, which gives pieces^n boxes.
 
-    Raises ValueError for another number of variables than the function's, of results than one, and for pieces < 1.
+    Raises ValueError for a wrong number of variables, for more than one result, and for pieces < 1.
     """
     x = [box[..., i] for i in range(box.shape[-1])]
     expression = record(function, len(x))
     if len(expression.outputs) != 1:
-        raise ValueError(f"a function of {len(expression.outputs)} results: bound one at a time")
+        raise ValueError(f"the function has {len(expression.outputs)} results; expected 1: bound one at a time")
     if pieces < 1:
-        raise ValueError(f"{pieces} pieces of each variable: give 1 or more")
+        raise ValueError(f"pieces is {pieces}; expected 1 or more parts of each variable")
     found, slopes, defined = _bounds(expression, x, pieces)
     lo, hi = found.lo, found.hi
     for greatest in (False, True):
@@ -77,7 +77,7 @@ def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, piec
             if all(((a.lo == b.lo) & (a.hi == b.hi)).all() for a, b in zip(before, end, strict=True)):
                 break
             if all((e.lo == e.hi).all() for e in end):
-                there = expression.evaluate(end)[expression.outputs[0]]  # a corner: slopes would change nothing
+                there = expression.evaluate(end)[expression.outputs[0]]  # a corner: slopes have no effect
             else:
                 there, signs, _ = _bounds(expression, end, pieces)
             lo, hi = (lo, np.minimum(hi, there.hi)) if greatest else (np.maximum(lo, there.lo), hi)
@@ -85,13 +85,13 @@ def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, piec
 
 
 def _end(x: Interval, slope: Interval) -> Interval:
-    """Return the end of x at which a function with that slope is least, or x where its sign is not proved."""
+    """Return the end of x at which a function with this slope is least, or x where the sign is not proved."""
     rises, falls = slope.lo >= 0, slope.hi <= 0
     return select(rises, Interval.unchecked(x.lo, x.lo), select(falls, Interval.unchecked(x.hi, x.hi), x))
 
 
 def _bounds(expression: Expression, x: Sequence[Interval], pieces: int) -> tuple[Interval, list[Interval], Array]:
-    """Return an enclosure of f over x, its slopes, and whether f is defined on the whole of it."""
+    """Return an enclosure of f over x, its slopes, and whether f is defined on all of x."""
     n, batch = len(x), x[0].shape
     parts, out = _parts(x, pieces), expression.outputs[0]
     values = expression.evaluate(parts)
@@ -127,7 +127,7 @@ def _over_parts(y: Interval, n: int, batch: tuple[int, ...]) -> Interval:
 
 
 def _of_power(z: Interval, x: Interval, y: Interval) -> Interval:
-    whole = (y.lo == y.hi) & (y.lo == np.rint(y.lo))  # y - 1 is exact there and stays a whole number
+    whole = (y.lo == y.hi) & (y.lo == np.rint(y.lo))  # y - 1 is exact there and remains an integer
     less_one = Interval(y.lo - 1) if whole.all() else select(whole, Interval.unchecked(y.lo - 1, y.lo - 1), y - 1)
     power: Interval = x**less_one
     slope: Interval = y * power

@@ -1,12 +1,12 @@
 """Set inversion via interval analysis, SIVIA (Jaulin and Walter 1993; Kougiatsos 2024, sec. IV-B, for sensor thresholds).
 
-Which x in a box have f(x, p) in a target? Boxes are kept, dropped or cut in half until they are small. The result
-encloses the set from both sides: inner boxes are subsets of it, and inner and boundary boxes together contain it.
+The set of all x in a box with f(x, p) in a target: boxes are accepted, rejected or bisected until they are small. The result
+encloses the set from both sides: inner boxes are subsets of the set, and inner and boundary boxes together contain it.
 
-With parameters p that are intervals, the outer side contains every x that some p admits, and the inner side contains only x
-that every p admits. An empty result has a meaning: the measurements contradict the model.
+With interval parameters p, the outer boxes contain every x that is a solution for some p, and the inner boxes only x that are
+solutions for every p. An empty result means that the measurements contradict the model.
 
-All boxes of a generation are treated at once, for every problem of a batch (seeds, times), with the result of a loop.
+All boxes of a generation are processed at once, for every problem of a batch (seeds, times); the result is that of a loop.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Boxes:
-    """Boxes, component by component (n, boxes), and the problem that each belongs to."""
+    """Boxes by component (n, boxes), and the index of the problem of each box (boxes,)."""
 
     boxes: Interval
     problem: Array
@@ -54,7 +54,7 @@ class Boxes:
 class Paving:
     """The result of set inversion for each problem of a batch (...), in n variables.
 
-    hull: (..., n), the least box around inner and boundary boxes, empty where there is no solution.
+    hull: (..., n), the least box that contains inner and boundary boxes, empty without a solution.
     inner, boundary: (boxes, n); inner_problem, boundary_problem: (boxes,), the index of the problem in the flattened batch.
     complete: (...), False where the budget ran out: the enclosure holds, but boundary boxes are larger than the tolerance.
     examined: (...), number of boxes examined.
@@ -70,7 +70,7 @@ class Paving:
 
     @classmethod
     def of(cls, inner: Boxes, boundary: Boxes, complete: Array, examined: Array) -> Paving:
-        """Return the paving made of these boxes; complete and examined: (...)."""
+        """Return the paving with these boxes; complete and examined: (...)."""
         outer = Boxes.join([inner, boundary])
         ends = np.full((2, len(outer.boxes.lo), complete.size), np.inf)
         for row, values in zip(ends, (outer.boxes.lo, -outer.boxes.hi), strict=True):
@@ -111,18 +111,18 @@ def sivia(
     function: an equation, or one that returns a tuple of results, each with its own target. It is recorded
         here; to invert it often, record it once (`expression.record`).
     target: one for each result, each (...). box: (..., n), finite. parameters: each (...).
-    tolerance: width up to which a box is cut, in the units of the variables: one, or (n,).
-    budget: boxes that may be examined for each problem; where more are pending, they count as boundary.
-    contract: cut boxes by forward-backward contraction with the target and with its complement, not by bisection alone.
+    tolerance: width at which boxes are not cut any more, in the units of the variables: one number, or (n,).
+    budget: boxes that may be examined for each problem; pending boxes beyond it count as boundary.
+    contract: cut boxes by forward-backward contraction with the target and with its complement, in addition to bisection.
 
     Raises ValueError for a box that is empty, infinite or without an axis of variables, a tolerance that is not positive, a
-    budget below 1, and targets or arguments in another number than the function's.
+    budget below 1, and a wrong number of targets or arguments.
     """
     n = checked_size(box, tolerance, budget)
     expression = record(function, n + len(parameters))
     targets = [target] if isinstance(target, Interval) else list(target)
     if len(targets) != len(expression.outputs):
-        raise ValueError(f"{len(targets)} targets for {len(expression.outputs)} results: give one for each")
+        raise ValueError(f"{len(targets)} targets for {len(expression.outputs)} results; expected one for each")
     given = [p if isinstance(p, Interval) else Interval(p) for p in parameters]
     shape = np.broadcast_shapes(box.shape[:-1], *(x.shape for x in (*targets, *given)))
     constraint = _Constraint(expression, [_flat(x, shape) for x in given], [_flat(x, shape) for x in targets])
@@ -172,12 +172,12 @@ class _Constraint:
         return Interval.stack(backward(self.expression, values, targets)[: work.boxes.shape[0]], axis=0)
 
     def without_outside(self, work: Boxes) -> Boxes:
-        """Cut off what certainly does not meet the target."""
+        """Cut off points that certainly do not meet the target."""
         left = self.contracted(work, self.values(work), [t[work.problem] for t in self.targets])
         return Boxes(left, work.problem).where(~np.asarray(left.is_empty.any(axis=0)))
 
     def classify(self, work: Boxes) -> tuple[Array, Array]:
-        """Whether each box is inside the set; whether it is outside."""
+        """Return whether each box is inside the set, and whether it is outside."""
         values = self.values(work)
         inside, outside = (
             np.array(np.broadcast_to(self.expression.is_defined(values), len(work))),
@@ -189,9 +189,9 @@ class _Constraint:
         return inside & ~outside, outside
 
     def without_inside(self, work: Boxes) -> tuple[Boxes, list[Boxes]]:
-        """Cut off what certainly meets the target, and return what is left and what was cut off.
+        """Cut off points that certainly meet the target; return the remaining boxes and the boxes cut off.
 
-        Left is the hull of what may violate a target on either side, or may have no value.
+        A remaining box is the hull of points that may violate a target on either side or may have no value.
         """
         if all((t.lo == t.hi).all() for t in self.targets):  # every point is arbitrarily close to one that violates it
             return work, []
@@ -218,14 +218,16 @@ class _Constraint:
 def checked_size(box: Interval, tolerance: ArrayLike, budget: int) -> int:
     """Return the number of variables of the box."""
     if not box.shape or not box.shape[-1]:
-        raise ValueError(f"a box of shape {box.shape}: its last axis holds the variables")
+        raise ValueError(f"the box has shape {box.shape}; expected (..., n) with the variables on the last axis")
     if not (np.isfinite(box.lo) & np.isfinite(box.hi)).all():
-        raise ValueError("the start box is empty or infinite: give each variable its finite physical range")
+        raise ValueError("the start box is empty or infinite; give the finite physical range of each variable")
     size = np.asarray(tolerance, dtype=float)
     if size.shape not in ((), box.shape[-1:]) or not (size > 0).all():
-        raise ValueError(f"tolerance {tolerance!r}: give a positive width, one or for each of the {box.shape[-1]} variables")
+        raise ValueError(
+            f"tolerance is {tolerance!r}; expected a positive width, one number or one for each of {box.shape[-1]} variables"
+        )
     if budget < 1:
-        raise ValueError(f"budget {budget}: at least the start box has to be examined, so give 1 or more")
+        raise ValueError(f"budget is {budget}; expected 1 or more, since the start box has to be examined")
     return box.shape[-1]
 
 

@@ -1,1 +1,1 @@
-"""Detectors on filters: banks that leave out each sensor, single filters, and their algebra."""
+"""Detectors on filters: banks of leave-one-out filters, single filters, and their algebra."""

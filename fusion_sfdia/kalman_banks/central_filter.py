@@ -1,4 +1,4 @@
-"""Detector: one Kalman filter on all sensors with a test of each innovation; the usual choice and reference."""
+"""Detector: one Kalman filter on all sensors with a test of each innovation; the common choice, used as the reference."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class CentralFilter(BatchDetector):
-    """A single filter of any kind: residual y - E[y], threshold from its variance at a false-alarm budget per step over
-    all sensors (Bonferroni). The sensor with the largest ratio above 1 is isolated; nothing is accommodated.
+    """A single filter of any kind, without accommodation.
+
+    Residual: y - E[y]. Threshold: from its variance, at the probability `false_alarm` per step over all sensors (Bonferroni).
+    The sensor with the largest ratio above 1 is isolated.
     """
 
     estimator: Estimator = field(default_factory=Extended)

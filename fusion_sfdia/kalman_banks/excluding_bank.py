@@ -1,4 +1,4 @@
-"""What is common to banks on one central filter that leave out isolated sensors: their settings, and the end of a step."""
+"""Common parts of banks on one central filter that leave out isolated sensors: their settings and the end of a step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[Any]
 
 
 class Update(NamedTuple):
-    """The update of a step: estimate x (..., n), covariance p (..., n, n), and the statistics of the readings in it."""
+    """The update of a step: estimate x (..., n), covariance p (..., n, n), and the statistics of the readings used."""
 
     x: Array
     p: Array
@@ -31,14 +31,15 @@ class Update(NamedTuple):
     found: LeaveOneOut
 
 
-class Verdict(NamedTuple):
-    """Of the sensors (..., N): in use before the step, isolated in it, residual, threshold and size of fault; capped (...).
+class SensorTests(NamedTuple):
+    """Test results of the sensors (..., N).
 
-    limit: chi-square limit on the readings of sensors that are out, compared with their expected values.
+    usable: in use before the step. isolated: in this step. residual, threshold; size: of the fault. capped (...): another
+    sensor would be isolated without max_faults. limit: chi-square limit on the readings of excluded sensors.
     """
 
     usable: Array
-    named: Array
+    isolated: Array
     residual: Array
     threshold: Array
     size: Array
@@ -47,7 +48,7 @@ class Verdict(NamedTuple):
 
 
 class ExcludingBank(BatchDetector):
-    """A bank with these settings; each bank declares and documents them with its defaults."""
+    """A bank with these settings; each bank declares them with its own defaults and documents them."""
 
     estimator: Estimator
     false_alarm: float
@@ -62,13 +63,13 @@ class ExcludingBank(BatchDetector):
 
     @cached_property
     def most_faults(self) -> int:
-        """How many sensors may be out at once."""
+        """How many sensors may be excluded at once."""
         return self.max_faults or most_faults(self.plant)
 
     def _conclude(
-        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, verdict: Verdict
+        self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, tested: SensorTests
     ) -> tuple[Exclusion, Decision]:
-        """Leave out the isolated sensors and readmit those that are healthy again; without `accommodate` only report them.
+        """Exclude the isolated sensors and readmit those that are healthy again; without `accommodate` only report them.
 
         Return the exclusions and the Decision.
         """
@@ -76,23 +77,23 @@ class ExcludingBank(BatchDetector):
         expected = plant.output(now.t, x, u)
         h = plant.output_jacobian_at(now.t, x, u)
         variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
-        error = y - expected  # of sensors that are out, which do not enter `expected`
+        error = y - expected  # used for excluded sensors, which do not enter `expected`
         if self.accommodate:
-            exclusion = readmit(exclusion, error, variance, verdict.limit, -np.log(self.false_alarm / y.shape[-1]))
-            exclusion = exclude(exclusion, verdict.named, error)
-        held = exclusion.out if self.accommodate else verdict.named
-        outside = np.isfinite(y) & ~verdict.usable
+            exclusion = readmit(exclusion, error, variance, tested.limit, -np.log(self.false_alarm / y.shape[-1]))
+            exclusion = exclude(exclusion, tested.isolated, error)
+        held = exclusion.out if self.accommodate else tested.isolated
+        outside = np.isfinite(y) & ~tested.usable
         decision = Decision(
             estimate=x,
             reconstruction=np.where(np.isfinite(y) & ~held, y, expected),
-            residual=np.where(outside, error, np.where(verdict.usable, verdict.residual, np.nan)),
-            threshold=np.where(outside, np.sqrt(verdict.limit * variance), verdict.threshold),
+            residual=np.where(outside, error, np.where(tested.usable, tested.residual, np.nan)),
+            threshold=np.where(outside, np.sqrt(tested.limit * variance), tested.threshold),
             isolated=held,
-            fault_size=np.where(held, exclusion.size if self.accommodate else verdict.size, np.nan),
+            fault_size=np.where(held, exclusion.size if self.accommodate else tested.size, np.nan),
             diverged=prior.lost | broken(x, p),
             guarded=prior.guarded,
             nis=normalised_innovation_squared(joint, found, y),
             covariance=p,
-            capped=verdict.capped,
+            capped=tested.capped,
         )
         return exclusion, decision

@@ -1,8 +1,8 @@
 """Detector: the fusing filters of Shaheen 2024, a bank of N leave-one-out filters with an information mixture.
 
-As printed, except for what does not work as printed: the process noise is reset in each step (fed back as Q_i = beta_i Q_m
-it decreases as N^(-2k) and the gain vanishes), the ensemble uses S = H P H' + R, and its feedback, which the paper does not
-specify, gives each local ensemble the mixture's mean and covariance.
+As printed, with three changes. The process noise is reset in each step: fed back as Q_i = beta_i Q_m it decreases as N^(-2k)
+and the gain vanishes. The ensemble uses S = H P H' + R. Its feedback, which the paper does not specify, gives each local
+ensemble the mean and covariance of the mixture.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Array = NDArray[Any]
 
 
 class Mixed(NamedTuple):
-    """The mixture's x (..., n) and P (..., n, n), the core fed back, and the NIS (...)."""
+    """Mean x (..., n) and covariance p (..., n, n) of the mixture, the filter core that is fed back, and the NIS (...)."""
 
     x: Array
     p: Array
@@ -49,13 +49,16 @@ class Mixed(NamedTuple):
 class FusingBank(BatchDetector):
     """N local filters, the i-th without sensor i, mixed and fed back (Shaheen 2024, sec. III).
 
-    plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum
-    to 1; None for 1/N each. literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing`
-    gives the same numbers at the cost of one (equal beta only: unequal beta always runs literally).
-    thresholds: (N,) on sqrt of the state variance (19) seen by each sensor, in sensor units: the paper gives none, so set them
-    with `fit` or `fit_thresholds`. Without them no alarm is ever raised, and `init` warns; (inf,) * N states that this is
-    intended. residual_scale: (n,) by which states are divided in the residual (20), which otherwise adds different units; None
-    for the plant's state_scale. accommodate: treat the isolated sensor as missing in that step.
+    plant, estimator: the model and the kind of local filter. beta: the information distribution factors (N,), which sum to 1;
+    None for 1/N each.
+    literal: run N filters one by one; otherwise the algebra of `leave_one_out` and `mixing` gives the same numbers at the cost
+    of one filter (equal beta only: unequal beta always runs literally).
+    thresholds: (N,) on the square root of the state variance (19) of each sensor, in sensor units. The paper gives no values:
+    set them with `fit` or `fit_thresholds`. Without them no alarm is raised, and `init` warns; (inf,) * N states that this is
+    intended.
+    residual_scale: (n,), divides the states in the residual (20), which would otherwise add different units; None for the
+    plant's state_scale.
+    accommodate: treat the isolated sensor as missing in that step.
     """
 
     estimator: Estimator = field(default_factory=lambda: Unscented(redraw=False))
@@ -76,18 +79,18 @@ class FusingBank(BatchDetector):
                 continue
             values = floats(what, getattr(self, what))
             if values.shape != (expected,) or not np.all(values > 0):
-                least = f"{values.min():g}" if values.size else "none"
-                raise ValueError(f"{what} must be {expected} positive numbers; got shape {values.shape}, the least {least}")
+                least = f"{values.min():g}" if values.size else "undefined"
+                raise ValueError(f"{what} has shape {values.shape} with minimum {least}; expected {expected} positive numbers")
             object.__setattr__(self, what, tuple(values.tolist()))
         if self.beta is not None and not np.isclose(sum(self.beta), 1.0, rtol=1e-9):
-            raise ValueError(f"beta sums to {sum(self.beta):.6g}; the information distribution factors must sum to 1")
+            raise ValueError(f"beta sums to {sum(self.beta):.6g}; expected information distribution factors that sum to 1")
 
     @property
     def runs_literally(self) -> bool:
         return self.literal or (self.beta is not None and len(set(self.beta)) > 1)
 
     def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
-        """As of every detector; a UserWarning where there are no thresholds."""
+        """As of every detector; with a UserWarning where there are no thresholds."""
         if self.thresholds is None:
             warnings.warn(
                 "FusingBank has no thresholds and will never raise an alarm; set them with fit_thresholds(healthy), "
@@ -97,11 +100,11 @@ class FusingBank(BatchDetector):
         return super().init(batch, t, seed)
 
     def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
-        """The bank with one threshold for each quantity, at a rate of false alarms per step over all sensors.
+        """Return the bank with one threshold for each quantity, for a rate of false alarms per step over all sensors.
 
         healthy: as in `fit`. The threshold of a quantity is an order statistic of its largest residual after the first
-        `warm_up` samples, in which the filter settles; the quantities share the rate equally. Runs in which the bank diverges
-        are left out. ValueError where the data are too few for the rate: less than one sample expected above a threshold.
+        `warm_up` samples, in which the filter settles. The quantities share the rate equally. Runs in which the bank diverges
+        are left out. Raises ValueError for too few data: less than one sample expected above a threshold.
         """
         probability("false_alarm", false_alarm)
         whole("warm_up", warm_up, least=0)
@@ -114,7 +117,7 @@ class FusingBank(BatchDetector):
         if share * residual.shape[0] < 1:
             raise ValueError(
                 f"{residual.shape[0]} healthy samples cannot set a false-alarm rate of {false_alarm:g} over {len(groups)} "
-                f"quantities; give at least {int(np.ceil(len(groups) / false_alarm))} or ask for a higher rate"
+                f"quantities; give at least {int(np.ceil(len(groups) / false_alarm))} or a higher rate"
             )
         thresholds = np.empty(y.shape[-1])
         for members in groups.values():
@@ -152,7 +155,7 @@ class FusingBank(BatchDetector):
             else:
                 founds = [eliminate(founds[0], suspect, np.any(isolated, axis=-1))]
             mixed = self._mix(prior, joints, founds, local, now, y, u)
-        without = np.diagonal(seen, axis1=-2, axis2=-1)  # what filter i, which does not use y_i, expects of it
+        without = np.diagonal(seen, axis1=-2, axis2=-1)  # expected y_i of filter i, which does not use y_i
         expected = plant.output(now.t, mixed.x, u)
         decision = Decision(
             estimate=mixed.x,
@@ -169,7 +172,7 @@ class FusingBank(BatchDetector):
         return mixed.core, decision
 
     def _predict(self, core: Core, axis: int, now: TimeStep, u: Array) -> list[Prior]:
-        """The prior of each local filter (their axis in a literal core is given), or the one they share."""
+        """The prior of each local filter, or their common prior; axis: that of the filters in a literal core."""
         cores = [core]
         if self.runs_literally:
             cores = [mapped(lambda a, i=i: np.take(a, i, axis=axis), core) for i in range(len(self.plant.sensors))]
@@ -177,7 +180,7 @@ class FusingBank(BatchDetector):
         return [est.predict(plant, c, now.t_start, u, now.dt, step_stream(now.seed, now.k)) for c in cores]
 
     def _update(self, joints: list[Joint], y: Array, used: Array) -> tuple[list[LeaveOneOut], Array]:
-        """Step 2: the statistics of the readings in use (of each filter, when literal), and the local estimates (..., N, n)."""
+        """Step 2: statistics of the readings in use (for each filter when literal), and local estimates (..., N, n)."""
         if self.runs_literally:
             count = len(self.plant.sensors)
             founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
@@ -195,14 +198,14 @@ class FusingBank(BatchDetector):
         y: Array,
         u: Array,
     ) -> Mixed:
-        """Steps 3 and 4: mixture, feedback."""
+        """Steps 3 and 4: mixture and feedback."""
         plant, est, count = self.plant, self.estimator, len(self.plant.sensors)
         beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
         used = np.any([f.used for f in founds], axis=0)
         reading = Reading(now.t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
         if self.runs_literally:
             p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
-            # LAPACK's eigenvalues fail for the whole batch where one run is not finite; its local estimates are not either
+            # LAPACK's eigenvalues fail for the whole batch if one run is not finite; its local estimates are not finite either
             sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
             x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
         elif est.consistent:

@@ -1,4 +1,4 @@
-"""All leave-one-out filters from one: the estimate of each filter that ignores one sensor, without running it.
+"""All leave-one-out filters from one filter: the estimate of each filter that ignores one sensor, without running it.
 
 With a common prior, the filter that leaves out sensor i differs by rank one from the filter that uses all sensors. From the
 joint Gaussian of state and readings, innovation d, S^-1 over the readings used, and K = C S^-1, let u = S^-1 d, w_i =
@@ -26,8 +26,8 @@ Array = NDArray[Any]
 class LeaveOneOut(NamedTuple):
     """Leave-one-out statistics of the readings used (..., N).
 
-    Whitened innovation u and weight w (..., N), both 0 for a reading not used; S^-1 (..., N, N) with zero rows and columns
-    for those; half U with S^-1 = U U', None after an elimination.
+    whitened: u, weight: w (..., N), both 0 for a reading that is not used. inverse: S^-1 (..., N, N) with zero rows and columns
+    for these readings. half: U with S^-1 = U U', None after an elimination.
     """
 
     whitened: Array
@@ -54,7 +54,7 @@ class LeaveOneOut(NamedTuple):
 
 
 def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
-    """Return the leave-one-out statistics of the readings y (..., N) for which `used` holds (NaN readings never are)."""
+    """Return the leave-one-out statistics of the readings y (..., N) where `used` holds; NaN readings are not used."""
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
     half = half_inverse(joint.S) if np.all(used) else half_inverse(joint.S, used)
@@ -64,7 +64,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
 
 
 def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
-    """Return the statistics without sensor `worst` (...) in those elements of the batch for which `where` (...) holds.
+    """Return the statistics without sensor `worst` (...) in the elements of the batch for which `where` (...) holds.
 
     A downdate of the inverse by rank one: S^-1 <- S^-1 - s_w s_w' / s_ww, u <- u - s_w u_w / s_ww, with s_w the w-th column.
     """
@@ -83,7 +83,8 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
 def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     """Return estimate (..., n) and covariance (..., n, n) after the readings used: x + C u and P - C S^-1 C'.
 
-    As `gaussian.condition`, with W = C U: P - W W', plus four times its rounding on the diagonal, stays positive definite.
+    As `gaussian.condition`, with W = C U. Four times the rounding of P - W W' is added to its diagonal, so that it stays
+    positive definite.
     """
     x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
     w = joint.C @ (found.half if found.half is not None else half_inverse(joint.S, found.used))

@@ -1,14 +1,16 @@
 """Detector: one central Kalman filter with exact leave-one-out statistics, windowed likelihood ratios, and readmission.
 
-The statistically consistent form of the bank: every sensor is judged against all others, at a stated false-alarm budget.
+The statistically consistent form of the bank: every sensor is tested against all others, at a stated false-alarm probability.
 
-- One sample: the leave-one-out chi-square u_i^2 / w_i (see `leave_one_out`); the worst sensor above the threshold is
-  eliminated and the statistics of the rest follow by a downdate of rank one, until none exceeds it: this separates
+- One sample: the leave-one-out chi-square u_i^2 / w_i (see `leave_one_out`). The worst sensor above the threshold is
+  eliminated, and the statistics of the other sensors follow by a downdate of rank one, until none exceeds it. This separates
   simultaneous faults.
-- A window of onsets: generalised likelihood ratios (see `likelihood_window`) that account for what the filter has absorbed.
-- Accommodation: an isolated sensor is left out of the update (after an alarm of a window, what the estimate had absorbed of
-  the fault is removed), its reading is replaced by the estimate, and it is readmitted by a likelihood ratio of "healthy"
-  against "as large as estimated".
+- A window of onsets: generalised likelihood ratios (see `likelihood_window`), which include the effect of the fault on the
+  filter.
+- Accommodation: an isolated sensor is left out of the update, and its reading is replaced by the estimate. After an alarm of
+the
+  window the effect of the fault on the estimate is removed. The sensor is readmitted by a likelihood ratio of "healthy" to "as
+  faulty as estimated".
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Best,
@@ -54,11 +56,12 @@ class LeaveOneOutBank(ExcludingBank):
     """Leave-one-out bank on one central filter (extended or unscented with redraw).
 
     window: samples over which a fault may have begun; 1 for the one-sample chi-square alone.
-    false_alarm: probability that a healthy set of sensors begins an alarm in one step (with accommodation an alarm then lasts
-    until its sensor is readmitted, without until its samples have left the window), shared equally by the sensors and,
-    with a window, by the one-sample test (half) and the onsets (half): Bonferroni, therefore a bound, for a true model.
-    max_faults: sensors that may be out at once (None: what the plant's redundancy allows). accommodate: leave out faulty
-    sensors; without, the statistics are those of the undisturbed filter, over which a threshold may be swept.
+    false_alarm: probability that an alarm begins in one step with healthy sensors. With accommodation an alarm lasts until its
+    sensor is readmitted, otherwise until its samples have left the window. The sensors share it equally; with a window, one
+    half is for the one-sample test and one half for the onsets. By Bonferroni it is a bound, for a correct model.
+    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows).
+    accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, for sweeps over
+    the threshold.
     """
 
     estimator: Estimator = field(default_factory=Extended)
@@ -93,7 +96,7 @@ class LeaveOneOutBank(ExcludingBank):
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
-        found, named, capped = self._eliminate(everything, exclusion.out)
+        found, isolated, capped = self._eliminate(everything, exclusion.out)
         size, residual = everything.innovation, everything.innovation
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
@@ -104,43 +107,43 @@ class LeaveOneOutBank(ExcludingBank):
             residual = np.where(stronger, best.size, residual)
             threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
             worst = np.argmax(best.statistic, axis=-1)
-            more = ~np.any(named, axis=-1) & (np.max(best.statistic, axis=-1) > window_limit)
+            further = ~np.any(isolated, axis=-1) & (np.max(best.statistic, axis=-1) > window_limit)
             room = np.sum(exclusion.out, axis=-1) < self.most_faults
-            capped = capped | (more & ~room)
-            chosen = (more & room)[..., None] & _only(worst, y)
+            capped = capped | (further & ~room)
+            chosen = (further & room)[..., None] & _only(worst, y)
             size = np.where(chosen, best.size, size)
             if np.any(chosen) and self.accommodate:
-                joint = est.joint(plant, prior := _freed(prior, onsets, best, worst, chosen), t, u)
-                found, named, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
+                joint = est.joint(plant, prior := _without_fault(prior, onsets, best, worst, chosen), t, u)
+                found, isolated, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
                 capped = capped | again
-            named = named | chosen
+            isolated = isolated | chosen
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
         if self.window > 1:
-            restart = np.any(named, axis=-1) & self.accommodate
+            restart = np.any(isolated, axis=-1) & self.accommodate
             window = advance(onsets, joint.C @ found.inverse, found, restart)
 
         update = Update(x, p, prior, joint, found)
-        verdict = Verdict(usable, named, residual, threshold, size, capped, one_limit)
-        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
+        tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return LeaveOneOutMemory(GaussianState(x, p), exclusion, window), decision
 
     def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array, Array]:
-        """Eliminate the worst sensor above the one-sample threshold until none is left or too many are out.
+        """Eliminate the worst sensor above the one-sample threshold until none is above it or too many are excluded.
 
-        Return the statistics of the rest, the sensors eliminated (..., N), and whether one above is left (...).
+        Return the statistics of the other sensors, the eliminated sensors (..., N), and whether another is above it (...).
         """
-        named = np.zeros(found.used.shape, bool)
+        isolated = np.zeros(found.used.shape, bool)
         limit, _ = self.limits
         while True:
             chi_square = found.chi_square
             worst = np.argmax(chi_square, axis=-1)
             above = np.max(chi_square, axis=-1) > limit
-            where = above & (np.sum(out | named, axis=-1) < self.most_faults)
+            where = above & (np.sum(out | isolated, axis=-1) < self.most_faults)
             if not np.any(where):
-                return found, named, above
-            named = named | (where[..., None] & _only(worst, named))
+                return found, isolated, above
+            isolated = isolated | (where[..., None] & _only(worst, isolated))
             found = eliminate(found, worst, where)
 
 
@@ -149,8 +152,8 @@ def _only(sensor: Array, like: Array) -> Array:
     return np.asarray(np.arange(like.shape[-1]) == sensor[..., None])
 
 
-def _freed(prior: Prior, onsets: OnsetStatistics, best: Best, sensor: Array, chosen: Array) -> Prior:
-    """The prior without what the filter had absorbed of the fault of `sensor` since its onset, with the uncertainty of that."""
+def _without_fault(prior: Prior, onsets: OnsetStatistics, best: Best, sensor: Array, chosen: Array) -> Prior:
+    """The prior without the effect of the fault of `sensor` since its onset, plus the uncertainty of that effect."""
     x, p = prior.core
     moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(onsets, best, sensor), 0.0)
     size, information = (np.take_along_axis(v, sensor[..., None], axis=-1) for v in (best.size, best.information))

@@ -4,10 +4,10 @@ A unit bias on sensor i that begins at step j changes the innovation at step k b
 
     M = I - H eta,    eta <- F (eta + K M),    eta = 0 at the onset
 
-with F, H, K those of the filter as it ran. The window keeps eta before the update, whose recursion costs one product an onset:
+with F, H, K as used by the filter. The window stores eta before the update; its recursion costs one product for each onset:
 eta <- F (I - K H) eta + F K. Over the steps since the onset a = sum M' S^-1 d and b = sum diag(M' S^-1 M)
 give the statistic a^2 / b (chi-square with 1 degree of freedom when healthy) and the size of the bias a / b with variance
-1 / b. At the onset itself they are u and w of `leave_one_out`: an exact extension of the leave-one-out chi-square.
+1 / b. At the onset a and b are u and w of `leave_one_out`: an exact extension of the leave-one-out chi-square.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
 Array = NDArray[Any]
 
-LEAST_INFORMATION = 1e-3  # b in units of 1 / R_ii below which an onset has no information on a fault of any likely size
+LEAST_INFORMATION = 1e-3  # b in units of 1 / R_ii, below which an onset has no information on faults of realistic size
 
 
 class Window(NamedTuple):
-    """By onset 0 .. L - 1 steps before the last update: eta before it (..., L, n, N), a and b (..., L, N).
+    """The window after an update, for onsets 0 .. L - 1 steps before it.
 
-    Of that update: I - K H (..., n, n) and the gain K (..., n, N).
+    eta (..., L, n, N): before the update. a, b (..., L, N). closed: I - K H (..., n, n), gain: K (..., n, N) of the update.
     """
 
     eta: Array
@@ -38,7 +38,7 @@ class Window(NamedTuple):
 
 
 class OnsetStatistics(NamedTuple):
-    """By onset 1 .. L steps ago: eta before the update (..., L, n, N), a, b (..., L, N) with the present readings; H."""
+    """For onsets 1 .. L steps ago: eta before the update (..., L, n, N), a, b (..., L, N) with the present readings, and H."""
 
     eta: Array
     a: Array
@@ -47,7 +47,7 @@ class OnsetStatistics(NamedTuple):
 
 
 class Best(NamedTuple):
-    """Per sensor the onset with the largest statistic: statistic, size, b (..., N) and the index of the onset (..., N)."""
+    """For each sensor the onset with the largest statistic: statistic, size, information b and index of the onset (..., N)."""
 
     statistic: Array
     size: Array
@@ -84,7 +84,7 @@ def best_onset(onsets: OnsetStatistics, usable: Array, sensor_cov: Array) -> Bes
 
 
 def absorbed(onsets: OnsetStatistics, best: Best, sensor: Array) -> Array:
-    """Return what a unit bias of `sensor` (...) since its best onset has moved the predicted state by (..., n)."""
+    """Return the change of the predicted state (..., n) by a unit bias of `sensor` (...) since its best onset."""
     which = sensor[..., None]
     onset = np.take_along_axis(best.onset, which, axis=-1)[..., None, None]
     eta = np.take_along_axis(onsets.eta, onset, axis=-3)[..., 0, :, :]
@@ -92,9 +92,9 @@ def absorbed(onsets: OnsetStatistics, best: Best, sensor: Array) -> Array:
 
 
 def advance(onsets: OnsetStatistics, gain: Array, found: LeaveOneOut, restart: Array) -> Window:
-    """Return the window after the update with gain K (..., n, N): every onset one step older, the present one added.
+    """Return the window after the update with gain K (..., n, N): onsets are one step older, the present one is added.
 
-    restart (...): runs whose window begins again, because the readings in use have changed.
+    restart (...): runs whose window restarts, because the readings in use have changed.
     """
     eta = np.concatenate([np.zeros_like(onsets.eta[..., :1, :, :]), onsets.eta[..., :-1, :, :]], axis=-3)
     a = np.concatenate([found.whitened[..., None, :], onsets.a[..., :-1, :]], axis=-2)

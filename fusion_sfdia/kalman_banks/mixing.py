@@ -15,14 +15,14 @@ from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, stat
 
 Array = NDArray[Any]
 
-RANK_TOLERANCE = 1e-9  # of the largest eigenvalue, below which a direction of a scaled covariance counts as absent
+RANK_TOLERANCE = 1e-9  # of the largest eigenvalue, below which a direction of a scaled covariance is outside its range
 
 
 def mix(x: Array, p: Array, scale: Array) -> tuple[Array, Array]:
     """Return x_m (..., n), P_m (..., n, n) from N local estimates x (..., N, n), p (..., N, n, n), as printed.
 
-    Singular covariances (an ensemble smaller than the state) are inverted on their range, which leave-one-out filters
-    with a common prior share. scale (n,): a size of each state, which makes the result independent of the units of the states.
+    Singular covariances (an ensemble smaller than the state) are inverted on their range, which leave-one-out filters with a
+    common prior share. scale (n,): magnitude of each state, which makes the result independent of the units of the states.
     """
     unit = scale[:, None] * scale
     information = np.linalg.pinv(p / unit, rcond=RANK_TOLERANCE, hermitian=True)
@@ -36,8 +36,8 @@ def mix(x: Array, p: Array, scale: Array) -> tuple[Array, Array]:
 def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Array, Array]:
     """Return x_m, P_m of the N leave-one-out filters with a common prior, N = number of sensors, in closed form.
 
-    Each reading in use enters N - 1 of the N filters, so sum_i P_i^-1 = N P^-1 + (N - 1) H' R^-1 H: one central filter
-    with R N / (N - 1), its covariance divided by N. A missing reading leaves N unchanged: its filter runs on the others.
+    Each reading in use enters N - 1 of the N filters, so sum_i P_i^-1 = N P^-1 + (N - 1) H' R^-1 H: one central filter with
+    R N / (N - 1), its covariance divided by N. A missing reading leaves N unchanged: its filter runs on the other readings.
     sensor_cov: R as its diagonal (N,). Holds where S = H P H' + R and C = P H' (not for sigma points that lack Q).
     """
     count = sensor_cov.size

@@ -5,17 +5,17 @@ the horizon as arrival cost; the L1 term as in Kim, Koh, Boyd and Gorinevsky 200
 
     1/2 |x_0 - m_0|^2_(P_0^-1) + 1/2 sum |w_k|^2_(Q^-1) + 1/2 sum |y_k - h(x_k) - f|^2_(R^-1) + lambda sum s_i |f_i|
 
-over the trajectory and f. For given f a filter minimises it over the trajectory, and f changes the innovations d of the filter
-that ran without it, to first order, by M f:
+over the trajectory and f. For given f a filter minimises it over the trajectory. To first order, f changes the innovations d of
+the filter that ran without faults by M f:
 
     M = I - H eta,    eta <- F E,    E = eta + K M,    E = 0 before the horizon
 
-with E f the change of the estimate after an update (Willsky and Jones 1976). What is left is a Lasso in f alone,
+where E f is the change of the estimate after an update (Willsky and Jones 1976). This leaves a Lasso in f alone,
 
     min 1/2 f' G f - g' f + lambda sum s_i |f_i|,    G = sum M' S^-1 M,    g = sum M' S^-1 d,    s_i = sqrt(G_ii),
 
-exact for a linear plant. In healthy operation g_i / s_i is N(0, 1), so that lambda is a Gaussian quantile, and f = 0 is the
-solution as long as no |g_i| / s_i exceeds it. For a given set of faulty sensors and no penalty f has the covariance G^-1 of
+which is exact for a linear plant. In healthy operation g_i / s_i is N(0, 1), so lambda is a Gaussian quantile. f = 0 is the
+solution as long as no |g_i| / s_i exceeds lambda. For a given set of faulty sensors and no penalty f has the covariance G^-1 of
 that set, and the trajectory ends at x - E f with the covariance P + E G^-1 E'.
 """
 
@@ -33,7 +33,7 @@ Array = NDArray[Any]
 
 
 class Horizons(NamedTuple):
-    """By horizon, the last the oldest: E after the last update (..., J, n, N), g (..., J, N) and G (..., J, N, N)."""
+    """For J horizons, the oldest last: E after the last update (..., J, n, N), g (..., J, N) and G (..., J, N, N)."""
 
     effect: Array
     g: Array
@@ -47,9 +47,7 @@ def empty(batch: tuple[int, ...], horizons: int, states: int, sensors: int) -> H
 
 
 def renew(now: Horizons) -> Horizons:
-    """Return the horizons, each moved to the place of the next older one, and a new first one that begins with the next
-    reading.
-    """
+    """Return the horizons, shifted by one index, with a new first horizon that begins with the next reading."""
     effect, g, G = (np.roll(a, 1, axis) for a, axis in zip(now, (-3, -2, -3), strict=True))
     effect[..., 0, :, :] = g[..., 0, :] = G[..., 0, :, :] = 0.0
     return Horizons(effect, g, G)
@@ -73,15 +71,16 @@ def of_present(gain: Array, found: LeaveOneOut) -> Horizons:
 
 
 def information(horizons: Horizons, usable: Array, sensor_cov: Array) -> Array:
-    """G_ii (..., J, N), 0 where a horizon has no information on a fault of any likely size or the sensor is not in use
-    (..., N).
+    """Return G_ii (..., J, N); 0 where a horizon has no information on faults of realistic size, or a sensor is not usable.
+
+    usable: (..., N).
     """
     own = np.diagonal(horizons.G, axis1=-2, axis2=-1)
     return np.where(usable[..., None, :] & (own * sensor_cov > LEAST_INFORMATION), own, 0.0)
 
 
 def sparse_faults(g: Array, G: Array, known: Array, penalty: float) -> Array:
-    """Return the f (N,) that solves the Lasso for the `known` sensors (N,), 0 for others: by least angles, exactly."""
+    """Return the f (N,) that solves the Lasso for the `known` sensors (N,), 0 for others; exact, by least-angle regression."""
     from sklearn.linear_model import lars_path_gram  # slow to import
 
     f = np.zeros(g.shape)
@@ -93,7 +92,7 @@ def sparse_faults(g: Array, G: Array, known: Array, penalty: float) -> Array:
 
 
 class Fit(NamedTuple):
-    """Sensors (k,) with a fault, their f (k,) by least squares and its covariance (k, k); whether more were significant."""
+    """Sensors (k,) with a fault, f (k,) by least squares, its covariance (k, k); capped: whether more were significant."""
 
     sensors: Array
     f: Array
@@ -104,8 +103,8 @@ class Fit(NamedTuple):
 def refitted(g: Array, G: Array, support: Array, penalty: float, most: int) -> Fit:
     """Return the least-squares fit of f on a support (indices) without those of its sensors that are not significant.
 
-    The penalty shrinks a large f, so that sensors coupled with it enter the solution, too. The least significant sensor is
-    removed repeatedly until all exceed `penalty` standard deviations and there are at most `most`, or one is left.
+    The penalty shrinks a large f, so that coupled sensors also enter the solution. The least significant sensor is removed
+    repeatedly until all exceed `penalty` standard deviations and there are at most `most`, or one is left.
     """
     capped = False
     while True:

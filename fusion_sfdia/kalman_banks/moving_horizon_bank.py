@@ -1,11 +1,11 @@
 """Detector: moving-horizon estimation of the state with sparse sensor faults (L1), see `moving_horizon`.
 
-The sums of a horizon depend on where it begins, so that sliding it sample by sample would cost as many recursions as it has
+The sums of a horizon depend on its beginning, so a window that slides sample by sample would need as many recursions as it has
 samples. Instead a horizon begins every L // 2 samples and ends after twice as many: there is always one of up to half the
-length and one that is longer. A third horizon is the present reading alone, which finds large faults immediately. The three
-problems share the false-alarm budget. The one with the largest |g_i| / s_i is solved where this exceeds lambda. Sensors with
-a fault in its solution are left out, replaced and readmitted by a likelihood ratio as in `leave_one_out_bank`. The state is
-that of the moving-horizon problem with these faults free, and all horizons begin again.
+length and one that is longer. A third horizon is the present reading alone, which detects large faults immediately. The three
+problems share the false-alarm probability. The problem with the largest |g_i| / s_i is solved where this exceeds lambda.
+Sensors with a fault in its solution are left out, replaced and readmitted by a likelihood ratio, as in `leave_one_out_bank`.
+The state is then that of the moving-horizon problem with these faults free, and all horizons restart.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import GaussianState, step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
-from fusion_sfdia.kalman_banks.excluding_bank import Update, Verdict
+from fusion_sfdia.kalman_banks.excluding_bank import SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons
 
 Array = NDArray[Any]
-HORIZONS = 2  # beside that of the present reading
+HORIZONS = 2  # besides the horizon of the present reading
 
 
 class MovingHorizonMemory(NamedTuple):
@@ -44,7 +44,7 @@ class MovingHorizonMemory(NamedTuple):
 class MovingHorizon(LeaveOneOutBank):
     """Moving-horizon estimation with an L1 penalty on faults, on one central filter; settings as of LeaveOneOutBank.
 
-    window: the most samples in a horizon. false_alarm: shared equally by sensors and horizons (Bonferroni).
+    window: largest number of samples in a horizon. false_alarm: shared equally by sensors and horizons (Bonferroni).
     """
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class MovingHorizon(LeaveOneOutBank):
 
     @property
     def penalty(self) -> float:
-        """lambda: what |g_i| / s_i of a healthy sensor exceeds, in a horizon, with its share of false_alarm."""
+        """lambda: |g_i| / s_i of a healthy sensor exceeds it, in a horizon, with its share of false_alarm."""
         share = self.false_alarm / len(self.plant.sensors) / (1 + HORIZONS)
         return float(-self.threshold_scale * ndtri(share / 2))
 
@@ -82,18 +82,18 @@ class MovingHorizon(LeaveOneOutBank):
         deviation = 1 / np.sqrt(np.where(known > 0, known, np.inf))
         ratio = np.abs(g) * deviation / self.penalty
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
-        free_x, free_p, named, size, capped = self._solve((present, past), known > 0, ratio, room, x, p)
+        free_x, free_p, isolated, size, capped = self._solve((present, past), known > 0, ratio, room, x, p)
         if self.accommodate:
             x, p = free_x, free_p
-            keep = ~np.any(named, axis=-1)[..., None, None]
+            keep = ~np.any(isolated, axis=-1)[..., None, None]
             past = Horizons(past.effect * keep[..., None], past.g * keep, past.G * keep[..., None])
 
         worst = np.argmax(ratio, axis=-2)[..., None, :]
         alone, deviation = (np.take_along_axis(a, worst, axis=-2)[..., 0, :] for a in (g * deviation**2, deviation))
         threshold = np.where(deviation > 0, self.penalty * deviation, np.inf)
         update = Update(x, p, prior, joint, found)
-        verdict = Verdict(usable, named, alone, threshold, size, capped, self.penalty**2)
-        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
+        tested = SensorTests(usable, isolated, alone, threshold, size, capped, self.penalty**2)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return MovingHorizonMemory(GaussianState(x, p), exclusion, past), decision
 
     def _solve(
@@ -101,22 +101,22 @@ class MovingHorizon(LeaveOneOutBank):
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Solve, in each run with a ratio above 1 and room for a fault, the horizon with the largest.
 
-        Return estimate and covariance with the faults found free, the sensors isolated (..., N), the sizes of their
+        Return estimate and covariance with the detected faults free, the sensors isolated (..., N), the sizes of their
         faults (..., N), and whether more would be isolated without max_faults (...).
         """
         x, p = x.copy(), p.copy()
         shape = (*x.shape[:-1], ratio.shape[-1])
-        named, size = np.zeros(shape, bool), np.zeros(shape)
+        isolated, size = np.zeros(shape, bool), np.zeros(shape)
         above = np.any(ratio > 1, axis=(-2, -1))
         capped = above & (room <= 0)
         for run in zip(*np.nonzero(above & (room > 0)), strict=True):
             j, worst = divmod(int(np.argmax(ratio[run])), ratio.shape[-1])
             effect, g, G = (a[run][max(j - 1, 0)] for a in problems[min(j, 1)])
             f = moving_horizon.sparse_faults(g, G, known[run][j], self.penalty)
-            f[worst] = f[worst] or g[worst]  # it enters first; exactly at the threshold f is 0 up to rounding
+            f[worst] = f[worst] or g[worst]  # the first to enter; exactly at the threshold its f is 0 up to rounding
             fit = moving_horizon.refitted(g, G, np.flatnonzero(f), self.penalty, int(room[run]))
-            named[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
+            isolated[run][fit.sensors], size[run][fit.sensors], capped[run] = True, fit.f, fit.capped
             moved = effect[:, fit.sensors]
             x[run] -= moved @ fit.f
             p[run] += moved @ fit.covariance @ moved.T
-        return x, p, named, size, capped
+        return x, p, isolated, size, capped

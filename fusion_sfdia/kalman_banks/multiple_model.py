@@ -1,7 +1,7 @@
 """Detector: a bank of models, "all healthy" and "sensor i faulty" for each i, with a Markov chain between them.
 
 A faulty sensor's noise is `inflation` times as large. The first-order generalised pseudo-Bayes estimator (GPB1; Ackerson and Fu
-1970; Bar-Shalom, Li and Kirubarajan 2001, sec. 11.6.4) starts the filters of all modes from one merged estimate, so that they
+1970; Bar-Shalom, Li and Kirubarajan 2001, sec. 11.6.4) starts the filters of all modes from one merged estimate. They
 differ by rank one: with u, w, K_i of `leave_one_out`, v = (inflation^2 - 1) R_ii and g_i = v / (1 + v w_i), those of mode i are
 
     likelihood    log L_i - log L_0 = (g_i u_i^2 - log(1 + v w_i)) / 2
@@ -13,10 +13,11 @@ and the merged ones, weighted by the modes' probabilities mu_i and with c_i = g_
 
 A fault begins in a step with the probability p, `fault_probability`, with equal probability on each sensor, and ends with the
 probability 1 / `duration`. Sensor i is isolated where its mode is more probable than "all healthy", mu_i / mu_0 > 1. Only
-single faults have modes: those of several sensors would be too many. The residual of a sensor is sqrt(2 log(1 + E_i)) standard
-deviations of its leave-one-out innovation, where E_i = (mu_i / mu_0) / (p / N) are the odds relative to those of a beginning
-fault, and the threshold is E_i = N / p. This is not a false-alarm rate: a fault that may have begun at any time has prior odds
-of about p duration / N, so that Markov's inequality only gives a bound of about p duration a step, if modes were not merged.
+single faults have modes: the combinations of several sensors would be too many. The residual of a sensor is sqrt(2 log(1 +
+E_i)) standard deviations of its leave-one-out innovation, where E_i = (mu_i / mu_0) / (p / N) are the odds relative to those of
+a beginning fault, and the threshold is E_i = N / p. This is not a false-alarm rate. A fault that may have begun at any time has
+prior odds of about p duration / N, so Markov's inequality gives a bound of only about p duration per step, valid if modes were
+not merged.
 """
 
 from __future__ import annotations
@@ -49,9 +50,9 @@ class MultipleModelMemory(NamedTuple):
 class MultipleModel(BatchDetector):
     """GPB1 over N + 1 modes on an extended filter (or an unscented one with redraw).
 
-    inflation: noise of a faulty sensor over that of a healthy one. fault_probability: that a fault begins in a step; for false
-    alarms see the module. duration: mean of a fault, in samples. Readings are weighted by
-    the probability that their sensor is healthy, so that the estimate depends on no threshold.
+    inflation: noise of a faulty sensor over that of a healthy one. fault_probability: probability that a fault begins in a
+    step; see the module for false alarms. duration: mean duration of a fault in samples. Readings are weighted by the
+    probability that their sensor is healthy, so the estimate depends on no threshold.
     """
 
     estimator: Estimator = field(default_factory=Extended)
@@ -78,7 +79,7 @@ class MultipleModel(BatchDetector):
         prior = est.predict(plant, memory.estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = est.joint(plant, prior, now.t, u)
         found = statistics(joint, y, np.isfinite(y))
-        mode, gain = self._weigh(self._passed(memory.log_probability), found)
+        mode, gain = self._weigh(self._predicted(memory.log_probability), found)
         mu = np.exp(mode[..., 1:])
 
         x, p = posterior(joint, found)
@@ -111,7 +112,7 @@ class MultipleModel(BatchDetector):
         )
         return MultipleModelMemory(GaussianState(x, p), mode), decision
 
-    def _passed(self, mode: Array) -> Array:
+    def _predicted(self, mode: Array) -> Array:
         """Logarithms of the modes' probabilities (..., N + 1) a step later, before the readings."""
         begins, ends = self.fault_probability, 1 / self.duration
         count = mode.shape[-1] - 1

@@ -1,13 +1,14 @@
 """Detector: one bootstrap particle filter that tests each sensor with the same particles, weighted without its reading.
 
-The readings' noises are independent, so the weights without sensor i are those with all sensors over its likelihood: all
-leave-one-out filters at the cost of one, as `leave_one_out` does for Kalman filters, and for any model and distribution.
+The noises of the readings are independent, so the weights without sensor i are the weights with all sensors divided by its
+likelihood. This gives all leave-one-out filters at the cost of one, as `leave_one_out` does for Kalman filters, for any model
+and distribution.
 
-It is not an `Estimator` of the Kalman banks: these update by the covariance of state and readings and return mean and
-covariance of the result to the filter; particles transformed to these moments would be an ensemble Kalman filter. The number of
-particles needed grows exponentially with the number of readings (Snyder et al. 2008): the filter is for plants with a few
-sensors. Of a thousand particles on the 63 sensors of the gas pipeline one has all the weight after the first reading. The error
-of their estimate is 2.4 times that of a Kalman filter, and 3.5 times its own standard deviation.
+It is not an `Estimator` of the Kalman banks: they update by the covariance of state and readings and return mean and covariance
+to the filter; particles transformed to these moments would be an ensemble Kalman filter. The number of particles needed grows
+exponentially with the number of readings (Snyder et al. 2008): the filter is for plants with few sensors. With a thousand
+particles on the 63 sensors of the gas pipeline, one particle has all the weight after the first reading. The estimation error
+is then 2.4 times that of a Kalman filter, and 3.5 times its own standard deviation.
 """
 
 from __future__ import annotations
@@ -35,9 +36,7 @@ Array = NDArray[Any]
 
 
 class LeaveOneOutResiduals(NamedTuple):
-    """Readings less their expectation from the other readings (..., N), NaN where not used, and its standard deviation (...,
-    N).
-    """
+    """Readings less their expectation from the other readings (..., N), NaN where not used; sigma (..., N) of this residual."""
 
     residual: Array
     sigma: Array
@@ -45,12 +44,12 @@ class LeaveOneOutResiduals(NamedTuple):
 
 @dataclass(frozen=True)
 class ParticleFilter(BatchDetector):
-    """Residual: a reading less its mean over the particles weighted by all other readings. Threshold: normal quantiles of its
-    standard deviation at a false-alarm budget per step over all sensors (Bonferroni), nominal where its distribution is far
-    from normal. The sensor with the largest ratio is isolated and left out, until no ratio exceeds 1.
+    """Residual: a reading less its mean over the particles weighted by all other readings. Threshold: its standard deviation
+    times a normal quantile at the probability `false_alarm` per step over all sensors (Bonferroni); only nominal where its
+    distribution is far from normal. The sensor with the largest ratio is isolated and left out, until no ratio exceeds 1.
 
-    size: particles. max_faults: sensors that may be isolated in a step (None: what the plant's redundancy allows). accommodate:
-    weigh the particles without the sensors isolated in this step. The state's estimate and covariance are the weighted moments.
+    size: number of particles. max_faults: sensors that may be isolated in a step (None: what the plant's redundancy allows).
+    accommodate: weight the particles without the sensors isolated in this step. Estimate and covariance are weighted moments.
     """
 
     size: int = 1000
@@ -61,7 +60,7 @@ class ParticleFilter(BatchDetector):
     def __post_init__(self) -> None:
         super().__post_init__()
         if whole("size", self.size, least=1) < 2:
-            raise ValueError(f"{self.size} particles; a covariance needs at least 2, and a filter some hundreds")
+            raise ValueError(f"{self.size} particles; expected at least 2 for a covariance: give some hundreds")
         probability("false_alarm", self.false_alarm)
         require_max_faults(self.plant, self.max_faults)
 
@@ -74,8 +73,8 @@ class ParticleFilter(BatchDetector):
         _, ahead, moved, stuck, lost = guarded_points(plant, now.t_start, memory.members, u, now.dt)
         cloud = particle.predict(Particles(ahead, memory.log_weights), lambda s: s, plant.process_cov_over(now.dt), rng)
         predicted = readings_of(plant, now.t, cloud.members, over)
-        judged, named, capped = self._eliminated(cloud, predicted, y)
-        used = np.isfinite(y) & ~(named & self.accommodate)
+        tested, isolated, capped = self._eliminated(cloud, predicted, y)
+        used = np.isfinite(y) & ~(isolated & self.accommodate)
         weighed = particle.weigh(cloud, predicted, np.where(used, y, np.nan), plant.sensor_cov)
         x, p = weighed.moments
         expected, _ = particle.weighted_moments(predicted, weighed.weights)
@@ -83,10 +82,10 @@ class ParticleFilter(BatchDetector):
         decision = Decision(
             estimate=x,
             reconstruction=np.where(used, y, expected),
-            residual=judged.residual,
-            threshold=self._alpha * judged.sigma,
-            isolated=named,
-            fault_size=np.where(named, judged.residual, np.nan),
+            residual=tested.residual,
+            threshold=self._alpha * tested.sigma,
+            isolated=isolated,
+            fault_size=np.where(isolated, tested.residual, np.nan),
             diverged=lost | broken(x, p),
             guarded=moved | stuck,
             nis=self._nis(cloud, predicted, np.where(used, y, np.nan)),
@@ -105,20 +104,20 @@ class ParticleFilter(BatchDetector):
         return self.max_faults or most_faults(self.plant)
 
     def _eliminated(self, cloud: Particles, predicted: Array, y: Array) -> tuple[LeaveOneOutResiduals, Array, Array]:
-        """The leave-one-out residuals of all readings, the sensors that elimination isolates (..., N), and whether there is
-        one more (...).
+        """The leave-one-out residuals of all readings, the isolated sensors (..., N), and whether another exceeds its threshold
+        (...).
         """
         first = without_each(cloud, predicted, y, self.plant.sensor_cov)
-        judged, named = first, np.zeros(y.shape, bool)
+        tested, isolated = first, np.zeros(y.shape, bool)
         while True:
-            ratio = np.nan_to_num(np.abs(judged.residual) / (self._alpha * judged.sigma), nan=0.0)
+            ratio = np.nan_to_num(np.abs(tested.residual) / (self._alpha * tested.sigma), nan=0.0)
             worst = np.arange(y.shape[-1]) == np.argmax(ratio, axis=-1)[..., None]
             above = worst & (ratio > 1)
-            more = above & (np.sum(named, axis=-1, keepdims=True) < self.most_faults)
-            if not np.any(more):
-                return first, named, np.any(above, axis=-1)
-            named = named | more
-            judged = without_each(cloud, predicted, np.where(named, np.nan, y), self.plant.sensor_cov)
+            further = above & (np.sum(isolated, axis=-1, keepdims=True) < self.most_faults)
+            if not np.any(further):
+                return first, isolated, np.any(above, axis=-1)
+            isolated = isolated | further
+            tested = without_each(cloud, predicted, np.where(isolated, np.nan, y), self.plant.sensor_cov)
 
     def _nis(self, cloud: Particles, predicted: Array, y: Array) -> Array:
         """Return d' S^-1 d over the number of readings (...), S the weighted covariance of the predictions with the noise."""

@@ -1,17 +1,19 @@
-"""Detector: one central filter whose standardised innovations, or leave-one-out innovations, go through sequential tests.
+"""Detector: one central filter with sequential tests of its standardised innovations or leave-one-out innovations.
 
-The textbook tests for weak faults, which accumulate over time (see `memory_rules`), on
+The textbook tests for weak faults, which accumulate evidence over time (see `sequential_rules`), on
 
-    innovation       z_i = d_i / sqrt(S_ii)    reading less what the model predicts
-    leave-one-out    z_i = u_i / sqrt(w_i)     reading less what the model and all other readings predict (see leave_one_out)
+    innovation       z_i = d_i / sqrt(S_ii)    reading less the prediction of the model
+    leave-one-out    z_i = u_i / sqrt(w_i)     reading less the prediction from the model and all other readings (leave_one_out)
 
-Both are N(0, 1) when healthy; innovations are white in time for a true model, and so are leave-one-out innovations, each a
-linear form of the innovation of one step. Tests may be combined, such as a cumulative sum for small faults and a limit on the
-present sample for large ones (Lucas 1982); they then share the budget. The sensor with the largest ratio of statistic to limit
-is isolated. Leave-one-out statistics of the rest follow without it, until none exceeds its limit. An innovation does not depend
-on the other readings of its step, so that only the sensor with the largest ratio is isolated in a step. As in
-`leave_one_out_bank` an isolated sensor is left out, replaced and readmitted by a likelihood ratio, and the memories of all
-sensors begin again, because the filter has spread the fault over them.
+Both are N(0, 1) when healthy. For a correct model innovations are white in time, and so are leave-one-out innovations, which
+are linear forms of the innovation of one step. Tests may be combined, such as a cumulative sum for small faults and a limit on
+the present sample for large ones (Lucas 1982); they then share the false-alarm probability.
+
+The sensor with the largest ratio of statistic to limit is isolated. The leave-one-out statistics of the other sensors are then
+updated without it, until none exceeds its limit. An innovation does not depend on the other readings of its step, so with
+innovations only the sensor with the largest ratio is isolated in a step. As in `leave_one_out_bank` an isolated sensor is left
+out, replaced and readmitted by a likelihood ratio. The memories of all sensors restart, because the filter has distributed the
+fault over them.
 """
 
 from __future__ import annotations
@@ -29,16 +31,16 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, Update, Verdict
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
-from fusion_sfdia.kalman_banks.memory_rules import Rule, Shewhart
+from fusion_sfdia.kalman_banks.sequential_rules import SequentialRule, Shewhart
 
 Array = NDArray[Any]
 
 
 class TestedInnovations(NamedTuple):
-    """Innovations with their standard deviations (..., N), the memory of each rule with them (..., rows, N), and the
-    largest ratio of a statistic to its limit (..., N).
+    """Innovations with their standard deviations (..., N), the memory of each rule after them (..., rows, N), and the largest
+    ratio of a statistic to its limit (..., N).
     """
 
     innovation: Array
@@ -48,7 +50,7 @@ class TestedInnovations(NamedTuple):
 
 
 class SequentialMemory(NamedTuple):
-    """The filter's estimate, the sensors that are left out, and of each rule its memory (..., rows, N), see memory_rules."""
+    """The filter's estimate, the sensors that are left out, and the memory of each rule (..., rows, N)."""
 
     estimate: GaussianState
     exclusion: Exclusion
@@ -59,15 +61,16 @@ class SequentialMemory(NamedTuple):
 class SequentialBank(ExcludingBank):
     """Sequential tests of every sensor on one central filter (extended or unscented with redraw).
 
-    rules: the tests of z; an alarm of any is an alarm. leave_one_out: z from the other readings, too; otherwise from the model
-    alone.
-    false_alarm: probability that a healthy set of sensors begins an alarm in one step, shared equally by the sensors
-    and rules (Bonferroni); a bound for a true model as far as the limits of the rules are exact.
-    max_faults: sensors that may be out at once (None: `most_faults` of the plant); capped: another would be out.
-    accommodate: leave out faulty sensors; without, statistics are those of the undisturbed filter and no memory begins again.
+    rules: the tests of z; an alarm of any rule is an alarm.
+    leave_one_out: z from the model and the other readings; otherwise from the model alone.
+    false_alarm: probability that an alarm begins in one step with healthy sensors, shared equally by the sensors and rules
+    (Bonferroni). It is a bound for a correct model, if the limits of the rules are exact.
+    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows).
+    accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, and no memory
+    restarts.
     """
 
-    rules: tuple[Rule, ...] = (Shewhart(),)
+    rules: tuple[SequentialRule, ...] = (Shewhart(),)
     leave_one_out: bool = True
     estimator: Estimator = field(default_factory=Extended)
     false_alarm: float = 1e-3
@@ -91,23 +94,23 @@ class SequentialBank(ExcludingBank):
         prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
         joint = self._joint(now, estimate.x, prior, u, usable)
         everything = statistics(joint, y, usable)
-        judged = self._test(joint, everything, y, of_rules)
-        found, named, capped = self._eliminate(joint, everything, judged, y, of_rules, exclusion.out)
+        innovations = self._test(joint, everything, y, of_rules)
+        found, isolated, capped = self._eliminate(joint, everything, innovations, y, of_rules, exclusion.out)
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
-        of_rules = judged.of_rules
-        if self.accommodate and np.any(named):
-            restart = np.any(named, axis=-1)[..., None, None]
+        of_rules = innovations.of_rules
+        if self.accommodate and np.any(isolated):
+            restart = np.any(isolated, axis=-1)[..., None, None]
             fresh = (rule.start(y.shape[:-1], count) for rule in self.rules)
             of_rules = tuple(np.where(restart, new, old) for new, old in zip(fresh, of_rules, strict=True))
 
         limit = (self.threshold_scale * ndtri(self.false_alarm / count / 2)) ** 2
-        signed = np.where(np.signbit(judged.innovation), -judged.ratio, judged.ratio)
-        threshold = judged.deviation * np.sqrt(limit)
+        signed = np.where(np.signbit(innovations.innovation), -innovations.ratio, innovations.ratio)
+        threshold = innovations.deviation * np.sqrt(limit)
         update = Update(x, p, prior, joint, found)
-        verdict = Verdict(usable, named, signed * threshold, threshold, judged.innovation, capped, limit)
-        exclusion, decision = self._conclude(now, y, u, exclusion, update, verdict)
+        tested = SensorTests(usable, isolated, signed * threshold, threshold, innovations.innovation, capped, limit)
+        exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
         return SequentialMemory(GaussianState(x, p), exclusion, of_rules), decision
 
     def _joint(self, now: TimeStep, before: Array, prior: Prior, u: Array, usable: Array) -> Joint:
@@ -129,21 +132,28 @@ class SequentialBank(ExcludingBank):
         return TestedInnovations(innovation, deviation, of_rules, ratio)
 
     def _eliminate(
-        self, joint: Joint, found: LeaveOneOut, judged: TestedInnovations, y: Array, of_rules: tuple[Array, ...], out: Array
+        self,
+        joint: Joint,
+        found: LeaveOneOut,
+        innovations: TestedInnovations,
+        y: Array,
+        of_rules: tuple[Array, ...],
+        out: Array,
     ) -> tuple[LeaveOneOut, Array, Array]:
-        """Eliminate the worst sensor above its limit, of leave-one-out statistics until none is left or too many are out.
+        """Eliminate the worst sensor above its limit; with leave-one-out statistics until none is above it or too many are
+        excluded.
 
-        Return the statistics of the rest, the sensors eliminated (..., N), and whether one that exceeds its limit stays because
-        of max_faults (...).
+        Return the statistics of the other sensors, the eliminated sensors (..., N), and whether a sensor above its limit stays
+        because of max_faults (...).
         """
-        named = np.zeros(found.used.shape, bool)
+        isolated = np.zeros(found.used.shape, bool)
         while True:
-            worst = np.argmax(judged.ratio, axis=-1)
-            above = np.max(judged.ratio, axis=-1) > 1
-            room = np.sum(out | named, axis=-1) < self.most_faults
-            where = above & room & (self.leave_one_out | ~np.any(named, axis=-1))
+            worst = np.argmax(innovations.ratio, axis=-1)
+            above = np.max(innovations.ratio, axis=-1) > 1
+            room = np.sum(out | isolated, axis=-1) < self.most_faults
+            where = above & room & (self.leave_one_out | ~np.any(isolated, axis=-1))
             if not np.any(where):
-                return found, named, above & ~room
-            named = named | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
+                return found, isolated, above & ~room
+            isolated = isolated | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
             found = eliminate(found, worst, where)
-            judged = self._test(joint, found, y, of_rules)
+            innovations = self._test(joint, found, y, of_rules)

@@ -1,4 +1,4 @@
-"""The diagnosers of a plant's areas with the interface of one: each reading (B, N) goes to the area that owns its sensor."""
+"""The diagnosers of a plant's areas behind one interface: each reading (B, N) goes to the area that owns its sensor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, Prediction, initial_state, predict, take
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
-from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, Taken
+from fusion_sfdia.stochastic_thresholds.present_readings import PredictedReadings, Taken
 
 Array = NDArray[Any]
 
@@ -24,7 +24,7 @@ Array = NDArray[Any]
 class AreaDiagnosers:
     """The local diagnosers of a plant that states its areas; their memory is `Diagnosers`.
 
-    ValueError where the plant's states or inputs are not those of its areas, or a sensor has no place in them.
+    Raises ValueError where states or inputs of the plant are not those of its areas, or where a sensor belongs to no area.
     """
 
     plant: Plant
@@ -34,11 +34,11 @@ class AreaDiagnosers:
 
     def __post_init__(self) -> None:
         plant, count = self.plant, self.areas.size[0]
-        named = tuple(name for names in self.areas.states for name in names)
-        if tuple(s.name for s in plant.states) != named or len(plant.inputs) != 2 * count:
+        state_names = tuple(name for names in self.areas.states for name in names)
+        if tuple(s.name for s in plant.states) != state_names or len(plant.inputs) != 2 * count:
             raise ValueError(
                 f"plant {plant.name!r} has {len(plant.states)} states and {len(plant.inputs)} inputs, its areas "
-                f"{len(named)} states and {2 * count} inputs, references then loads; give the areas of this plant"
+                f"{len(state_names)} states and {2 * count} inputs, references then loads; give the areas of this plant"
             )
         for s in plant.sensors:
             self.areas.place(s.measures, s.owner)
@@ -52,70 +52,74 @@ class AreaDiagnosers:
         return np.broadcast_to(self.plant.sensor_scale, self._place.shape)
 
     def at_sides(self, sides: Array) -> Array:
-        """(N,): the sensors that read at the sides chosen by (2E,)."""
+        """Return (N,) bool: the sensors at the sides chosen by `sides` (2E,) bool."""
         count, n, _ = self.areas.size
         chosen: Array = np.concatenate([np.zeros(count * n, bool), sides])[self._place]
         return chosen
 
     def start(self, batch: tuple[int, ...], seed: int) -> Diagnosers:
-        """At the plant's x0 and initial covariance; copies at open ties are unknown."""
+        """Return the diagnosers at the plant's x0 and initial covariance; copies at open ties are unknown."""
         count, n, _ = self.areas.size
         neighbour, closed = self.areas.network.topology.neighbour, self.areas.network.closed
         x0, sigma = (a.reshape(count, n) for a in (self.plant.x0, np.sqrt(diagonal(self.plant.initial_cov))))
         now = initial_state(self.areas, batch)
-        now.held[...], now.doubt[...] = x0, sigma
-        now.held_shared[...], now.doubt_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
+        now.held[...], now.error_bound[...] = x0, sigma
+        now.held_shared[...], now.error_bound_shared[...] = x0[neighbour, 0], np.where(closed, sigma[neighbour, 0], UNKNOWN)
         return now
 
-    def predict(self, memory: Diagnosers, now: TimeStep, u: Array) -> Outlook:
+    def predict(self, memory: Diagnosers, now: TimeStep, u: Array) -> PredictedReadings:
         count = self.areas.size[0]
         ahead = predict(self.areas, memory, u[..., :count], u[..., count:], self.lam, self.mode)
         deviation = self._of_sensors(ahead.deviation, ahead.deviation_shared)
         deviation = np.where(deviation < UNKNOWN**0.5, np.abs(self._scale) * deviation, np.inf)
         expected = self._scale * self._of_sensors(ahead.estimate, ahead.estimate_shared)
         lost = ~np.all(np.isfinite(expected), axis=-1)
-        return Outlook(expected, deviation, np.zeros(lost.shape, bool), lost, ahead)
+        return PredictedReadings(expected, deviation, np.zeros(lost.shape, bool), lost, ahead)
 
-    def take(self, outlook: Outlook, y: Array) -> Taken:
-        """After the readings y (B, N), NaN where missing or left out."""
-        memory = take(outlook.inner, *self._of_areas(y / self._scale, np.nan))
+    def take(self, predicted: PredictedReadings, y: Array) -> Taken:
+        """As of PresentReadings: after the readings y (B, N), NaN where missing or left out."""
+        memory = take(predicted.inner, *self._of_areas(y / self._scale, np.nan))
         return Taken(memory, memory.held.reshape(*memory.held.shape[:-2], -1), None)
 
-    def effects(self, memory: Diagnosers, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> tuple[Array, Array]:
-        """As of PresentReadings: the equations at unit readings and unit residuals."""
-        doubt, doubt_shared = memory.doubt[rows][:, None], memory.doubt_shared[rows][:, None]
+    def effects(
+        self, memory: Diagnosers, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
+    ) -> tuple[Array, Array]:
+        """As of PresentReadings: the equations for unit readings and unit residuals."""
+        error_bound, error_bound_shared = memory.error_bound[rows][:, None], memory.error_bound_shared[rows][:, None]
         units = self._of_areas(np.eye(self._place.size), 0.0)
-        nothing = np.zeros((len(doubt), self._place.size, self.areas.size[0]))
+        nothing = np.zeros((len(error_bound), self._place.size, self.areas.size[0]))
         still, none = np.zeros_like(units[0]), np.zeros_like(units[1])
-        read = units[0] * (doubt == 0.0), units[1] * (doubt_shared == 0.0)
+        read = units[0] * (error_bound == 0.0), units[1] * (error_bound_shared == 0.0)
         found = []
         for held, residual in ((read, (still, none)), ((still, none), units)):
-            one = Diagnosers(held[0], held[1], doubt, doubt_shared, residual[0], residual[1], still, none)
+            one = Diagnosers(held[0], held[1], error_bound, error_bound_shared, residual[0], residual[1], still, none)
             ahead = predict(self.areas, one, nothing, nothing, self.lam, self.mode)
             change = self._of_sensors(ahead.estimate, ahead.estimate_shared)
             found.append(np.swapaxes(change, -1, -2) * self._scale[:, None] / self._scale)
         return found[0], -found[1]
 
-    def freed(self, memory: Diagnosers, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook:
-        """As of PresentReadings; states that no sensor reads stay as they are."""
+    def without_faults(
+        self, memory: Diagnosers, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
+    ) -> PredictedReadings:
+        """As of PresentReadings; states that no sensor reads do not change."""
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape, size.shape[-1]))
-        absorbed[rows] = self.effects(memory, outlook, now, u, rows)[0]
+        absorbed[rows] = self.effects(memory, predicted, now, u, rows)[0]
         less = np.sum(absorbed * size[..., None, :], axis=-1)
-        more = np.sum(np.abs(absorbed) * doubt[..., None, :], axis=-1)
-        ahead: Prediction = outlook.inner
+        more = np.sum(np.abs(absorbed) * uncertainty[..., None, :], axis=-1)
+        ahead: Prediction = predicted.inner
         shift, shift_shared = self._of_areas(less / self._scale, 0.0)
         wider, wider_shared = self._of_areas(more / np.abs(self._scale), 0.0)
-        return outlook._replace(
-            expected=outlook.expected - less,
-            deviation=outlook.deviation + more,
+        return predicted._replace(
+            expected=predicted.expected - less,
+            deviation=predicted.deviation + more,
             inner=Prediction(
                 ahead.estimate - shift,
                 ahead.estimate_shared - shift_shared,
                 ahead.deviation + wider,
                 ahead.deviation_shared + wider_shared,
-                np.minimum(ahead.doubt + wider, UNKNOWN),
-                np.minimum(ahead.doubt_shared + wider_shared, UNKNOWN),
+                np.minimum(ahead.error_bound + wider, UNKNOWN),
+                np.minimum(ahead.error_bound_shared + wider_shared, UNKNOWN),
             ),
         )
 

@@ -1,19 +1,20 @@
-"""Sensor faults that explain the residuals: the sizes of a constant fault by which all affected residuals are within limits.
+"""Sensor faults that explain the residuals: sizes of a constant fault with which all affected residuals are within thresholds.
 
-A fault b of sensor i changes the residuals of the last step, then of this one, by known shares of b that depend on its onset:
+A fault b of sensor i changes the residuals of the last and of this step by known shares of b, which depend on its onset:
 
     onset now           0, then e_i
     onset a step ago    e_i, then (1 - M + L) e_i
-    onset long ago      (1 - L)^-1 (1 - M) e_i at both
+    onset long ago      (1 - L)^-1 (1 - M) e_i in both steps
 
-where M is the derivative of the expected readings by the readings of the last step, and -L that by its residuals. The reach
-of a sensor is its own residual and those for which M or L depend on it: in a network, those of its area and of the areas that
-share it.
-Each residual within its threshold of share b gives an interval of b; the intersection over the reach and both
-steps contains the sizes that explain all of these residuals. A sensor with an empty intersection is excluded; if all are, the
-fault is none of these. Of the sensors that are left and that explain an alarm, the one with the largest log-likelihood ratio
-to no fault is isolated, then the best of those whose reach does not overlap that of the first, and so on: faults far from each
-other are isolated in one step.
+where M is the derivative of the expected readings by the readings of the last step, and -L the derivative by its residuals. The
+reach of a sensor is its own residual and all residuals that depend on it through M or L: in a network, those of its area and of
+the areas that share its variable.
+
+The sizes b for which a residual less share b is within its threshold are an interval. The intersection over the reach and both
+steps contains the sizes that explain all of these residuals. A sensor with an empty intersection is excluded; if all sensors
+are excluded, the fault is none of these. Of the other sensors that explain an alarm, the one with the largest log-likelihood
+ratio to "no fault" is isolated, then the best of those whose reach does not overlap with that of the first, and so on: faults
+far from each other are isolated in one step.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Array = NDArray[Any]
 
 
 class StepResiduals(NamedTuple):
-    """Residuals (R, N) of a step, NaN where not evaluated, their standard deviations and thresholds (inf: cannot judge yet)."""
+    """Residuals (R, N) of a step, NaN where not evaluated, their standard deviations and thresholds (inf: not testable yet)."""
 
     residual: Array
     deviation: Array
@@ -35,8 +36,10 @@ class StepResiduals(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """Whether a sensor is isolated; of the best hypothesis of each the interval and the estimate of its fault; and whether it
-    began before now, so that it affects the expected readings; (R, N) each.
+    """Result for each run and sensor, (R, N) each.
+
+    isolated: bool. low, high, size: interval and estimate of the fault under the best hypothesis of the sensor. late: whether
+    the fault began before this step, so that it affects the expected readings.
     """
 
     isolated: Array
@@ -49,7 +52,10 @@ class Explanation(NamedTuple):
 def explain(
     before: StepResiduals, now: StepResiduals, from_readings: Array, from_residuals: Array, suspects: Array
 ) -> Explanation:
-    """Explain R runs by suspects (R, N); from_readings M and from_residuals L (R, N, N)."""
+    """Return the explanation of the residuals of R runs by sensors among `suspects` (R, N) bool.
+
+    from_readings: M, from_residuals: L, both (R, N, N).
+    """
     one = np.broadcast_to(np.eye(suspects.shape[-1]), from_readings.shape)
     reach = (one != 0) | (from_readings != 0) | (from_residuals != 0)
     fresh = one - from_readings
@@ -65,7 +71,7 @@ def explain(
 
 
 def _apart(gain: Array, reach: Array) -> Array:
-    """(R, N): the best sensor, then the best of those whose reach does not overlap with that of one chosen."""
+    """Return (R, N) bool: the best sensor, then the best of those whose reach overlaps with that of no chosen one."""
     isolated = np.zeros(gain.shape, bool)
     runs, gain = np.arange(len(gain)), gain.copy()
     while np.any(gain > -np.inf):
@@ -80,13 +86,17 @@ def _apart(gain: Array, reach: Array) -> Array:
 def _sizes(
     before: StepResiduals, now: StepResiduals, share_before: Array, share_now: Array, reach: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """(R, N) each: interval of the faults that explain the residuals, the best of them, and twice its log-likelihood ratio."""
+    """Return (R, N) each: low and high end of the fault sizes that explain the residuals, the best size, twice its
+    log-likelihood ratio.
+    """
     residual, deviation, threshold = (np.concatenate(parts, axis=-1)[..., None] for parts in zip(before, now, strict=True))
     share = np.concatenate([share_before, share_now], axis=-2)
     known = np.isfinite(residual) & np.isfinite(threshold) & np.concatenate([reach, reach], axis=-2)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ends = (residual - threshold) / share, (residual + threshold) / share
-        without = np.where(np.abs(residual) > threshold, -np.inf, np.inf)  # of no share: explained already, or never
+        without = np.where(
+            np.abs(residual) > threshold, -np.inf, np.inf
+        )  # where the share is 0: explained by any size, or by none
         least = np.where(share == 0.0, -without, np.minimum(*ends))
         most = np.where(share == 0.0, without, np.maximum(*ends))
     low = np.max(np.where(known, least, -np.inf), axis=-2)

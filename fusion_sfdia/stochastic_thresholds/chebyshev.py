@@ -2,9 +2,9 @@
 
 A plant that states its areas has a diagnoser in each, with consensus on the states that they share (consensus_equations); any
 other plant has one diagnoser (present_readings). Sensors are isolated by the sizes of a constant fault that explain all
-residuals that it affects (bias_hypotheses), left out, and readmitted when they are healthy again (exclusion). B18 isolates no
-sensors: there a diagnoser needs only brackets and drives of others. Isolation of a sensor needs the residuals of its area and
-of the areas that share its variable.
+residuals that it affects (bias_hypotheses), left out, and readmitted when they are healthy again (exclusion). B18 does not
+isolate sensors: a diagnoser there needs only brackets and drives from the other areas. Isolation of a sensor needs the
+residuals of its area and of the areas that share its variable.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from fusion_sfdia.stochastic_thresholds.area_diagnosers import AreaDiagnosers
 from fusion_sfdia.stochastic_thresholds.bias_hypotheses import StepResiduals, explain
 from fusion_sfdia.stochastic_thresholds.bounded_readings import BoundedReadings
 from fusion_sfdia.stochastic_thresholds.consensus import MODES
-from fusion_sfdia.stochastic_thresholds.present_readings import Outlook, PresentReadings, Taken
+from fusion_sfdia.stochastic_thresholds.present_readings import Diagnoser, PredictedReadings, PresentReadings
 from fusion_sfdia.stochastic_thresholds.threshold_rules import (
     BOUND,
     CONFORMAL,
@@ -47,20 +47,10 @@ AT_ONCE = 32  # runs whose alarms are explained together
 READMISSION = 1e-3  # probability with which a sensor that is still faulty is readmitted: exp(-level) of the evidence
 
 
-class Diagnoser(Protocol):
-    """What predicts readings and takes them: AreaDiagnosers (memory: Diagnosers) or PresentReadings (memory: PresentMemory)."""
-
-    def start(self, batch: tuple[int, ...], seed: int) -> Any: ...
-    def predict(self, memory: Any, now: TimeStep, u: Array) -> Outlook: ...
-    def take(self, outlook: Outlook, y: Array) -> Taken: ...
-    def freed(self, memory: Any, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook: ...
-    def effects(self, memory: Any, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> tuple[Array, Array]: ...
-
-
 class ChebyshevMemory(NamedTuple):
     """residual, deviation: (..., N) of the last readings, NaN where not evaluated or left out. exceeded: (..., N) steps in a
-    row for which each residual has exceeded its threshold. exclusion: the sensors that are left out. diagnoser: the memory of
-    what predicts the readings, Diagnosers of a plant with areas, PresentMemory of any other.
+    row for which each residual has exceeded its threshold. exclusion: the sensors that are left out. diagnoser: its memory,
+    Diagnosers for a plant with areas, PresentMemory for any other.
     """
 
     residual: Array
@@ -74,21 +64,21 @@ class ChebyshevMemory(NamedTuple):
 class Chebyshev(BatchDetector):
     """Stochastic thresholds; hypotheses are the sensors.
 
-    lam: filter parameter, 0 <= lam < 1: the share of a residual that stays in the next; with 0 thresholds are tightest.
+    lam: filter parameter, 0 <= lam < 1, the share of a residual in the next one; thresholds are tightest with 0.
     mode: "corrected", or "paper" for (15) and (17) as printed. rule: of `threshold_rules`.
-    alpha: thresholds in standard deviations, one or one for each sensor; or false_alarm: the largest probability of
-    a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with the rule
-    "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole plant). The
-    rule "conformal" needs alpha, from `fit_thresholds`.
-    moments: how a plant without areas gets E and Var of f(x) - f(y): by sigma points (the cubature rule, whose sums do not
-    cancel, or others), by the tangent, Extended(), exact where the physics is linear, or by MonteCarlo().
+    alpha: thresholds in standard deviations, one number or one for each sensor. false_alarm, instead of alpha: the largest
+    probability of a false alarm of a diagnoser in a step, shared by its sensors. With neither, alpha is 2 as in B18, or 1 with
+    the rule "bound", whose thresholds are the largest effect of bounded noise (bounded_readings, one diagnoser for the whole
+    plant). The rule "conformal" needs alpha from `fit_thresholds`.
+    moments: E and Var of f(x) - f(y) for a plant without areas. Unscented(): sigma points, such as the cubature rule, whose
+    sums do not cancel. Extended(): the tangent, exact for linear physics. MonteCarlo(): random draws.
     confirmations: steps in a row for which a residual must have exceeded its threshold before a sensor is isolated.
-    max_faults: sensors that may be out at once (None: what the plant's redundancy allows); no further sensor is isolated where
-    more would be out.
-    accommodate: leave out isolated sensors; without, nothing is isolated.
+    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows); no further sensor is isolated
+    where more would be left out.
+    accommodate: leave out isolated sensors; without it no sensor is isolated.
 
-    residual and threshold are those of (13), y - y_hat with its mean subtracted from the estimate, not from the thresholds.
-    ValueError for settings that do not fit.
+    residual and threshold: as of (13), y - y_hat; its mean is subtracted from the estimate, not from the thresholds.
+    Raises ValueError for settings that are inconsistent.
     """
 
     lam: float = PAPER_LAMBDA
@@ -104,7 +94,7 @@ class Chebyshev(BatchDetector):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 <= number("lam", self.lam) < 1:
-            raise ValueError(f"lam is {self.lam}; expected at least 0 and less than 1, for the residuals to forget")
+            raise ValueError(f"lam is {self.lam}; expected at least 0 and less than 1, so that old residuals decay")
         if self.mode not in MODES:
             raise ValueError(f"mode is {shown(self.mode)}; known: {', '.join(MODES)}")
         require_rule(self.rule)
@@ -113,20 +103,20 @@ class Chebyshev(BatchDetector):
         require_max_faults(self.plant, self.max_faults)
         if self.alpha is not None and self.false_alarm is not None:
             raise ValueError(
-                f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each follows from the other: give one"
+                f"alpha is {shown(self.alpha)} and false_alarm {self.false_alarm}; each determines the other: give one"
             )
         if self.alpha is None and self.rule == CONFORMAL:
             raise ValueError(
                 "the rule 'conformal' needs alpha from healthy data; leave it out and call fit_thresholds(healthy)"
             )
-        self.diagnoser  # noqa: B018 - refuses a plant whose areas do not fit
-        self.alphas  # noqa: B018 - refuses an alpha by which nothing is claimed
+        self.diagnoser  # noqa: B018 - checks the areas of the plant
+        self.alphas  # noqa: B018 - checks that alpha gives a bound of false alarms
 
     def fit_thresholds(self, healthy: Any, false_alarm: float = 1e-3, warm_up: int = 20) -> Self:
         """The detector with the rule "conformal": alpha of each sensor from healthy readings (see `conformal_alpha`).
 
-        healthy: as in `fit`. Each sensor has its share of the rate of false alarms per step of its diagnoser; the first
-        `warm_up` samples are left out. ValueError where there are too few of them.
+        healthy: as in `fit`. false_alarm: rate per step of a diagnoser, shared equally by its sensors. The first `warm_up`
+        samples are left out. Raises ValueError where there are too few samples.
         """
         whole("warm_up", warm_up, least=0)
         probability("false_alarm", false_alarm)
@@ -148,13 +138,13 @@ class Chebyshev(BatchDetector):
 
     @cached_property
     def components(self) -> Array:
-        """(N,): how many sensors the diagnoser of each sensor has."""
+        """Number of sensors (N,) of the diagnoser of each sensor."""
         owners = [s.owner if self.plant.structure.areas is not None else "" for s in self.plant.sensors]
         return np.array([owners.count(owner) for owner in owners])
 
     @cached_property
     def alphas(self) -> Array:
-        """(N,): the threshold of each sensor in standard deviations."""
+        """Threshold of each sensor (N,) in standard deviations."""
         count = len(self.plant.sensors)
         if self.false_alarm is not None:
             return np.array([alpha_for(self.rule, self.false_alarm, int(c)) for c in self.components])
@@ -166,12 +156,12 @@ class Chebyshev(BatchDetector):
 
     @cached_property
     def most_faults(self) -> int:
-        """How many sensors may be out at once."""
+        """How many sensors may be left out at once."""
         return self.max_faults or most_faults(self.plant)
 
     @property
     def limits(self) -> Array:
-        """(N,): `alphas` times threshold_scale."""
+        """`alphas` (N,) times threshold_scale."""
         return self.threshold_scale * self.alphas
 
     def _start(self, batch: tuple[int, ...], seed: int) -> ChebyshevMemory:
@@ -182,8 +172,8 @@ class Chebyshev(BatchDetector):
 
     def _judge(self, memory: ChebyshevMemory, now: TimeStep, y: Array, u: Array) -> tuple[ChebyshevMemory, Decision]:
         exceeded, exclusion = memory.exceeded, memory.exclusion
-        outlook = self.diagnoser.predict(memory.diagnoser, now, u)
-        expected, deviation = outlook.expected, outlook.deviation
+        predicted = self.diagnoser.predict(memory.diagnoser, now, u)
+        expected, deviation = predicted.expected, predicted.deviation
         residual, threshold = y - expected, self.limits * deviation
         exceeded = np.where(np.abs(residual) > threshold, exceeded + 1, 0.0)
         capped = np.zeros(y.shape[:-1], bool)
@@ -192,25 +182,25 @@ class Chebyshev(BatchDetector):
             trusted = np.isfinite(y) & ~exclusion.out
             rows = np.any(trusted & (exceeded >= self.confirmations), axis=-1)
             if np.any(rows):
-                named, absorbed, doubt = self._explained(memory, outlook, now, u, rows, trusted, residual, threshold)
-                capped = np.any(named, axis=-1) & (np.sum(exclusion.out | named, axis=-1) > self.most_faults)
-                named &= ~capped[..., None]
-                if np.any(named & (absorbed != 0)):
-                    faults = np.where(named, absorbed, 0.0), np.where(named, doubt, 0.0)
-                    outlook = self.diagnoser.freed(memory.diagnoser, outlook, now, u, *faults)
-                exclusion = exclude(exclusion, named, y - outlook.expected)
+                isolated, absorbed, uncertainty = self._explained(memory, predicted, now, u, rows, trusted, residual, threshold)
+                capped = np.any(isolated, axis=-1) & (np.sum(exclusion.out | isolated, axis=-1) > self.most_faults)
+                isolated &= ~capped[..., None]
+                if np.any(isolated & (absorbed != 0)):
+                    faults = np.where(isolated, absorbed, 0.0), np.where(isolated, uncertainty, 0.0)
+                    predicted = self.diagnoser.without_faults(memory.diagnoser, predicted, now, u, *faults)
+                exclusion = exclude(exclusion, isolated, y - predicted.expected)
         used = np.where(exclusion.out, np.nan, y)
-        taken = self.diagnoser.take(outlook, used)
+        taken = self.diagnoser.take(predicted, used)
         decision = Decision(
             estimate=taken.estimate,
-            reconstruction=np.where(np.isfinite(used), used, outlook.expected),
+            reconstruction=np.where(np.isfinite(used), used, predicted.expected),
             residual=residual,
             threshold=threshold,
             isolated=exclusion.out,
             fault_size=np.where(exclusion.out, exclusion.size, np.nan),
-            diverged=outlook.lost | ~np.all(np.isfinite(taken.estimate), axis=-1),
-            guarded=outlook.guarded,
-            nis=np.full(outlook.lost.shape, np.nan),
+            diverged=predicted.lost | ~np.all(np.isfinite(taken.estimate), axis=-1),
+            guarded=predicted.guarded,
+            nis=np.full(predicted.lost.shape, np.nan),
             covariance=taken.covariance,
             capped=capped,
         )
@@ -220,7 +210,7 @@ class Chebyshev(BatchDetector):
     def _explained(
         self,
         memory: ChebyshevMemory,
-        outlook: Outlook,
+        predicted: PredictedReadings,
         now: TimeStep,
         u: Array,
         rows: Array,
@@ -228,21 +218,24 @@ class Chebyshev(BatchDetector):
         residual: Array,
         threshold: Array,
     ) -> tuple[Array, Array, Array]:
-        """The sensors that explain the runs chosen by `rows`; of those whose fault began before now, which also affects their
-        last readings, the smallest fault that explains them, and by how much it may be larger (B, N).
+        """The sensors (B, N) isolated in the runs chosen by `rows` (B,), and the size and uncertainty (B, N) of faults in the
+        last readings.
+
+        A fault that began before this step also affects the last readings. Its size is the smallest that explains the
+        residuals, its uncertainty by how much it may be larger. Both are 0 for other faults.
         """
-        named = np.zeros(trusted.shape, bool)
-        absorbed, doubt = np.zeros(trusted.shape), np.zeros(trusted.shape)
+        isolated = np.zeros(trusted.shape, bool)
+        absorbed, uncertainty = np.zeros(trusted.shape), np.zeros(trusted.shape)
         flat = np.flatnonzero(rows)
         for part in np.array_split(flat, -(-flat.size // AT_ONCE)):  # bounds the memory, some N^2 numbers a run
             few = np.isin(np.arange(rows.size), part).reshape(rows.shape)
             deviation_before = memory.deviation[few]
             earlier = StepResiduals(memory.residual[few], deviation_before, self.limits * deviation_before)
-            judged = np.where(trusted[few], residual[few], np.nan)
-            present = StepResiduals(judged, threshold[few] / self.limits, threshold[few])
-            found = explain(earlier, present, *self.diagnoser.effects(memory.diagnoser, outlook, now, u, few), trusted[few])
-            named[few] = found.isolated
+            evaluated = np.where(trusted[few], residual[few], np.nan)
+            present = StepResiduals(evaluated, threshold[few] / self.limits, threshold[few])
+            found = explain(earlier, present, *self.diagnoser.effects(memory.diagnoser, predicted, now, u, few), trusted[few])
+            isolated[few] = found.isolated
             late = found.isolated & found.late
             absorbed[few] = np.where(late, np.where(found.low > 0, found.low, found.high), 0.0)
-            doubt[few] = np.where(late, found.high - found.low, 0.0)
-        return named, absorbed, doubt
+            uncertainty[few] = np.where(late, found.high - found.low, 0.0)
+        return isolated, absorbed, uncertainty

@@ -20,16 +20,17 @@ MODES = ("corrected", "paper")
 
 
 class Diagnosers(NamedTuple):
-    """The memory of the diagnosers: own (B, N, n) of each, then shared (B, 2E), of the copies at the sides.
+    """The memory of the diagnosers: own states (B, N, n), and shared ones (B, 2E), of the copies at the sides.
 
-    held: the last readings, or the estimates where there were none. doubt: 0, or then a bound of the standard deviation of
-    their errors. residual: y - x_hat, 0 where there was no reading. deviation: s, a bound of its standard deviation.
+    held: the last readings, or estimates where a reading was missing. error_bound: 0 for a reading; for an estimate a bound of
+    the standard deviation of its error. residual: y - x_hat, 0 where a reading was missing. deviation: s, a bound of the
+    standard deviation of the residual.
     """
 
     held: Array
     held_shared: Array
-    doubt: Array
-    doubt_shared: Array
+    error_bound: Array
+    error_bound_shared: Array
     residual: Array
     residual_shared: Array
     deviation: Array
@@ -37,27 +38,27 @@ class Diagnosers(NamedTuple):
 
     @property
     def own(self) -> tuple[Array, Array, Array, Array]:
-        return self.held, self.doubt, self.residual, self.deviation
+        return self.held, self.error_bound, self.residual, self.deviation
 
     @property
     def shared(self) -> tuple[Array, Array, Array, Array]:
-        return self.held_shared, self.doubt_shared, self.residual_shared, self.deviation_shared
+        return self.held_shared, self.error_bound_shared, self.residual_shared, self.deviation_shared
 
 
 class Prediction(NamedTuple):
-    """For the next reading: estimate (6), deviation s of its residual (14, 15), doubt of the estimate itself."""
+    """For the next reading: estimate (6), deviation s of its residual (14, 15), error_bound of the estimate."""
 
     estimate: Array
     estimate_shared: Array
     deviation: Array
     deviation_shared: Array
-    doubt: Array
-    doubt_shared: Array
+    error_bound: Array
+    error_bound_shared: Array
 
 
 class NetworkReadings(NamedTuple):
-    """What a step of the diagnosers takes: own (B, N, n) and shared (B, 2E) readings, NaN where missing; reference and load
-    (B, N), which acted since the last readings. Of a part of the network those of its areas and sides.
+    """Readings and inputs of a step: own (B, N, n) and shared (B, 2E) readings, NaN where missing; reference and load (B, N),
+    which acted since the last readings. For a part of the network, those of its areas and sides.
     """
 
     own: Array
@@ -67,8 +68,9 @@ class NetworkReadings(NamedTuple):
 
 
 def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
-    """Diagnosers of a batch of runs without information: each copy starts from its first reading and is tested from the second
-    on.
+    """Return diagnosers without information for a batch of runs.
+
+    Each copy starts from its first reading and is tested from the second on.
     """
     count, n, sides = areas.size
     own, shared = np.zeros((*batch, count, n)), np.zeros((*batch, sides))
@@ -77,7 +79,7 @@ def initial_state(areas: Areas, batch: tuple[int, ...]) -> Diagnosers:
 
 
 def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: float, mode: str) -> Prediction:
-    """Estimates and deviations for the next readings, under reference and load (B, N); batches are broadcast."""
+    """Return estimates and deviations for the next readings, under reference and load (B, N); batches are broadcast."""
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
     count, n, sides = areas.size
@@ -96,23 +98,24 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
 
 
 def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
-    """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
+    """Return the diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or left out."""
     kept = []
     own_and_shared = (
-        (own, predicted.estimate, predicted.deviation, predicted.doubt),
-        (shared, predicted.estimate_shared, predicted.deviation_shared, predicted.doubt_shared),
+        (own, predicted.estimate, predicted.deviation, predicted.error_bound),
+        (shared, predicted.estimate_shared, predicted.deviation_shared, predicted.error_bound_shared),
     )
-    for y, estimate, deviation, doubt in own_and_shared:
-        held, unsure, s = (
-            np.array(a if a.shape == y.shape else np.broadcast_to(a, y.shape), order="C") for a in (estimate, doubt, deviation)
+    for y, estimate, deviation, error_bound in own_and_shared:
+        held, bound, s = (
+            np.array(a if a.shape == y.shape else np.broadcast_to(a, y.shape), order="C")
+            for a in (estimate, error_bound, deviation)
         )
         residual = np.empty(y.shape)
-        equations.take_readings(np.ravel(y), held.reshape(-1), unsure.reshape(-1), residual.reshape(-1), s.reshape(-1))
-        kept.append((held, unsure, residual, s))
+        equations.take_readings(np.ravel(y), held.reshape(-1), bound.reshape(-1), residual.reshape(-1), s.reshape(-1))
+        kept.append((held, bound, residual, s))
     return Diagnosers(*(x for pair in zip(*kept, strict=True) for x in pair))
 
 
 def _flat(a: Array, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """The array (*batch, *shape) with all leading axes of the batch in one."""
+    """The array (*batch, *shape) with the leading axes of the batch merged into one."""
     whole = a if a.shape == (*batch, *shape) else np.broadcast_to(a, (*batch, *shape))
     return np.ascontiguousarray(whole, dtype=float).reshape(-1, *shape)

@@ -18,7 +18,7 @@ from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of
 class MonteCarlo:
     """Mean and covariance of `draws` Gaussian points; a standard deviation has a relative error of about 1 / sqrt(2 draws).
 
-    The draws of a step are those of its seed and time, the same for all runs of a batch.
+    The draws of a step depend on seed and time, and are the same for all runs of a batch.
     """
 
     draws: int = 1000

@@ -1,9 +1,9 @@
 """A part of a large network: a contiguous block of areas with its diagnosers, and what crosses its border at each step.
 
-A part computes the states of its areas with all their copies, also those that areas in other parts read: it receives these
-readings too, and sends the results for the copies to the other parts. Each step of a part needs one message from each
-neighbouring part, of four numbers for every copy at the border, and gives the same bits as the whole network in one process on
-a processor of the same kind.
+A part computes the states of its areas with all their copies, including copies that areas in other parts read: it receives
+these readings, too, and sends the results for these copies to the other parts. Each step of a part needs one message from each
+neighbouring part, with four numbers for every copy at the border. The results have the same bits as the whole network in one
+process on a processor of the same kind.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Array = NDArray[Any]
 
 
 class PartLayout(NamedTuple):
-    """The network as a part has it, constant over time. All positions are its own, except those of `areas` and `sides`.
+    """The network of a part, constant over time. All indices are local, except those in `areas` and `sides`.
 
-    matrices to opposite: as of consensus_equations.predict_areas, for M areas and their sides, then the copies read elsewhere.
-    border: its sides at which the neighbour is in another part, from which it receives these. near: the first of the copies
-    read elsewhere. areas: first and past last area of the network. sides: the network's sides, in the order of the part's.
+    matrices to opposite: as of consensus_equations.predict_areas, for M areas and their sides, then the copies read in other
+    parts. border: local sides whose neighbour is in another part, which sends their values. near: index of the first copy read
+    in another part. areas: first and past last area in the network. sides: indices in the network of the local sides.
     """
 
     matrices: Array
@@ -44,7 +44,7 @@ class PartLayout(NamedTuple):
 
 
 def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
-    """The network in so many blocks of equal size; ValueError for less than one part or more parts than areas."""
+    """Return the network in `parts` blocks of equal size; ValueError for less than one part or more parts than areas."""
     count = areas.size[0]
     if not 1 <= parts <= count:
         raise ValueError(f"{count} areas cannot be shared by {parts} parts; expected 1 to {count}")
@@ -68,35 +68,36 @@ def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
 
 
 def routes(parts: Sequence[PartLayout]) -> list[Array]:
-    """For each part: the positions of what it receives among the copies of all parts that are read elsewhere."""
+    """Return for each part the indices of its received values among the copies of all parts that are read in other parts."""
     sent = np.concatenate([p.sides[p.near :] for p in parts])
     order = np.argsort(sent)
     return [order[np.searchsorted(sent, p.sides[p.border], sorter=order)] for p in parts]
 
 
 def share(layout: PartLayout, state: Diagnosers) -> Diagnosers:
-    """The part of the whole network's diagnosers that a layout keeps."""
+    """Return the diagnosers of a layout from those of the whole network."""
     lo, hi = layout.areas
     return Diagnosers(*((a[:, lo:hi] if a.ndim == 3 else a[:, layout.sides]).copy(order="C") for a in state))
 
 
 def at_borders(parts: Sequence[PartLayout], state: Diagnosers) -> Array:
-    """(4, B, K): held, doubt, residual, deviation of the copies read elsewhere, part after part."""
+    """Return (4, B, K): held, error_bound, residual, deviation of the copies read in other parts, part after part."""
     return np.concatenate([np.stack([a[:, p.sides[p.near :]] for a in state.shared]) for p in parts], axis=-1)
 
 
 class Part:
-    """The diagnosers of a layout for a batch of B runs, from its share of their state; two sets of arrays take turns."""
+    """The diagnosers of a layout for a batch of B runs, from their state; two sets of arrays are used alternately."""
 
     def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
         self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
         self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
 
     def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
-        """One step: alarms of its areas (B, M), of the copies read elsewhere (B, K), and the results for these (4, B, K).
+        """Return alarms of its areas (B, M), alarms of the copies read in other parts (B, K), and the results for these (4, B,
+        K).
 
-        received (4, B, border): held, doubt, residual, deviation, from other parts after the step before. given: of its M
-        areas; shared readings at its sides, then of the copies read elsewhere.
+        received (4, B, border): held, error_bound, residual, deviation, from other parts after the previous step. given: of its
+        M areas; shared readings at its sides, then of the copies read in other parts.
         """
         b, state = self.layout, self._now
         for a, new in zip(state.shared, received, strict=True):
@@ -115,5 +116,5 @@ class Part:
         return alarm, np.abs(copies[2]) > self.alpha * copies[3], copies
 
     def kept(self) -> Diagnosers:
-        """Its memory; complete at the border sides only after the next `received`."""
+        """Return its memory; complete at the border sides only after the next `received`."""
         return self._now

@@ -1,7 +1,7 @@
-"""A whole step of the diagnosers of all areas, compiled: estimates, thresholds, weights, what is kept, and alarms.
+"""One compiled step of the diagnosers of all areas: estimates, thresholds, weights, memory and alarms.
 
-The equations are those of consensus.predict and consensus.take. On one processor core; the cost of an area does not depend on
-their number.
+The equations are those of consensus.predict and consensus.take. It runs on one processor core; the cost of an area does not
+depend on the number of areas.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ def network_step(
     areas: Areas, state: Diagnosers, given: NetworkReadings, alpha: float, lam: float, mode: str = "corrected",
     out: Diagnosers | None = None,
 ) -> tuple[Diagnosers, Array]:  # fmt: skip
-    """The diagnosers of B runs after the next readings, and (B, N) which areas have a residual beyond alpha deviations.
+    """Return the diagnosers of B runs after the next readings, and which areas have a residual beyond alpha deviations (B, N).
 
     out: diagnosers to be overwritten, such as those before `state`; without them a large network spends its time on memory
-    allocation.
-    ValueError for other shapes, an unknown mode, or an `out` that is the state itself.
+    allocation. Raises ValueError for other shapes, an unknown mode, or an `out` that is the state itself.
     """
     at, (count, n, sides) = areas.network.topology, areas.size
     batch = len(state.held)
@@ -35,12 +34,14 @@ def network_step(
     found = state.held.shape, state.held_shared.shape, *(a.shape for a in given)
     expected = (batch, count, n), (batch, sides), (batch, count, n), (batch, sides), (batch, count), (batch, count)
     if found != expected:
-        raise ValueError(f"what is held, own, shared, reference, load have the shapes {found}; expected {expected}")
+        raise ValueError(f"held, held_shared, own, shared, reference, load have the shapes {found}; expected {expected}")
     own, shared, reference, load = map(_plain, given)
     if out is None:
         out = Diagnosers(*(np.empty(a.shape) for a in state))
     elif any(new is a or new.shape != a.shape for new, a in zip(out, state, strict=True)):
-        raise ValueError("out is the state or not like it; give what this function returned before and is needed no more")
+        raise ValueError(
+            "out is the state itself or has other shapes; give an earlier result of this function that is not needed any more"
+        )
     consensus_equations.step_areas(
         *state, reference, load, lam, mode == "paper", areas.matrices, areas.slope, areas.network.closed,
         areas.process_variance, areas.noise, areas.shared_noise, at.start, areas.opposite, own, shared, *out,

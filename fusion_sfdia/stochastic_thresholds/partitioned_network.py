@@ -1,8 +1,8 @@
-"""A network too large for one process, on the workers of a dask cluster: a part of its areas on each.
+"""A network too large for one process, on the workers of a dask cluster: one part of its areas on each worker.
 
-Each worker keeps its areas and their diagnosers and takes their readings itself. A step is one call of every part; its result,
-the alarms and the copies at its borders, is passed to the neighbours with the next call. Workers on processors of one kind give
-the bits of one process.
+Each worker keeps its areas and their diagnosers and obtains their readings. A step is one call of every part. It returns the
+alarms and the copies at the borders, which the neighbours receive with the next call. Workers on processors of the same kind
+give the same bits as one process.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ Source = Callable[[int, tuple[int, int], Array], NetworkReadings]
 
 
 class PartitionedNetwork:
-    """The diagnosers of a network, shared out to workers in parts of equal size.
+    """The diagnosers of a network, distributed over workers in parts of equal size.
 
-    client: of `distributed`. areas, state, alpha, lam, mode: as of network_step. source(k, (first, past), sides): what the
-    workers read at step k = 0, 1, ...: the NetworkReadings of the areas from first to past and the sides (K,); it is sent to
-    the workers once. workers: their addresses, a part each; None for all.
-    ValueError for an unknown mode, no worker, or more parts than areas. A lost worker ends it with
-    OSError or RuntimeError: continue from the result of `state`.
+    client: of `distributed`. areas, state, alpha, lam, mode: as of network_step. source(k, (first, past), sides): returns the
+    NetworkReadings of step k = 0, 1, ... for the areas from first to past and the sides (K,); it is sent to the workers once.
+    workers: addresses, one for each part; None for all workers. Raises ValueError for an unknown mode, no worker, or more parts
+    than areas. A lost worker raises OSError or RuntimeError: continue from the result of `state`.
     """
 
     def __init__(
@@ -39,7 +38,7 @@ class PartitionedNetwork:
             raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
         where = list(client.scheduler_info(n_workers=-1)["workers"]) if workers is None else list(workers)
         if not where:
-            raise ValueError("no worker to put a part on; start workers of this cluster or name them")
+            raise ValueError("there is no worker for a part; start workers of this cluster or give their addresses")
         self._parts = part_layouts(areas, len(where))
         self._routes = routes(self._parts)
         self._size = areas.size
@@ -50,15 +49,15 @@ class PartitionedNetwork:
             client.scatter((layout, share(layout, state), source), workers=[w], direct=True, hash=False)
             for layout, w in zip(self._parts, where, strict=True)
         ]
-        self._made = [  # as long as these are kept, so are the parts
+        self._made = [  # references that keep the parts alive
             client.submit(ReadingPart, given, alpha, lam, mode == "paper", actor=True, workers=[w], pure=False)
             for given, w in zip(sent, where, strict=True)
         ]
-        with client.as_current():  # as whose the actors are called
+        with client.as_current():  # actors are called through this client
             self._actors = [future.result() for future in self._made]
 
     def step(self) -> Array:
-        """One step of all parts: which areas have a residual beyond alpha standard deviations, (B, N)."""
+        """Do one step of all parts; return which areas have a residual beyond alpha standard deviations (B, N)."""
         found = self._answers("step", [(self._k, self._copies[..., route]) for route in self._routes])
         alarm = np.concatenate([f[0] for f in found], axis=-1)
         for layout, (_, beyond, _) in zip(self._parts, found, strict=True):
@@ -68,14 +67,16 @@ class PartitionedNetwork:
         return alarm
 
     def state(self) -> Diagnosers:
-        """The memory of all diagnosers, fetched from the workers."""
+        """Return the memory of all diagnosers, fetched from the workers."""
         kept = self._answers("kept", [()] * len(self._parts))
         count, n, sides = self._size
         batch = len(kept[0].held)
         whole = Diagnosers(*(np.empty((batch, count, n)) if k % 2 == 0 else np.empty((batch, sides)) for k in range(8)))
         for layout, part in zip(self._parts, kept, strict=True):
             lo, hi = layout.areas
-            mine = np.setdiff1d(np.arange(layout.sides.size), layout.border)  # its border is kept by those it reads
+            mine = np.setdiff1d(
+                np.arange(layout.sides.size), layout.border
+            )  # the parts of the neighbours keep its border sides
             for all_of_it, a in zip(whole, part, strict=True):
                 if a.ndim == 3:
                     all_of_it[:, lo:hi] = a
@@ -84,7 +85,7 @@ class PartitionedNetwork:
         return whole
 
     def _answers(self, method: str, arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """The results of one call of all parts, which run at the same time."""
+        """The results of one call of all parts, which run concurrently."""
         with self._client.as_current():
             waiting = [getattr(actor, method)(*given) for actor, given in zip(self._actors, arguments, strict=True)]
             return [answer.result() for answer in waiting]

@@ -1,10 +1,10 @@
-"""One diagnoser of a whole plant: the next readings, predicted from the present readings alone.
+"""One diagnoser of a whole plant: the next readings are predicted from the present readings alone.
 
-Boem et al. 2018 ("B18") predict x+ = f(y, u) with y instead of the state, so that old readings do not enter. The same is done
-here for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). A state
-that is not read now, because its sensor is missing, left out or does not exist, is estimated from its past by the Kalman gain.
-The moments E and Var of f(x) - f(y) follow from the covariance of the state or of the readings in its place, which for directly
-read states is that of their sensors' noise. With W the gain and R the noise:
+Boem et al. 2018 ("B18") predict x+ = f(y, u) with y instead of the state, so that old readings do not enter. This module does
+the same for every state that a sensor reads directly; several sensors of one state are weighted by their precision, (17). Any
+other state, whose sensor is missing, left out or does not exist, is estimated from its past by the Kalman gain. The moments E
+and Var of f(x) - f(y) follow from the covariance of the state estimate, which for directly read states is that of their
+sensors' noise. With the gain W and the noise covariance R:
 
     x_bar = x + W (y - E[y]),   P_bar = (1 - W H) P (1 - W H)' + W R W'      for any gain, Joseph's form
     y_hat = E[y+] - lam (y - y_hat),   s+ = lam s + sqrt(Var[y+])             (5), (14)
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,11 @@ from fusion_sfdia.filters.gaussian import Joint
 Array = NDArray[Any]
 
 
-class Outlook(NamedTuple):
-    """What is predicted of the readings (B, N): expected and the bound `deviation` of the standard deviation of y - expected,
-    inf where it is unknown; whether the estimate was moved into the model's limits, and whether there is none (B,).
+class PredictedReadings(NamedTuple):
+    """Prediction of the readings (B, N).
+
+    expected; deviation: bound of the standard deviation of y - expected, inf where unknown. guarded (B,): the estimate was
+    moved into the model's limits. lost (B,): there is no finite estimate. inner: intermediate results of the diagnoser.
     """
 
     expected: Array
@@ -42,9 +44,10 @@ class Outlook(NamedTuple):
 
 
 class PresentMemory(NamedTuple):
-    """What stands for the state: x_bar (B, n) and P_bar (B, n, n); the gain W (B, n, N) by which readings entered it; residual
-    y - y_hat and deviation s (B, N) of the last readings, 0 where missing; error: bounds e (B, n) of the error of x_bar where
-    they are kept, otherwise (B, 0).
+    """Estimate x_bar (B, n) with covariance P_bar (B, n, n) and the gain W (B, n, N) of its readings.
+
+    residual, deviation (B, N): y - y_hat and s of the last readings, 0 where missing. error: bounds e (B, n) of the error of
+    x_bar, (B, 0) for a diagnoser without bounds.
     """
 
     x: Array
@@ -56,18 +59,32 @@ class PresentMemory(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """The memory after readings, and the state estimate (B, n) with its covariance, or None where there is none."""
+    """The memory after readings, and the state estimate (B, n) with its covariance (None for a diagnoser without one)."""
 
     memory: Any
     estimate: Array
     covariance: Array | None
 
 
+class Diagnoser(Protocol):
+    """Predicts and takes readings: AreaDiagnosers (memory: Diagnosers) or PresentReadings (memory: PresentMemory)."""
+
+    def start(self, batch: tuple[int, ...], seed: int) -> Any: ...
+    def predict(self, memory: Any, now: TimeStep, u: Array) -> PredictedReadings: ...
+    def take(self, predicted: PredictedReadings, y: Array) -> Taken: ...
+    def without_faults(
+        self, memory: Any, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
+    ) -> PredictedReadings: ...
+    def effects(
+        self, memory: Any, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
+    ) -> tuple[Array, Array]: ...
+
+
 class _Inner(NamedTuple):
     prior: Prior
     joint: Joint
     readout: Array
-    error: Array | None = None  # bounds of the states' errors, where they are kept
+    error: Array | None = None  # bounds of the states' errors (BoundedReadings)
 
 
 @dataclass(frozen=True)
@@ -83,19 +100,19 @@ class PresentReadings:
         """(n, N): H where a sensor reads a state and nothing else, 0 elsewhere."""
         plant = self.plant
         h = plant.output_jacobian_at(0.0, plant.x0, plant.input_at(0.0))
-        named = np.array([[s.measures == x.name for s in plant.sensors] for x in plant.states])
+        measures = np.array([[s.measures == x.name for s in plant.sensors] for x in plant.states])
         alone = np.sum(h != 0, axis=1) == 1
-        return np.where(named & alone, np.swapaxes(h, 0, 1), 0.0)
+        return np.where(measures & alone, np.swapaxes(h, 0, 1), 0.0)
 
     def start(self, batch: tuple[int, ...], seed: int) -> PresentMemory:
-        """At the plant's x0 and initial covariance."""
+        """Return the memory at the plant's x0 and initial covariance."""
         n, count = len(self.plant.states), len(self.plant.sensors)
         x = np.broadcast_to(self.plant.x0, (*batch, n)).copy()
         P = np.broadcast_to(gaussian.dense(self.plant.initial_cov), (*batch, n, n)).copy()
         of_sensors = np.zeros((*batch, count))
         return PresentMemory(x, P, np.zeros((*batch, n, count)), of_sensors, of_sensors.copy(), np.zeros((*batch, 0)))
 
-    def predict(self, memory: PresentMemory, now: TimeStep, u: Array) -> Outlook:
+    def predict(self, memory: PresentMemory, now: TimeStep, u: Array) -> PredictedReadings:
         state = GaussianState(memory.x, memory.P)
         prior = self.moments.predict(self.plant, state, now.t_start, u, now.dt, step_stream(now.seed, 2 * now.k))
         joint = self.moments.joint(self.plant, prior, now.t, u)
@@ -103,11 +120,11 @@ class PresentReadings:
         ahead = self.lam * memory.deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
         readout = self.plant.output_jacobian_at(now.t, joint.x, u)
         lost = prior.lost | broken(joint.x, joint.P)
-        return Outlook(expected, ahead, prior.guarded, lost, _Inner(prior, joint, readout))
+        return PredictedReadings(expected, ahead, prior.guarded, lost, _Inner(prior, joint, readout))
 
-    def take(self, outlook: Outlook, y: Array) -> Taken:
-        """After the readings y (B, N), NaN where missing or left out."""
-        joint, H = outlook.inner.joint, outlook.inner.readout
+    def take(self, predicted: PredictedReadings, y: Array) -> Taken:
+        """Return memory and estimate after the readings y (B, N), NaN where missing or left out."""
+        joint, H = predicted.inner.joint, predicted.inner.readout
         used = np.isfinite(y)
         given = np.where(used, y, 0.0)
         noise = self.plant.sensor_cov
@@ -123,40 +140,44 @@ class PresentReadings:
             W = np.where(read[..., None], W, gain)
             innovation = np.where(used, given - joint.y, 0.0)
             estimate = np.where(read, estimate, joint.x + np.sum(W * innovation[..., None, :], axis=-1))
-            rest = np.where(read[..., None], 0.0, np.eye(read.shape[-1]) - W @ H)
-            P = rest @ joint.P @ np.swapaxes(rest, -1, -2) + (W * noise) @ np.swapaxes(W, -1, -2)
+            kept = np.where(read[..., None], 0.0, np.eye(read.shape[-1]) - W @ H)
+            P = kept @ joint.P @ np.swapaxes(kept, -1, -2) + (W * noise) @ np.swapaxes(W, -1, -2)
             P = gaussian.symmetrise(P)
-        residual = np.where(used, y - outlook.expected, 0.0)
-        deviation = np.where(used, outlook.deviation, 0.0)
+        residual = np.where(used, y - predicted.expected, 0.0)
+        deviation = np.where(used, predicted.deviation, 0.0)
         error = np.zeros((*estimate.shape[:-1], 0))
         return Taken(PresentMemory(estimate, P, W, residual, deviation, error), estimate, P)
 
-    def freed(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, size: Array, doubt: Array) -> Outlook:
-        """The outlook without the effect of faults in the last readings: their size and uncertainty `doubt` (B, N), or 0."""
+    def without_faults(
+        self, memory: PresentMemory, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
+    ) -> PredictedReadings:
+        """Return the prediction without the effect of faults in the last readings; size, uncertainty (B, N), 0 for no fault."""
         rows = np.any(size != 0, axis=-1)
         absorbed = np.zeros((*size.shape[:-1], *memory.gain.shape[-2:]))
-        absorbed[rows] = self._tangent(memory, outlook, now, u, rows) @ memory.gain[rows]
-        prior, joint, readout, error = outlook.inner
-        spread = absorbed * doubt[..., None, :]
+        absorbed[rows] = self._tangent(memory, predicted, now, u, rows) @ memory.gain[rows]
+        prior, joint, readout, error = predicted.inner
+        spread = absorbed * uncertainty[..., None, :]
         x, P = joint.x - np.sum(absorbed * size[..., None, :], axis=-1), joint.P + spread @ np.swapaxes(spread, -1, -2)
         joint = self.moments.joint(self.plant, prior._replace(core=GaussianState(x, P)), now.t, u)
         expected = joint.y - self.lam * np.where(size != 0, 0.0, memory.residual)
         ahead = self.lam * memory.deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
-        return outlook._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout, error))
+        return predicted._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout, error))
 
-    def _tangent(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> Array:
-        """F (R, n, n) of the runs chosen by `rows`, or (n, n) of all."""
-        tangent = outlook.inner.prior.tangent
+    def _tangent(self, memory: PresentMemory, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array) -> Array:
+        """F (R, n, n) of the runs chosen by `rows`, or (n, n) of all runs."""
+        tangent = predicted.inner.prior.tangent
         if tangent is None:
             return self.plant.step_jacobian_at(now.t_start, self.plant.guard(memory.x[rows])[0], u[rows], now.dt)
         chosen: Array = tangent[rows] if tangent.ndim > 2 else tangent
         return chosen
 
-    def effects(self, memory: PresentMemory, outlook: Outlook, now: TimeStep, u: Array, rows: Array) -> tuple[Array, Array]:
-        """For the runs chosen by `rows` (B,), (R, N, N): how much more is expected of each reading for one more unit in each
-        reading of the last step, and how much less for one more in each residual of it.
+    def effects(
+        self, memory: PresentMemory, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array
+    ) -> tuple[Array, Array]:
+        """Return, for the R runs chosen by `rows` (B,), the derivative M (R, N, N) of the expected readings by the readings of
+        the last step, and L (R, N, N), minus the derivative by its residuals.
         """
-        readout = outlook.inner.readout
+        readout = predicted.inner.readout
         H = readout[rows] if readout.ndim > 2 else readout
-        from_readings = np.asarray(H @ (self._tangent(memory, outlook, now, u, rows) @ memory.gain[rows]))
+        from_readings = np.asarray(H @ (self._tangent(memory, predicted, now, u, rows) @ memory.gain[rows]))
         return from_readings, np.broadcast_to(self.lam * np.eye(H.shape[-2]), from_readings.shape)

@@ -1,11 +1,11 @@
-"""A network that changes between two steps: the same detector on the changed plant, with the memory that is still valid.
+"""A network that changes between two steps: the detector on the changed plant, with the memory that is still valid.
 
-Boem et al. 2018, sec. VI. Call it after the step at which areas join or leave, before the next: the last transition was still
-that of the old network. Models, weights and thresholds change for the states of those areas and of their neighbours, wherever
-they are shared; all other numbers keep their bits.
+Boem et al. 2018, sec. VI. Call `replug` after the step at which areas join or leave, before the next step: the last transition
+was that of the old network. Models, weights and thresholds change for the states of those areas and of their neighbours, in all
+copies; all other numbers keep their bits.
 
-    a tie that opens    its two copies are reset: they no longer count, and their sensors are no longer isolated
-    a tie that closes   its two copies start from their first reading, as at the beginning, and are tested from the next on
+    a tie that opens    its two copies are reset and not used; their sensors are not isolated any more
+    a tie that closes   its two copies start from their first reading, as in `initial_state`, and are tested from the next on
     an area alone       continues with its own readings
 """
 
@@ -30,10 +30,10 @@ Array = NDArray[Any]
 
 
 def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, State]:
-    """Return the detector on the changed plant, and its state; the given ones stay as they are, also where this fails.
+    """Return the detector on the changed plant and its state; the given objects do not change, even where this raises.
 
-    ValueError where the plant has other states or sensors (an area that is unplugged still has them, without readings), or
-    other areas than the same in another network, and for a state of another detector.
+    Raises ValueError where the plant has other states or sensors (an unplugged area keeps them, without readings), where its
+    areas differ in more than the network, and for a state of another detector.
     """
     now = detector.plant
     if plant.sensor_names != now.sensor_names or [s.name for s in plant.states] != [s.name for s in now.states]:
@@ -58,24 +58,24 @@ def replug(detector: Chebyshev, state: State, plant: Plant) -> tuple[Chebyshev, 
         deviation=np.where(gone, np.inf, memory.deviation),
         exceeded=np.where(gone, 0.0, memory.exceeded),
         exclusion=Exclusion(*(np.where(gone, np.zeros((), a.dtype), a) for a in memory.exclusion)),
-        diagnoser=forgotten(memory.diagnoser, opened),
+        diagnoser=reset_sides(memory.diagnoser, opened),
     )
     return after, state._replace(memory=kept)
 
 
 def opened_sides(before: Areas, after: Areas) -> Array:
-    """(2E,): the sides whose tie is closed before and open after; ValueError for areas of another topology."""
+    """Return (2E,) bool: the sides whose tie is closed before and open after; ValueError for areas of another topology."""
     old, new = before.network.topology, after.network.topology
     if old is not new and (old.names != new.names or not np.array_equal(old.links, new.links)):
-        raise ValueError("the areas after have other names or ties than those before; declare all of them once")
+        raise ValueError("the new areas have other names or ties than the old ones; declare all of them once")
     opened: Array = before.network.closed & ~after.network.closed
     return opened
 
 
-def forgotten(now: Diagnosers, sides: Array) -> Diagnosers:
-    """The diagnosers without their information at some sides (2E,); held values stay, with unknown error."""
+def reset_sides(now: Diagnosers, sides: Array) -> Diagnosers:
+    """Return the diagnosers without information at the chosen sides (2E,); held values stay, with unknown error."""
     return now._replace(
-        doubt_shared=np.where(sides, UNKNOWN, now.doubt_shared),
+        error_bound_shared=np.where(sides, UNKNOWN, now.error_bound_shared),
         residual_shared=np.where(sides, 0.0, now.residual_shared),
         deviation_shared=np.where(sides, 0.0, now.deviation_shared),
     )

@@ -1,17 +1,17 @@
-"""The limit of a residual in standard deviations: rules between a false-alarm probability and alpha.
+"""The threshold of a residual in standard deviations: rules that relate alpha to a false-alarm probability.
 
-For a residual of mean 0 and standard deviation at most s, alarming where |residual| > alpha s:
+For a residual of mean 0 and standard deviation at most s, with an alarm where |residual| > alpha s:
 
     rule                 false alarms at most    for
     chebyshev            1 / alpha^2             any distribution (Boem et al. 2018, (12))
     cantelli             2 / (1 + alpha^2)       any distribution, at most half of them on either side
-    cantelli-one-sided   1 / (1 + alpha^2)       any distribution, of alarms on one side alone
+    cantelli-one-sided   1 / (1 + alpha^2)       any distribution, alarms on one side only
     gaussian             2 Phi(-alpha)           Gaussian residuals
-    conformal            calibrated              a residual that is exchangeable with those it was calibrated on
-    bound                0                       errors within bounds, which give s; alpha is 1
+    conformal            calibrated              residuals that are exchangeable with those of the calibration
+    bound                0                       errors within bounds, where s is the bound of the residual; alpha is 1
 
-Two sides of Cantelli's inequality are no sharper than Chebyshev's (2 / (1 + a^2) > 1 / a^2 for a > 1), but they bound
-the alarms of each side too. alpha of `conformal` is an order statistic: see `conformal_alpha`.
+Cantelli's inequality on both sides is not sharper than Chebyshev's (2 / (1 + a^2) > 1 / a^2 for a > 1), but it also bounds the
+alarms of each side. alpha of `conformal` is an order statistic: see `conformal_alpha`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fusion_sfdia.core.order_statistics import exceedance_rank, order_statistic
 Array = NDArray[Any]
 
 
-class Rule(NamedTuple):
+class ThresholdRule(NamedTuple):
     """false_alarm(alpha), alpha(false_alarm); alpha must be larger than `least`, at which the probability is 1 or more."""
 
     false_alarm: Callable[[Any], Any]
@@ -38,10 +38,10 @@ class Rule(NamedTuple):
 
 
 RULES = {
-    "chebyshev": Rule(lambda a: 1 / a**2, lambda p: p**-0.5, 1.0),
-    "cantelli": Rule(lambda a: 2 / (1 + a**2), lambda p: (2 / p - 1) ** 0.5, 1.0),
-    "cantelli-one-sided": Rule(lambda a: 1 / (1 + a**2), lambda p: (1 / p - 1) ** 0.5, 0.0),
-    "gaussian": Rule(lambda a: 2 * ndtr(-a), lambda p: -ndtri(p / 2), 0.0),
+    "chebyshev": ThresholdRule(lambda a: 1 / a**2, lambda p: p**-0.5, 1.0),
+    "cantelli": ThresholdRule(lambda a: 2 / (1 + a**2), lambda p: (2 / p - 1) ** 0.5, 1.0),
+    "cantelli-one-sided": ThresholdRule(lambda a: 1 / (1 + a**2), lambda p: (1 / p - 1) ** 0.5, 0.0),
+    "gaussian": ThresholdRule(lambda a: 2 * ndtr(-a), lambda p: -ndtri(p / 2), 0.0),
 }
 CONFORMAL, BOUND = "conformal", "bound"
 
@@ -53,40 +53,42 @@ def require_rule(rule: object) -> None:
 
 
 def require_alpha(rule: str, alpha: object) -> float:
-    """Return alpha; ValueError where the rule makes no claim with it (alpha <= 1 of Chebyshev)."""
+    """Return alpha; ValueError where the rule gives no bound below 1 (alpha <= 1 for Chebyshev)."""
     value, least = number("alpha", alpha), RULES[rule].least if rule in RULES else 0.0
     if not least < value < np.inf:
         raise ValueError(
-            f"alpha is {value:g}; with the rule {rule!r} it must exceed {least:g} and be finite: below, it claims nothing"
+            f"alpha is {value:g}; with the rule {rule!r} expected a finite number above {least:g}: "
+            "otherwise the bound of false alarms is 1 or more"
         )
     return value
 
 
 def false_alarm_of(rule: str, alpha: float) -> float:
-    """The largest false-alarm probability of a component under alpha; ValueError for `conformal`, where alpha does not
-    determine it.
+    """Return the largest false-alarm probability of a component under alpha.
+
+    Raises ValueError for `conformal`, where alpha does not determine it.
     """
     require_rule(rule)
     if rule == BOUND:
         return 0.0
     if rule == CONFORMAL:
         raise ValueError(
-            "a conformal alpha does not determine its false-alarm probability; it is the one that it was calibrated for"
+            "a conformal alpha does not determine its false-alarm probability; give the one for which alpha was calibrated"
         )
     return float(RULES[rule].false_alarm(require_alpha(rule, alpha)))
 
 
 def alpha_for(rule: str, false_alarm: float, components: int = 1) -> float:
-    """The alpha with which a diagnoser of so many components has at most this false-alarm probability in a step.
+    """Return the alpha with which a diagnoser of `components` components has at most this false-alarm probability in a step.
 
-    Bonferroni: each component has false_alarm / components, however they correlate. ValueError for a probability that is not
-    strictly between 0 and 1, and for `conformal`, which is calibrated.
+    Bonferroni: each component has false_alarm / components, for any correlation. Raises ValueError for a probability that is
+    not strictly between 0 and 1, and for `conformal`, which is calibrated.
     """
     require_rule(rule)
     if rule == CONFORMAL:
         raise ValueError("the rule 'conformal' needs healthy data; calibrate it, or give another rule")
     if rule == BOUND:
-        raise ValueError("the rule 'bound' has no false alarms to allow for; leave false_alarm out, or give another rule")
+        raise ValueError("the rule 'bound' has no false alarms; leave false_alarm out, or give another rule")
     if components < 1:
         raise ValueError(f"a diagnoser has {components} components; expected at least 1")
     return float(RULES[rule].alpha(probability("false_alarm", false_alarm) / components))
@@ -95,9 +97,9 @@ def alpha_for(rule: str, false_alarm: float, components: int = 1) -> float:
 def conformal_alpha(scores: Array, false_alarm: float) -> Array:
     """Return alpha (...) from healthy |residual| / s (M, ...): the ceil((M + 1)(1 - false_alarm))-th smallest of M.
 
-    A further score exceeds it with probability at most false_alarm, for any M and any distribution, if it is exchangeable with
-    the M; scores that follow each other in time are so only roughly: take them far apart, or from different runs. NaN scores
-    count as the largest. ValueError for fewer than 1 / false_alarm - 1 of them, which determine no limit.
+    A further score that is exchangeable with these exceeds alpha with probability at most false_alarm, for any M and any
+    distribution. Consecutive scores in time are exchangeable only approximately: take them far apart, or from different runs.
+    NaN scores count as the largest. Raises ValueError for fewer than 1 / false_alarm - 1 scores, which determine no threshold.
     """
     probability("false_alarm", false_alarm)
     scores = floats("scores", scores)
@@ -105,6 +107,6 @@ def conformal_alpha(scores: Array, false_alarm: float) -> Array:
     if exceedance_rank(count, false_alarm) > count:
         raise ValueError(
             f"{count} healthy scores cannot set a false-alarm probability of {false_alarm:g}; give at least "
-            f"{int(np.ceil(1 / false_alarm - 1 - 1e-9))} or ask for a larger one"
+            f"{int(np.ceil(1 / false_alarm - 1 - 1e-9))} or use a larger probability"
         )
     return order_statistic(np.where(np.isnan(scores), np.inf, scores), false_alarm)

@@ -1,4 +1,4 @@
-"""The adaptive observer: its rate of convergence, and when it is idle."""
+"""The adaptive observer: its rate of convergence, and when it is inactive."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_adaptive_law_converges_with_its_rate() -> None:
     assert adaptive_rate(Rates(0.2, 319.98, 5.0)) == pytest.approx(1.95e-6, rel=1e-2)
 
 
-def test_an_adaptive_observer_is_idle_until_its_module_fires_and_where_readings_are_missing() -> None:
+def test_an_adaptive_observer_is_inactive_until_its_module_fires_and_without_readings() -> None:
     start = Estimates(np.array([1.0, 1.0]), np.zeros(2), np.zeros(2))
     reading, h = np.array([3.0, np.nan]), np.array([1.0, 1.0])
     after = adapt(start, h, reading, reading, np.array([False, True]), 0.1, Rates(1.0, 2.0, 1.0))

@@ -1,4 +1,4 @@
-"""Adaptive thresholds: valid by proof and by count, one source with the compiled driver, what is missing, what is refused."""
+"""Adaptive thresholds: no false alarms, agreement with the compiled driver, missing readings, rejected settings."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_thresholds_in_noise_bounds() -> None:
 
 
 def test_healthy_readings_never_alarm() -> None:
-    recording = healthy(2000, 25)  # half a million module-samples here; ten million in the slow test
+    recording = healthy(2000, 25)  # half a million module-samples; ten million in the slow test
     d = judge(DETECTOR, recording.y, recording)
     assert not d.alarm.any() and d.scores.max() <= 1.0
 
@@ -102,14 +102,14 @@ def test_missing_readings_widen_and_never_alarm() -> None:
     assert not d.alarm.any() and np.isnan(d.residual[60, :, 1::2]).all() and np.isfinite(d.reconstruction).all()
 
 
-def test_what_is_refused() -> None:
+def test_unsuitable_plants_and_settings_are_rejected() -> None:
     assert ENGINE.structure.modules is not None
     modules: Modules = ENGINE.structure.modules
     with pytest.raises(ValueError, match="does not state its scalar equations"):
         AdaptiveThreshold(changed(ENGINE, modules=None))
     with pytest.raises(ValueError, match="observer of fuel has the gain -100"):
         replace(modules, gains={**modules.gains, "fuel": -100.0})
-    with pytest.raises(ValueError, match="margins names nothing"):
+    with pytest.raises(ValueError, match="margins has nothing"):
         AdaptiveThreshold(ENGINE, margins={"nothing": 0.1})
     with pytest.raises(ValueError, match="have no noise bound"):
         sensors = tuple(replace(s, bound=None, sigma=s.noise_sigma) for s in ENGINE.sensors)
@@ -125,18 +125,18 @@ def test_what_is_refused() -> None:
         AdaptiveThreshold(doubled)
     with pytest.raises(ValueError, match="bounds is 'corner'; known: corners, inclusion, sivia"):
         AdaptiveThreshold(ENGINE, bounds="corner")
-    with pytest.raises(ValueError, match="drift names torque"):
+    with pytest.raises(ValueError, match="drift has torque"):
         AdaptiveThreshold(ENGINE, drift={"torque": 0.1})
-    with pytest.raises(ValueError, match="envelope names nothing"):
+    with pytest.raises(ValueError, match="envelope has nothing"):
         AdaptiveThreshold(ENGINE, envelope={"nothing": (0.0, 1.0)})
-    with pytest.raises(ValueError, match="nominal value of torque is 0, no measure of a range; give envelope"):
+    with pytest.raises(ValueError, match="nominal value of torque is 0, which gives no range; give envelope"):
         _ = AdaptiveThreshold(changed(ENGINE, modules=replace(modules, nominal={**modules.nominal, "torque": 0.0}))).ends
-    with pytest.raises(ValueError, match="envelope of torque is no finite range"):
+    with pytest.raises(ValueError, match="envelope of torque is not a finite range"):
         _ = AdaptiveThreshold(ENGINE, envelope={"torque": (5e4, 4e4)}).slopes
 
 
 def test_a_load_step_raises_no_alarm_and_errors_keep_their_bounds() -> None:
-    """Noise at the ends of its range, which uniform noise seldom comes near: of one sign for a run, or of any."""
+    """Noise at the ends of its range, which uniform noise rarely reaches: of one sign in a run, or of random signs."""
     detector, recording = for_load_steps(), load_step(700, 40)
     rng = np.random.default_rng(3)
     sign = rng.choice([-1.0, 1.0], recording.y.shape)
@@ -151,7 +151,7 @@ def test_a_load_step_raises_no_alarm_and_errors_keep_their_bounds() -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, -1e5, 1e10], ids=str)
-def test_a_broken_sensor_is_named_and_breaks_nothing_else(value: float) -> None:
+def test_a_broken_sensor_is_isolated_and_affects_nothing_else(value: float) -> None:
     """Where an equation has no value at the readings, they are moved into the envelope, for that equation."""
     recording = healthy(300, 5)
     plain = AdaptiveThreshold(changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))  # type: ignore[type-var]
@@ -168,10 +168,12 @@ def test_a_broken_sensor_is_named_and_breaks_nothing_else(value: float) -> None:
         np.testing.assert_allclose(other.threshold, d.threshold[:125], rtol=1e-9)
 
 
-def test_a_latched_module_stays_fired_and_agents_clear_their_own_sensors() -> None:
+def test_a_latched_module_stays_fired_and_agents_exonerate_their_own_sensors() -> None:
     recording = healthy(300, 5)
     y = recording.y[:200].copy()
-    y[100:110, :, 3] -= 3.8e4  # of the torque: the air path's silence clears T_charge, which the torque's module reads, too
+    y[100:110, :, 3] -= (
+        3.8e4  # of the torque: the air path does not fire and exonerates T_charge, which the module of the torque reads, too
+    )
     short = recording_of(recording, 200)
     latched, free = judge(DETECTOR, y, short), judge(replace(DETECTOR, latch=False), y, short)
     np.testing.assert_array_equal(latched.residual, free.residual)
@@ -180,7 +182,7 @@ def test_a_latched_module_stays_fired_and_agents_clear_their_own_sensors() -> No
     assert np.all(latched.isolated <= alone.isolated) and alone.isolated.sum() > latched.isolated.sum()
 
 
-def test_a_batch_of_two_axes_is_the_same_as_one() -> None:
+def test_a_batch_of_two_axes_equals_a_batch_of_one() -> None:
     recording = healthy(60, 3)
     y, u = recording.y[:20], np.broadcast_to(recording.u[:20, None], (20, 3, 1))
     _, flat = run(DETECTOR, DETECTOR.init((3,)), recording.t[:20], y, u)
@@ -189,7 +191,7 @@ def test_a_batch_of_two_axes_is_the_same_as_one() -> None:
     np.testing.assert_array_equal(nested.isolated[:, :, 0], flat.isolated)
 
 
-def test_the_published_threshold_knows_the_time_since_its_start() -> None:
+def test_the_published_threshold_depends_on_the_time_since_its_start() -> None:
     """However many readings there were: 30 steps of 1 ms end as 3 of 10 ms do, to the last one's noise."""
     paper = replace(DETECTOR, observer_bounds=OBSERVER_BOUNDS)
     y, u = healthy(60, 3).y[0, 0], np.ones(1)

@@ -15,7 +15,7 @@ BOUND_OF_VARIABLE = DETECTOR._bound
 
 
 def test_inclusion_and_set_inversion_enclose_the_corners() -> None:
-    """Inclusion is the widest; set inversion lies within it, to its tolerance, where an equation has not its own variable."""
+    """Inclusion is the widest; set inversion is within it, to its tolerance, for explicit equations."""
     recording = healthy(300, 5)
     y = recording.y[:3].copy()
     y[2, 0, 0] = np.nan
@@ -48,6 +48,6 @@ def test_set_inversion_by_codac_lies_between() -> None:
         d = judge(replace(DETECTOR, bounds=bounds), y, first)
         middle, radius = y - d.residual, d.threshold - BOUND
         ends[bounds] = np.stack([-(middle - radius), middle + radius]) / BOUND
-    # a hull exceeds the solutions by a box that is not cut any more, TOLERANCE wide
+    # a hull exceeds the solutions by at most the smallest box, TOLERANCE wide
     assert np.all(ends["sivia"] <= ends["codac"] + TOLERANCE)
     assert np.all(ends["codac"] <= ends["inclusion"] + TOLERANCE)

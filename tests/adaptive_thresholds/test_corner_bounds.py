@@ -1,4 +1,4 @@
-"""Slopes proved over an envelope: exact where known, quick where they vanish, once a process; what has none is refused."""
+"""Slopes proved over an envelope: exact where known, few boxes where they vanish, proved once; unbounded slopes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_slopes_of_a_known_function_are_proved() -> None:
 
 
 def test_a_slope_that_vanishes_in_the_middle_takes_few_boxes() -> None:
-    """The middle is an end of the halves, where rounding leaves both signs: it must not be halved for ever."""
+    """The middle is an end of the halves, where rounding leaves both signs: the halving must end."""
     peak = lambda x, y: y * (1.0 - 0.25 * (x / 3.0 - 1.0) ** 2)  # noqa: E731
     least, most = slopes(peak, np.array([2.4, 1.0]), np.array([3.6, 2.0]), budget=40)
     steepest = 2.0 * 0.5 * 0.2 / 3.0  # at y = 2, x = 2.4 or 3.6
@@ -47,11 +47,11 @@ def test_a_proof_is_made_once_unless_parameters_hold_arrays() -> None:
     np.testing.assert_allclose([again.size[0, 0], other.size[0, 0]], [2.0, 3.0])
 
 
-def test_what_cannot_be_bounded_is_refused() -> None:
+def test_unbounded_slopes_are_rejected() -> None:
     table = {"y": lambda x, c: np.sqrt(x)}
     with pytest.raises(ValueError, match="equation of y has no bounded slope in x over the envelope"):
         prove(table, ("x",), np.array([0.0]), np.array([1.0]), None)
-    with pytest.raises(ValueError, match="envelope of x is no finite range"):
+    with pytest.raises(ValueError, match="envelope of x is not a finite range"):
         prove(table, ("x",), np.array([1.0]), np.array([1.0]), None)
-    with pytest.raises(ValueError, match="envelope of x is no finite range"):
+    with pytest.raises(ValueError, match="envelope of x is not a finite range"):
         prove(table, ("x",), np.array([1.0]), np.array([np.inf]), None)

@@ -1,4 +1,4 @@
-"""Diagnosis sets: the laws of the semantics, all patterns by brute force, and the two papers' timelines."""
+"""Diagnosis sets: their properties, all patterns by enumeration, and the timelines of two papers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def subsets(text: str) -> set[frozenset[str]]:
 
 
 def random_logic(rng: np.random.Generator, with_agents: bool, modules: int = 6, sensors: int = 7) -> DiagnosisLogic:
-    """Modules dealt to three agents; each reads its agent's first sensor and others by chance, some of them with a 1."""
+    """Modules of three agents; each reads its agent's first sensor and other random ones, some of them with a 1."""
     agents = {
         str(a): Agent(
             tuple(f"m{i}" for i in range(modules) if i % 3 == a), tuple(f"s{j}" for j in range(sensors) if j % 3 == a)
@@ -49,7 +49,7 @@ def random_logic(rng: np.random.Generator, with_agents: bool, modules: int = 6, 
 
 
 def decisions_of(rng: np.random.Generator, logic: DiagnosisLogic, truth: np.ndarray, draws: int) -> np.ndarray:
-    """Random decisions that a set of faults, members (N,), allows: 1 fires, * either way, 0 silent, for agents too."""
+    """Random decisions that a set of faults, members (N,), allows: 1 fires, * may fire, 0 does not fire, also for agents."""
     possible, certain = (c for c in logic.local.columns(masks(truth)))
     drawn = certain | (possible & (rng.random((draws, possible.size)) < 0.5))
     if logic.agents is None:
@@ -59,7 +59,7 @@ def decisions_of(rng: np.random.Generator, logic: DiagnosisLogic, truth: np.ndar
     return drawn[(np.stack(own, axis=1) | ~must).all(axis=1)]
 
 
-# laws
+# properties
 
 
 @pytest.mark.parametrize("with_agents", [False, True])
@@ -81,7 +81,7 @@ def test_the_truth_is_in_the_diagnosis_set(with_agents):
 
 
 @pytest.mark.parametrize("with_agents", [False, True])
-def test_diagnoses_are_the_consistent_columns_without_bystanders(with_agents):
+def test_diagnoses_are_the_consistent_sets_without_unsupported_faults(with_agents):
     """Against the definition, all patterns times all combinations, in plain Python."""
     rng = np.random.default_rng(4)
     for _ in range(5):
@@ -114,7 +114,7 @@ def test_isolated_are_the_members_of_all_diagnoses_of_the_engine():
 
 
 @pytest.mark.parametrize("with_agents", [False, True])
-def test_more_detections_never_clear_a_sensor_while_they_are_explained(with_agents):
+def test_more_detections_exonerate_no_sensor_while_they_are_explained(with_agents):
     rng = np.random.default_rng(5)
     compared = 0
     for _ in range(30):
@@ -127,26 +127,26 @@ def test_more_detections_never_clear_a_sensor_while_they_are_explained(with_agen
     assert compared > 1000
 
 
-def test_a_silent_module_clears_by_1_and_not_by_a_star():
+def test_a_module_that_has_not_fired_exonerates_by_1_and_not_by_a_star():
     logic = DiagnosisLogic(signature_matrix({"m": {"a": "1", "b": "*"}, "n": {"a": "*", "b": "*", "c": "*"}}, ("a", "b", "c")))
     assert logic.diagnoses(np.array([False, True])) == (frozenset("b"), frozenset("c"), frozenset("bc"))
-    late = logic.diagnoses(np.array([True, True]))  # cleared only while m is silent; now c alone would leave m unexplained
+    late = logic.diagnoses(np.array([True, True]))  # exonerated only until m fires; now c alone would leave m unexplained
     assert frozenset("a") in late and frozenset("c") not in late
 
 
-def test_the_agents_clear_what_their_own_silence_allows():
+def test_agents_that_have_not_fired_exonerate_their_sensors():
     pattern = fired("3,2")
     alone = DiagnosisLogic(ENGINE.local).isolated(pattern)
     np.testing.assert_array_equal(np.array(SENSORS)[alone], ["f1(2)", "f2(2)", "f3(2)", "f2(3)", "f2(4)"])
     np.testing.assert_array_equal(np.array(SENSORS)[ENGINE.isolated(pattern)], ["f2(3)"])
 
 
-def test_silence_is_explained_by_no_fault():
+def test_without_detections_there_is_no_fault():
     assert ENGINE.explained(fired()) and not ENGINE.isolated(fired()).any() and ENGINE.diagnoses(fired()) == ()
 
 
-def test_a_pattern_nothing_explains_has_an_empty_set():
-    """With Table 2 of K22, M(4,2) fires by f2(4) alone, which a silent M(4,1) clears."""
+def test_an_unexplained_pattern_has_an_empty_diagnosis_set():
+    """With Table 2 of K22, M(4,2) fires by f2(4) alone, which M(4,1) exonerates as long as it has not fired."""
     logic = DiagnosisLogic(signature_matrix(K22_LOCAL, SENSORS), AGENTS)
     pattern = fired("4,2")
     assert not logic.explained(pattern) and not logic.isolated(pattern).any() and logic.diagnoses(pattern) == ()
@@ -161,7 +161,7 @@ def test_every_pattern_of_the_engine_is_explained():
 # equations of the paper
 
 
-def test_an_agent_fires_where_17_of_the_paper_states():
+def test_an_agent_fires_as_by_17_of_the_paper():
     """D_chi = 1 where the local diagnosis set holds a fault sent to or received from another agent."""
     for agent in AGENTS.values():
         own = {m: K24_LOCAL[m] for m in agent.modules}
@@ -174,7 +174,7 @@ def test_an_agent_fires_where_17_of_the_paper_states():
 
 
 def test_consistent_sets_are_the_intersection_of_18():
-    """D^G = D^chi with the D^(I) of the agents that fired; those of silent agents are empty and left out."""
+    """D^G = D^chi with the D^(I) of the agents that fired; those of other agents are empty and left out."""
     overall = global_signatures(ENGINE.local, AGENTS)
     membership = np.array([[m in agent.modules for m in ENGINE.local.rows] for agent in AGENTS.values()])
     agent_fired = (PATTERNS[:, None, :] & membership).any(axis=-1)
@@ -200,7 +200,7 @@ K24_STEPS = {
         "f2(4)+f1(3) f2(4)+f2(3) f2(4)+f3(3) f2(4)+f1(3)+f2(2) f2(4)+f1(3)+f3(2) f2(4)+f3(3)+f2(2) f2(4)+f3(3)+f3(2)",
     ),
 }
-# what is left out there: f3(2) with f3(3), which is in the next set; f2(3) with f2(2) or f3(2), though f1(3) with f2(2)
+# missing there: f3(2) with f3(3), which is in the next set; f2(3) with f2(2) or f3(2), though f1(3) with f2(2)
 # is printed twice and both pairs are in the set before
 K24_OMITTED = {69.9: "f3(2)+f3(3)", 70.01: "f2(4)+f2(3)+f2(2) f2(4)+f2(3)+f3(2)"}
 
@@ -215,7 +215,7 @@ def test_the_printed_sets_are_ours_with_one_fault_for_each_agent(time):
 
 
 def test_the_printed_local_sets_of_single_faults():
-    """Agent 2 at 20 s, without f1(1), f1(4) by M(1,1) and M(4,1), which are silent; agents by themselves."""
+    """Agent 2 at 20 s, without f1(1), f1(4), which M(1,1) and M(4,1) exonerate; each agent alone."""
     local = DiagnosisLogic(ENGINE.local)
     singles = {d for d in local.diagnoses(fired("2,3")) if len(d) == 1}
     assert singles == subsets("f2(2) f3(2) f2(4)")
@@ -223,7 +223,7 @@ def test_the_printed_local_sets_of_single_faults():
     assert singles == subsets("f1(3) f2(3) f3(2) f2(4)")
 
 
-def test_why_not_minimal_nor_all_consistent_sets():
+def test_minimal_sets_and_all_consistent_sets_are_unsuitable():
     """At 70.01 s, f3(2), f1(3) and f2(4) act."""
     pattern = fired(*K24_STEPS[70.01][0])
     found = ENGINE.diagnoses(pattern)
@@ -236,7 +236,7 @@ def test_why_not_minimal_nor_all_consistent_sets():
 
 
 # K22, sec. 5: f1(3) at 10 s, f2(4) at 20 s; S^F as printed. Its Table 2 has 1 for f2(4) in E(4,1), which contradicts its
-# own sets (see the unexplained pattern above); K24's Table III has *, which is taken here
+# own sets (see the unexplained pattern above); K24's Table III has *, which is used here
 @pytest.mark.parametrize(
     ("modules", "printed", "ours_beyond"),
     [
@@ -287,7 +287,7 @@ def test_latching_keeps_decisions():
     np.testing.assert_array_equal(latched(decisions.T, axis=1), latched(decisions).T)
 
 
-def test_decisions_of_the_wrong_kind_are_refused():
+def test_decisions_of_a_wrong_type_or_shape_are_rejected():
     with pytest.raises(ValueError, match=r"decisions are int64 \(10,\); expected bool \(..., 10\), modules E\(1,1\)"):
         ENGINE.isolated(np.zeros(10, int))
     with pytest.raises(ValueError, match=r"decisions are bool \(3, 9\)"):

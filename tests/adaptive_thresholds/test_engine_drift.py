@@ -1,4 +1,4 @@
-"""How far the receiver's pressure moves between two readings while the load changes: proved, and tried with the worst noise."""
+"""Drift of the receiver's pressure between two readings while the load changes: proved, and tested with the worst noise."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ LOADS: dict[str, Callable[[float], float]] = {
 
 
 def worst_noise(detector: AdaptiveThreshold, steps: int) -> np.ndarray:
-    """Noise (K, 40, N) at its bounds: for each variable, sign and phase, what its slopes say pulls its prediction away from
+    """Noise (K, 40, N) at its bounds: for each variable, sign and phase, what by its slopes moves its prediction away from
     its reading; a state's own reading changes its sign each sample, since its observer has followed the last one."""
     signs = np.where(detector.slopes.signs[:, :10] == 0, 1.0, detector.slopes.signs[:, :10])
     bound = np.array([s.noise_bound for s in detector.plant.sensors])
@@ -116,8 +116,8 @@ def test_no_noise_within_its_bounds_alarms_while_the_load_moves_within_its_range
     assert worst_score(moving, LOADS[name]) <= 1.0
 
 
-def test_the_usual_thresholds_are_for_a_steady_load() -> None:
-    """None alarms there; a step of 2 % within the envelope is enough for one that does, so the search above can fail."""
+def test_the_default_thresholds_are_for_a_steady_load() -> None:
+    """None alarms there; a step of 2 % within the envelope causes an alarm, so the search above can fail."""
     usual = AdaptiveThreshold(marine_engine())
     assert 0.999 < worst_score(usual, lambda t: 1.0) <= 1.0
     assert worst_score(usual, LOADS["down to 0.98"]) > 1.0

@@ -33,12 +33,12 @@ def test_at_first_no_sensor_is_isolated_and_states_are_within_the_envelope() -> 
     assert m.state[0].tolist() == [1.0, 2.0] and NOMINAL.tolist() == [1.0, 2.0, 3.0]
 
 
-def test_the_interval_is_the_reading_less_what_it_should_be_and_the_noise() -> None:
+def test_the_interval_is_the_reading_less_its_healthy_value_and_the_noise() -> None:
     """y = 12, z in [9, 10], |n| <= 1 of the third sensor: f in [12 - 10 - 1, 12 - 9 + 1] = [1, 4]."""
     m = isolating(start(1), 2)
     reading, lower, upper = np.array([[5.0, 5.0, 12.0]]), np.array([[4.0, 4.0, 9.0]]), np.array([[6.0, 6.0, 10.0]])
     low, high = m.interval(reading, lower, upper, BOUND, True)
-    assert low.tolist() == [[-np.inf, -np.inf, 1.0]] and high.tolist() == [[np.inf, np.inf, 4.0]]  # of others nothing
+    assert low.tolist() == [[-np.inf, -np.inf, 1.0]] and high.tolist() == [[np.inf, np.inf, 4.0]]  # nothing for other sensors
 
 
 def test_intervals_are_intersected_over_time_and_empty_once_no_offset_fits() -> None:
@@ -81,17 +81,17 @@ def test_without_intersection_each_instant_stands_alone() -> None:
     assert (low[0, 1], high[0, 1]) == (2.0, 2.5)  # no reading, nothing new
 
 
-def test_a_reconstructed_reading_has_the_noise_and_what_is_left_of_the_interval_as_its_bound() -> None:
+def test_the_bound_of_a_reconstructed_reading_is_the_noise_and_the_remaining_interval() -> None:
     m = isolating(isolating(start(1), 0), 1)
     m = m._replace(
         low=np.array([[1.0, -np.inf, -np.inf]]), high=np.array([[4.0, np.inf, np.inf]]), size=np.array([[2.0, np.nan, np.nan]])
     )
     healthy, bound = m.reconstructed(np.array([[10.0, 10.0, 10.0]]), BOUND)
-    np.testing.assert_array_equal(healthy, [[8.0, np.nan, 10.0]])  # less 2; unknown offset: missing; not isolated: as it came
+    np.testing.assert_array_equal(healthy, [[8.0, np.nan, 10.0]])  # less 2; unknown offset: missing; not isolated: unchanged
     np.testing.assert_array_equal(bound[0, [0, 2]], [0.25 + 2.0, 1.0])  # the farther end of [1, 4] from 2
 
 
-def test_a_sensor_that_is_isolated_takes_along_what_rests_on_it() -> None:
+def test_an_isolated_sensor_resets_the_intervals_that_depend_on_it() -> None:
     m = isolating(start(1), 1)._replace(
         x=np.array([[7.0, 8.0]]), error=np.array([[0.5, 0.6]]), low=np.array([[-np.inf, 1.0, -np.inf]]),
         high=np.array([[np.inf, 2.0, np.inf]]), size=np.array([[np.nan, 1.5, np.nan]]),

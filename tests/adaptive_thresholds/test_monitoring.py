@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, into_envelope, monitor, verdict
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, decide, into_envelope, monitor
 from fusion_sfdia.core.modules import Modules
 
 Array = NDArray[Any]
@@ -68,7 +68,7 @@ def test_without_a_reading_the_observer_runs_open_loop_within_the_envelope() -> 
     assert step([np.nan, 5.0], frozen)[:2] == pytest.approx([10.5 + DT * h, 0.4 + DT * max(most - h, h - least)], rel=1e-12)
 
 
-def test_what_is_not_proved_and_what_rounds_widens_bounds() -> None:
+def test_unproved_slopes_and_rounding_widen_bounds() -> None:
     loose = SETTINGS._replace(unproved=np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]]), rounding=1e-3)
     slack = 0.1 * 0.7 + 1e-3 * 5.15  # half the width of x in [10.1, 10.3], and of the larger end
     assert step([10.0, 5.0], loose)[2:] == pytest.approx([5.05 - slack, 5.15 + slack], rel=1e-12)
@@ -85,7 +85,7 @@ def test_boxes_checked_by_hand() -> None:
     np.testing.assert_array_equal(high, [[0.0, 55.0, 1e9]])
 
 
-def test_a_verdict_checked_by_hand() -> None:
+def test_decisions_checked_by_hand() -> None:
     """Sensors of the state in kilo-units, of the other variable, and of the state again; the last has fired before."""
     y = np.array([[0.012, 5.0, np.nan], [0.0104, np.nan, 10.0]])
     x, state_bound, lower, upper = (
@@ -97,7 +97,7 @@ def test_a_verdict_checked_by_hand() -> None:
     extra, fired = np.array([0.25, 0.1]), np.array([[False, False, True], [False, False, False]])
     scale = np.array([-1e-3, 1.0, 1.0])
     y[:, 0] *= -1
-    found = verdict(y, x, state_bound, lower, upper, extra, np.array([0, 1, 0]), scale, fired, 2.0)
+    found = decide(y, x, state_bound, lower, upper, extra, np.array([0, 1, 0]), scale, fired, 2.0)
     residual, threshold, reconstruction, firing, lost = found
     np.testing.assert_allclose(residual[0], [-2e-3, 0.5, np.nan], rtol=1e-12)
     np.testing.assert_allclose(threshold, [[1.5e-3, 2 * (0.5 + 0.1), 1.5]] * 2, rtol=1e-12)
@@ -150,7 +150,7 @@ def test_a_residual_at_its_threshold_is_no_alarm_and_one_infinite_prediction_mar
     """Sensor 2: prediction 4.5, radius 0.5 and 0.5 more. Sensor 1, before it, has no finite prediction."""
     y, bounds = np.array([[1.0, 5.5]] * 2), np.array([[4.0], [4.0]])
     x = np.array([[np.inf], [np.nan]])
-    residual, threshold, _, firing, lost = verdict(
+    residual, threshold, _, firing, lost = decide(
         y,
         x,
         np.zeros((2, 1)),

@@ -1,4 +1,4 @@
-"""Signature matrices: derived from structure against those printed, combinations of faults, refusals."""
+"""Signature matrices: derived from the structure against the printed ones, combinations of faults, errors."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_the_papers_differ_from_each_other_in_two_entries():
 @pytest.mark.parametrize("computed", [COMPUTED, COMPUTED_AS_IN_THE_TABLES])
 @pytest.mark.parametrize("printed", [K24_TABLE_IV, K22_TABLE_3])
 def test_the_global_matrix_is_the_printed_one(computed, printed):
-    """The three entries above do not show: the sensor is the agent's own, or read by another of its modules."""
+    """The three entries above have no effect: the sensor is the agent's own, or read by another of its modules."""
     assert differences(global_signatures(derived(K24_CERTAIN, computed), AGENTS), parse(printed)) == {}
 
 
@@ -105,7 +105,7 @@ def engine_signatures(suffix: str = "") -> SignatureMatrix:
 
 
 def test_the_engine_model_has_the_structure_of_the_papers_equations():
-    """K24's tables take the heat release at nominal speed; the turbine's efficiency depends on x(4), (43), all the same."""
+    """K24's tables take the heat release at nominal speed; the turbine's efficiency still depends on x(4), (43)."""
     turbine = {("E(3,3)", "f1(4)"): ("*", "0")}
     speed = {("E(2,1)", "f3(2)"): ("*", "0"), ("E(2,2)", "f3(2)"): ("*", "0")}
     assert differences(engine_signatures(), K24_LOCAL) == turbine | speed
@@ -113,7 +113,7 @@ def test_the_engine_model_has_the_structure_of_the_papers_equations():
     assert differences(global_signatures(engine_signatures(), AGENTS), parse(K24_TABLE_IV)) == {}
 
 
-def test_a_constant_slip_frees_modules_from_sensors():
+def test_with_a_constant_slip_modules_read_fewer_sensors():
     """They read the torque for the slip alone; the pressures and the charge temperature they need elsewhere too."""
     freed = {where for where, pair in differences(engine_signatures("_constant"), engine_signatures().entries).items()}
     assert freed == {("E(3,2)", "f3(2)"), ("E(4,1)", "f3(2)"), ("E(4,3)", "f3(2)")}
@@ -135,7 +135,7 @@ def test_masks_are_little_endian_at_any_width():
         np.testing.assert_array_equal(members(masks(chosen), n), chosen)
 
 
-def test_a_combination_shows_where_one_of_its_faults_does():
+def test_the_signature_of_a_combination_is_the_disjunction():
     m = signature_matrix(K24_LOCAL, SENSORS)
     every = combinations(10)
     assert every.size == 1023 and every[0] == 1 and every[-1] == 1023
@@ -158,18 +158,18 @@ def test_columns_grow_with_the_faults():
         assert not np.any(less_shown & ~more_shown)
 
 
-def test_what_is_computed_stands_for_what_it_reads():
+def test_a_computed_variable_reads_the_sensors_of_its_arguments():
     reads = sensors_read({"m": ("a", "q")}, {"a": "Sa", "b": "Sb", "q": "Sq"}, {"q": ("b", "p")}, known=("p",))
     assert reads == {"m": {"Sa", "Sb"}}
     assert sensors_read({"m": ("a", "q")}, {"a": "Sa", "q": "Sq"}) == {"m": {"Sa", "Sq"}}
 
 
-def test_refusals_name_the_cure():
+def test_errors_state_the_cure():
     with pytest.raises(ValueError, match="flow has no sensor; add it"):
         sensors_read({"m": ("flow",)}, {})
-    with pytest.raises(ValueError, match="circular: p <- q <- p"):
+    with pytest.raises(ValueError, match="has a cycle: p <- q <- p"):
         sensors_read({"m": ("p",)}, {}, {"p": ("q",), "q": ("p",)})
-    with pytest.raises(ValueError, match="m names c; the sensors are a, b"):
+    with pytest.raises(ValueError, match="m has c; the sensors are a, b"):
         signature_matrix({"m": {"c": "*"}}, ("a", "b"))
     with pytest.raises(ValueError, match=r"entries \['x'\]; expected '0', '1'"):
         signature_matrix({"m": {"a": "x"}}, ("a",))

@@ -1,4 +1,4 @@
-"""Virtual sensors: intervals that hold the fault, what an empty one means, adaptive observers, readings for the neighbours."""
+"""Virtual sensors: intervals that contain the fault, empty intervals, adaptive observers, readings for other modules."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def healthy(steps: int, runs: int) -> Recording:
 
 def watch(detector: VirtualSensors, recording: Recording, y: Array) -> tuple[State, Decision, Interval]:
     """The last state, the decisions and the faults' intervals (K, B, N)."""
-    state, told, low, high = detector.init((y.shape[1],)), [], [], []
+    state, decided, low, high = detector.init((y.shape[1],)), [], [], []
     for k, t in enumerate(recording.t):
         state, decision = detector.step(state, float(t), y[k], recording.u[k])
         found = detector.fault_interval(state)
-        told.append(decision)
+        decided.append(decision)
         low.append(found.lo)
         high.append(found.hi)
-    stacked = {f.name: np.stack([getattr(d, f.name) for d in told]) for f in fields(Decision) if f.name != "covariance"}
+    stacked = {f.name: np.stack([getattr(d, f.name) for d in decided]) for f in fields(Decision) if f.name != "covariance"}
     return state, Decision(**stacked), Interval.unchecked(np.stack(low), np.stack(high))
 
 
@@ -53,8 +53,8 @@ def with_offsets(recording: Recording, start: int, faults: dict[int, float | Arr
     return y
 
 
-def test_the_interval_holds_the_fault_and_only_narrows() -> None:
-    """Random sensors and sizes; a sensor that is accused in the faulty one's stead would have no such guarantee."""
+def test_the_interval_contains_the_fault_and_only_narrows() -> None:
+    """Random sensors and sizes; without guarantee for a sensor that is isolated falsely instead of the faulty one."""
     rng = np.random.default_rng(4)
     runs, start = 60, 20
     recording = healthy(120, runs)
@@ -76,8 +76,8 @@ def test_the_interval_holds_the_fault_and_only_narrows() -> None:
     np.testing.assert_array_equal(found, (low[-1] + high[-1]) / 2)
 
 
-def test_two_faults_are_held_at_once_and_the_first_begins_anew() -> None:
-    """An interval that rests on a sensor accused later is forgotten: what the faulty torque did to it does not stay."""
+def test_two_simultaneous_faults_are_contained_and_the_first_interval_restarts() -> None:
+    """An interval that depends on a sensor isolated later is reset: the effect of the faulty torque does not stay."""
     recording = healthy(200, 20)
     faults = {RECEIVER: 1.5e5, TORQUE: -3.8e4}
     y = with_offsets(recording, 20, {RECEIVER: 1.5e5})
@@ -94,7 +94,7 @@ def test_two_faults_are_held_at_once_and_the_first_begins_anew() -> None:
     assert np.all(second >= 60) and np.all(np.array([width[k, b] > width[k - 1, b] for b, k in enumerate(second)])[right])
 
 
-def test_reconstructed_readings_keep_the_neighbours_silent() -> None:
+def test_with_reconstructed_readings_other_modules_do_not_fire() -> None:
     """Without them, the modules that read the faulty torque fire, too."""
     recording = healthy(300, 10)
     y = with_offsets(recording, 30, {TORQUE: -3.8e4})
@@ -132,7 +132,7 @@ def test_an_empty_intersection_is_no_constant_offset_and_the_sensor_counts_as_mi
     gone[:, :, CHARGE] = np.nan
     _, missing, _ = watch(DETECTOR, recording, gone)
     others = np.delete(np.arange(10), CHARGE)
-    # the algebraic modules have no memory: those of states still know what they read before
+    # algebraic modules have no memory; modules of states still contain earlier readings
     algebraic = [i for i in others if ENGINE.sensors[i].measures not in ENGINE.structure.modules.states]  # type: ignore[union-attr]
     np.testing.assert_array_equal(drifting.threshold[-1][:, algebraic], missing.threshold[-1][:, algebraic])
     np.testing.assert_array_equal(drifting.reconstruction[-1, :, CHARGE], missing.reconstruction[-1, :, CHARGE])
@@ -169,7 +169,7 @@ def test_a_single_run_is_stepped_without_a_batch() -> None:
     np.testing.assert_array_equal(decision.reconstruction, whole.reconstruction[-1, 1])
 
 
-def test_without_compiled_modules_it_is_the_same() -> None:
+def test_results_without_compiled_modules_are_the_same() -> None:
     assert ENGINE.structure.modules is not None
     plain = replace(DETECTOR, plant=changed(ENGINE, modules=replace(ENGINE.structure.modules, monitor=None)))
     recording = healthy(60, 4)
@@ -224,7 +224,7 @@ def test_set_inversion_encloses_the_corners() -> None:
 
 
 def test_tanks_whose_levels_are_integrals() -> None:
-    """rate = 0: an uncorrected observer keeps what it knows, and its bound grows to the envelope."""
+    """rate = 0: an uncorrected observer keeps its estimate, and its bound grows to the envelope."""
     plant = tanks()
     detector = VirtualSensors(plant, envelope=0.4)
     t, _, y, u = readings(replace(plant, process_cov=np.zeros(2), initial_cov=np.full(2, 1e-12)), 100, 5, 1)
@@ -236,16 +236,16 @@ def test_tanks_whose_levels_are_integrals() -> None:
     assert right.any() and np.all((found.lo[right, 0] <= 0.8) & (found.hi[right, 0] >= 0.8))
 
 
-def test_what_is_refused() -> None:
+def test_unsuitable_plants_and_settings_are_rejected() -> None:
     with pytest.raises(ValueError, match="inversion is 'newton'; known: corners, sivia"):
         replace(DETECTOR, inversion="newton")
-    with pytest.raises(ValueError, match="learning_rates names torque; the states are fuel, p_receiver, p_charge"):
+    with pytest.raises(ValueError, match="learning_rates has torque; the states are fuel, p_receiver, p_charge"):
         replace(DETECTOR, learning_rates={"torque": 1.0})
     with pytest.raises(ValueError, match=r"learning rates fuel=-1.0; expected positive numbers in 1/s"):
         replace(DETECTOR, learning_rates={"fuel": -1.0})
     with pytest.raises(ValueError, match="does not state its scalar equations"):
         VirtualSensors(changed(ENGINE, modules=None))
-    with pytest.raises(ValueError, match="envelope names nothing"):
+    with pytest.raises(ValueError, match="envelope has nothing"):
         VirtualSensors(ENGINE, envelope={"nothing": (0.0, 1.0)})
     with pytest.raises(ValueError, match="no state of VirtualSensors"):
         DETECTOR.fault_interval(DETECTOR.init()._replace(memory=()))

@@ -17,7 +17,10 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     """Estimates and deviations for the next readings, under reference and load (B, N)."""
     at, F, closed = areas.network.topology, areas.matrices, areas.network.closed
     n, a = F.shape[1], F[:, 0, 0]
-    read, read_shared = equations.noise_read(areas.noise, now.doubt), equations.noise_read(areas.shared_noise, now.doubt_shared)
+    read, read_shared = (
+        equations.noise_read(areas.noise, now.error_bound),
+        equations.noise_read(areas.shared_noise, now.error_bound_shared),
+    )
 
     def around(values: Array) -> Array:
         """Sums (B, N) over the closed sides of each area."""
@@ -26,33 +29,40 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
 
     inflow = around(areas.slope * now.held_shared)
     inflow_variance = around(areas.slope**2 * read_shared)
-    inflow_doubt = around(np.abs(areas.slope) * now.doubt_shared)
+    inflow_bound = around(np.abs(areas.slope) * now.error_bound_shared)
 
     def row(r: int, first: int) -> tuple[Array, Array, Array]:
-        """Row r of the model without the states before `first`: its value, variance and error bound (B, N)."""
+        """Row r of the model without the states before `first`: its value, variance and error_bound (B, N)."""
         value = F[:, r, n] * reference + F[:, r, n + 1] * (inflow - load)
-        variance, doubt = F[:, r, n + 1] ** 2 * inflow_variance, np.abs(F[:, r, n + 1]) * inflow_doubt
+        variance, error_bound = F[:, r, n + 1] ** 2 * inflow_variance, np.abs(F[:, r, n + 1]) * inflow_bound
         for c in range(first, n):
             value = value + F[:, r, c] * now.held[..., c]
             variance = variance + F[:, r, c] ** 2 * read[..., c]
-            doubt = doubt + np.abs(F[:, r, c]) * now.doubt[..., c]
-        return value, variance, doubt
+            error_bound = error_bound + np.abs(F[:, r, c]) * now.error_bound[..., c]
+        return value, variance, error_bound
 
-    estimate, deviation, doubt = np.empty_like(now.held), np.empty_like(now.held), np.empty_like(now.held)
+    estimate, deviation, error_bound = np.empty_like(now.held), np.empty_like(now.held), np.empty_like(now.held)
     for r in range(1, n):
-        value, variance, unsure = row(r, 0)
+        value, variance, estimate_bound = row(r, 0)
         memory, process = lam * now.deviation[..., r], areas.process_variance[:, r]
         estimate[..., r] = equations.private_term(value, now.residual[..., r], lam)
-        deviation[..., r] = equations.residual_deviation(memory, variance, process, areas.noise[:, r], unsure)
-        doubt[..., r] = equations.error_deviation(memory, variance, process, unsure)
+        deviation[..., r] = equations.residual_deviation(memory, variance, process, areas.noise[:, r], estimate_bound)
+        error_bound[..., r] = equations.error_deviation(memory, variance, process, estimate_bound)
 
-    drive, drive_variance, drive_doubt = row(0, 1)
+    drive, drive_variance, drive_bound = row(0, 1)
     process = areas.process_variance[:, 0]
-    own = now.held[..., 0], now.residual[..., 0], areas.noise[:, 0], now.doubt[..., 0], read[..., 0], now.deviation[..., 0]
+    own = (
+        now.held[..., 0],
+        now.residual[..., 0],
+        areas.noise[:, 0],
+        now.error_bound[..., 0],
+        read[..., 0],
+        now.deviation[..., 0],
+    )
     there = areas.opposite  # the copies of an area's first state at its neighbours
     others = (
         now.held_shared[..., there], now.residual_shared[..., there], areas.shared_noise[there],
-        now.doubt_shared[..., there], read_shared[..., there], now.deviation_shared[..., there],
+        now.error_bound_shared[..., there], read_shared[..., there], now.deviation_shared[..., there],
     )  # fmt: skip
 
     def per_side(of_area: Array) -> Array:
@@ -79,17 +89,19 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     agreed = consensus(lambda h, e, v, d, r, s, a, drive, dv, q: equations.shared_term(h, drive, e, a, lam))
     memory = lam * consensus(lambda h, e, v, d, r, s, a, drive, dv, q: s)
     variance = a**2 * consensus(lambda h, e, v, d, r, s, a, drive, dv, q: r, 2) + drive_variance
-    unsure = np.abs(a) * consensus(lambda h, e, v, d, r, s, a, drive, dv, q: d) + drive_doubt
+    estimate_bound = np.abs(a) * consensus(lambda h, e, v, d, r, s, a, drive, dv, q: d) + drive_bound
     estimate[..., 0] = agreed
-    doubt[..., 0] = equations.error_deviation(memory, variance, process, unsure)
+    error_bound[..., 0] = equations.error_deviation(memory, variance, process, estimate_bound)
     if mode == "paper":
         printed = consensus(lambda h, e, v, d, r, s, a, drive, dv, q: equations.printed_variance(v, d, a, dv, q), 2)
-        deviation[..., 0] = memory + np.sqrt(printed) + unsure
+        deviation[..., 0] = memory + np.sqrt(printed) + estimate_bound
         deviation_shared = np.take(deviation[..., 0], at.neighbour, axis=-1)
     else:
-        deviation[..., 0] = equations.residual_deviation(memory, variance, process, areas.noise[:, 0], unsure)
-        memory, variance, process, unsure = (np.take(x, at.neighbour, axis=-1) for x in (memory, variance, process, unsure))
-        deviation_shared = equations.residual_deviation(memory, variance, process, areas.shared_noise, unsure)
+        deviation[..., 0] = equations.residual_deviation(memory, variance, process, areas.noise[:, 0], estimate_bound)
+        memory, variance, process, estimate_bound = (
+            np.take(x, at.neighbour, axis=-1) for x in (memory, variance, process, estimate_bound)
+        )
+        deviation_shared = equations.residual_deviation(memory, variance, process, areas.shared_noise, estimate_bound)
 
     def at_sides(of_area: Array, where_open: Array | float) -> Array:
         return np.where(closed, of_area, where_open)
@@ -99,21 +111,21 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
         at_sides(np.take(agreed, at.neighbour, axis=-1), now.held_shared),
         deviation,
         at_sides(deviation_shared, UNKNOWN),
-        np.minimum(doubt, UNKNOWN),
-        np.minimum(at_sides(np.take(doubt[..., 0], at.neighbour, axis=-1), UNKNOWN), UNKNOWN),
+        np.minimum(error_bound, UNKNOWN),
+        np.minimum(at_sides(np.take(error_bound[..., 0], at.neighbour, axis=-1), UNKNOWN), UNKNOWN),
     )
 
 
 def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     """The diagnosers after the readings own (B, N, n) and shared (B, 2E); NaN where missing or not to be used."""
     kept = []
-    for y, estimate, deviation, doubt in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
+    for y, estimate, deviation, error_bound in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
         read = np.isfinite(y)
-        known = read & (deviation < UNKNOWN**0.5)  # a copy without an estimate starts here, its residual 0
+        known = read & (deviation < UNKNOWN**0.5)  # a copy that knew nothing starts here, its residual 0
         kept.append(
             (
                 np.where(read, y, estimate),
-                np.where(read, 0.0, doubt),
+                np.where(read, 0.0, error_bound),
                 np.where(known, y - estimate, 0.0),
                 np.where(known, deviation, 0.0),
             )

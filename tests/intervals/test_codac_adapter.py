@@ -36,7 +36,7 @@ def test_codac_agrees() -> None:
 
 
 @needs_codac
-def test_codac_refuses_what_it_cannot() -> None:
+def test_unsupported_problems_are_rejected() -> None:
     with pytest.raises(ValueError, match="codac has no arctanh"):
         codac_sivia(np.arctanh, Interval(0.0, 1.0), Interval([0.0], [0.5]), 0.1)
     with pytest.raises(ValueError, match="one problem at a time"):

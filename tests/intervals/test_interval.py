@@ -1,4 +1,4 @@
-"""Interval arrays: they contain what their members give, on samples and to the last place, in any batch."""
+"""Interval arrays: they contain the results of their members, on samples and to the last place, in any batch."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def test_points_contain_the_exact_value(name: str, function: Function, ulps: flo
     assert np.all(result.width <= 2 * (ulps + 1) * np.spacing(np.abs(result.hi)) + 1e-300)
 
 
-def test_outward_by_hand() -> None:
+def test_outward_rounding_checked_by_hand() -> None:
     tenth = Interval(0.1) + Interval(0.2)
     assert tenth.lo < 0.1 + 0.2 < tenth.hi
     assert tenth.width <= 3 * np.spacing(0.3)
@@ -213,7 +213,7 @@ def test_sets() -> None:
     np.testing.assert_array_equal([box.lo, box.hi], [[0, 2], [1, 3]])
 
 
-def test_adding_in_place_binds_anew() -> None:
+def test_adding_in_place_binds_a_new_interval() -> None:
     x = y = Interval(1.0, 2.0)
     x += 1
     assert y.hi == 2
@@ -224,16 +224,16 @@ def test_adding_in_place_binds_anew() -> None:
     ("lo", "hi", "message"),
     [
         ([0.0, 3.0], [1.0, 2.0], r"lower bound 3.0 above upper bound 2.0 \(1 of 2\): swap them"),
-        (np.nan, 1.0, "NaN: give a missing value its physical range"),
-        (np.inf, np.inf, "lower bound must be below inf"),
+        (np.nan, 1.0, "NaN; give a missing value its physical range"),
+        (np.inf, np.inf, "expected lower bound below inf"),
     ],
 )
-def test_wrong_bounds_are_refused(lo: Any, hi: Any, message: str) -> None:
+def test_wrong_bounds_are_rejected(lo: Any, hi: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Interval(lo, hi)
 
 
-def test_what_intervals_do_not_do() -> None:
+def test_unsupported_operations_are_rejected() -> None:
     x = Interval(0.0, 1.0)
     with pytest.raises(TypeError, match="does not compare"):
         _ = x < 0.5

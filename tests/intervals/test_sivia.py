@@ -30,7 +30,7 @@ def assert_same(one: Paving, problem: int, many: Paving) -> None:
 
 @pytest.mark.parametrize("contract", [False, True])
 def test_the_ring(contract: bool) -> None:
-    """Its area lies between both pavings, and so does each sample."""
+    """Its area is between those of both pavings, and so is each sample."""
     box = Interval([-3.0, -3.0], [3.0, 3.0])
     paving = sivia(ring, Interval(1.0, 4.0), box, 0.05, contract=contract)
     assert paving.complete
@@ -47,7 +47,7 @@ def test_the_ring(contract: bool) -> None:
 
 
 def test_the_ring_by_bisection_has_the_areas_of_the_dyadic_grid() -> None:
-    """Boxes of side 6/128: counted by hand over the grid, a box is inside when its nearest and farthest corners are."""
+    """Boxes of side 6/128: counted over the grid: a box is inside when its nearest and farthest corners are."""
     paving = sivia(ring, Interval(1.0, 4.0), Interval([-3.0, -3.0], [3.0, 3.0]), 0.05, contract=False)
     edge = np.linspace(-3, 3, 129)
     near = np.maximum(np.maximum(edge[:-1], -edge[1:]), 0) ** 2
@@ -113,7 +113,7 @@ def test_parameters_within_bounds() -> None:
     np.testing.assert_allclose([paving.hull.lo[0], paving.hull.hi[0]], [0.8, 2.0], atol=1e-3)
     np.testing.assert_allclose([paving.inner.lo.min(), paving.inner.hi.max()], [1.0, 1.6], atol=1e-3)
     assert paving.hull.contains([[0.8], [2.0]]).all()
-    assert paving.inner.lo.min() >= 1 - 1e-12  # rounding goes the safe way
+    assert paving.inner.lo.min() >= 1 - 1e-12  # outward rounding
     assert paving.inner.hi.max() <= 1.6
 
 
@@ -138,7 +138,7 @@ def test_a_budget_is_kept_and_its_end_is_reported(contract: bool) -> None:
         assert paving.inner_volume <= RING_AREA <= paving.outer_volume
 
 
-def test_no_solution_is_an_answer() -> None:
+def test_an_empty_result_proves_that_there_is_no_solution() -> None:
     for contract in (False, True):
         paving = sivia(ring, Interval([-2.0, 1.0], [-1.0, 4.0]), Interval([-3.0, -3.0], [3.0, 3.0]), 0.5, contract=contract)
         np.testing.assert_array_equal(paving.is_empty, [True, False])
@@ -154,22 +154,22 @@ def test_no_solution_is_an_answer() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"tolerance": 0.0}, "tolerance 0.0: give a positive width"),
-        ({"tolerance": [0.1, 0.1, 0.1]}, "for each of the 2 variables"),
+        ({"tolerance": 0.0}, "tolerance is 0.0; expected a positive width"),
+        ({"tolerance": [0.1, 0.1, 0.1]}, "for each of 2 variables"),
         ({"tolerance": np.nan}, "positive width"),
-        ({"budget": 0}, "budget 0"),
-        ({"box": Interval(-3.0, 3.0)}, "last axis holds the variables"),
+        ({"budget": 0}, "budget is 0"),
+        ({"box": Interval(-3.0, 3.0)}, "variables on the last axis"),
         ({"box": Interval([-3.0] * 3, [3.0] * 3)}, "does not run on 3"),
         ({"box": Interval([-np.inf, 0.0], [3.0, 3.0])}, "empty or infinite"),
         ({"box": Interval.empty((2,))}, "empty or infinite"),
         ({"target": [Interval(0.0, 1.0)] * 2}, "2 targets for 1 results"),
         ({"parameters": [np.nan]}, "does not|NaN"),
         ({"function": lambda x, y: x + np.array([1.0, 2.0]) * y}, "pass it as an argument"),
-        ({"function": lambda x, y: x if x > 0 else y}, "does not use greater"),
+        ({"function": lambda x, y: x if x > 0 else y}, "greater is not available"),
         ({"function": record(ring, 2), "box": Interval([0.0] * 3, [1.0] * 3)}, "2 arguments, the box and its parameters 3"),
     ],
 )
-def test_bad_input_is_refused(change: dict[str, Any], message: str) -> None:
+def test_bad_input_is_rejected(change: dict[str, Any], message: str) -> None:
     given: dict[str, Any] = {"function": ring, "target": Interval(1.0, 4.0), "box": Interval([-3.0, -3.0], [3.0, 3.0])}
     with pytest.raises(ValueError, match=message):
         sivia(**(given | {"tolerance": 0.1} | change))

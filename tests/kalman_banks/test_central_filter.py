@@ -1,4 +1,4 @@
-"""The usual choice: one filter with a test of each innovation."""
+"""The central filter: one filter with a test of each innovation."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_on_a_linear_plant_it_is_the_textbook_kalman_filter() -> None:
         np.testing.assert_allclose(got.covariance[k], p, rtol=0, atol=tolerance)  # type: ignore[arg-type, index]
         np.testing.assert_allclose(got.residual[k], innovation, rtol=0, atol=tolerance)
         np.testing.assert_allclose(got.threshold[k], norm.isf(1e-3 / 4 / 2) * np.sqrt(np.diag(s)), rtol=tolerance)
-        squared = innovation @ np.linalg.solve(s, innovation)  # its terms are at most 2 |d| |S^-1 d| apart
+        squared = innovation @ np.linalg.solve(s, innovation)  # its terms differ by at most 2 |d| |S^-1 d|
         near = tolerance * 2 * np.abs(np.linalg.solve(s, innovation)).sum()
         assert got.nis[k] == pytest.approx(squared / 4, rel=0, abs=near)
 
@@ -45,13 +45,13 @@ def test_the_budget_holds_and_is_nearly_used(false_alarm: float) -> None:
     detector = CentralFilter(plant, false_alarm=false_alarm)
     _, d = run(detector, detector.init((40,)), t, y, u)
     error = 3 * np.sqrt(false_alarm * (1 - false_alarm) / d.alarm.size)  # innovations are white: samples are independent
-    # Bonferroni is a bound; with independent sensors it gives away half the square of the budget, correlation little more
+    # Bonferroni is a bound; for independent sensors it is conservative by half the square of the budget, otherwise little more
     assert 0.8 * false_alarm - error < d.alarm.mean() <= false_alarm + error
     assert d.nis.mean() == pytest.approx(1.0, abs=3 * np.sqrt(2 / 6 / d.nis.size))
 
 
 @pytest.mark.parametrize("estimator", [Extended(), Unscented(), Ensemble(EnKFSettings(size=200))], ids=["ekf", "ukf", "enkf"])
-def test_a_jump_is_named_with_its_size_and_nothing_is_replaced(estimator: object) -> None:
+def test_a_jump_is_isolated_with_its_size_and_nothing_is_replaced(estimator: object) -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 40, 5, seed=2)
     y = y.copy()
@@ -65,7 +65,7 @@ def test_a_jump_is_named_with_its_size_and_nothing_is_replaced(estimator: object
     np.testing.assert_array_equal(d.reconstruction, y)
 
 
-def test_one_sensor_is_named_at_a_time_the_largest_ratio() -> None:
+def test_only_the_sensor_with_the_largest_ratio_is_isolated() -> None:
     plant = chain(4)
     detector = CentralFilter(plant)
     y = np.array([20.0, 0.0, -30.0, np.nan])
@@ -83,7 +83,7 @@ def test_without_readings_it_predicts() -> None:
     assert not d.alarm and not d.diverged
 
 
-def test_a_breakdown_is_flagged_and_the_rest_of_the_batch_goes_on() -> None:
+def test_divergence_is_flagged_and_the_other_runs_of_the_batch_continue() -> None:
     plant = chain(3)
     lost = changed(plant, output=lambda t, x, u: np.where(np.abs(x) > 50, np.nan, x), output_jacobian=lambda t, x, u: np.eye(3))
     detector = CentralFilter(lost)

@@ -1,4 +1,4 @@
-"""How a step of a bank that leaves sensors out ends: each field of its Decision from literal arrays, and its settings."""
+"""The end of a step of a bank that excludes sensors: each field of its Decision from literal arrays, and its settings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from toy_plants import chain
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters import ekf
 from fusion_sfdia.filters.estimators import Prior, Unscented
-from fusion_sfdia.kalman_banks.excluding_bank import Update, Verdict
+from fusion_sfdia.kalman_banks.excluding_bank import SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 
@@ -25,22 +25,22 @@ X, P = np.array([1.0, 2.0, 3.0]), np.diag([0.5, 1.0, 2.0])
 EXPECTED = H @ X
 VARIANCE = np.diag(H @ P @ H.T) + PLANT.sensor_cov
 READINGS = EXPECTED + np.array([0.1, 2.0, 40.0, 0.3, np.nan])
-NAMED = np.array([False, False, True, False, False])
+ISOLATED = np.array([False, False, True, False, False])
 NOTHING = np.zeros(N, bool)
-VERDICT = Verdict(
-    usable=np.array([True, False, True, True, False]), named=NAMED, residual=np.arange(10.0, 15.0),
+TESTED = SensorTests(
+    usable=np.array([True, False, True, True, False]), isolated=ISOLATED, residual=np.arange(10.0, 15.0),
     threshold=np.arange(20.0, 25.0), size=np.arange(30.0, 35.0), capped=np.array(True), limit=LIMIT,
 )  # fmt: skip
 
 
 def conclude(
-    exclusion: Exclusion, y: Array = READINGS, verdict: Verdict = VERDICT, p: Array = P, lost: bool = False, **settings: Any
+    exclusion: Exclusion, y: Array = READINGS, tested: SensorTests = TESTED, p: Array = P, lost: bool = False, **settings: Any
 ) -> Any:
     bank = LeaveOneOutBank(PLANT, false_alarm=FALSE_ALARM, **settings)
     joint = ekf.joint(X, p, lambda s: s @ H.T, H, PLANT.sensor_cov)
     prior = Prior((), np.array(True), np.array(lost))
-    update = Update(X, p, prior, joint, statistics(joint, y, verdict.usable))
-    return bank._conclude(SimpleNamespace(t=1.0), y, np.zeros(0), exclusion, update, verdict)
+    update = Update(X, p, prior, joint, statistics(joint, y, tested.usable))
+    return bank._conclude(SimpleNamespace(t=1.0), y, np.zeros(0), exclusion, update, tested)
 
 
 def out(*sensors: int, size: float = 5.0, evidence: float = 0.0, quiet: float = 0.0) -> Exclusion:
@@ -48,7 +48,7 @@ def out(*sensors: int, size: float = 5.0, evidence: float = 0.0, quiet: float = 
     return Exclusion(held, *(np.where(held, value, 0.0) for value in (size, 1.0, evidence, quiet)))
 
 
-def test_sensors_that_are_out_are_replaced_and_compared_with_their_expected_readings() -> None:
+def test_excluded_sensors_are_replaced_and_compared_with_their_expected_readings() -> None:
     """Sensors 1 and 4 are out, 4 is missing; 2 is isolated now, with its error as the first estimate of its fault."""
     after, decision = conclude(out(1, 4, size=-100.0))
     assert after.out.tolist() == decision.isolated.tolist() == [False, True, True, False, True]
@@ -66,14 +66,14 @@ def test_without_accommodation_sensors_are_isolated_and_nothing_is_left_out() ->
     before = none_excluded((), N)
     after, decision = conclude(before, accommodate=False)
     assert after is before
-    np.testing.assert_array_equal(decision.isolated, NAMED)
-    np.testing.assert_array_equal(decision.fault_size, np.where(NAMED, VERDICT.size, np.nan))
+    np.testing.assert_array_equal(decision.isolated, ISOLATED)
+    np.testing.assert_array_equal(decision.fault_size, np.where(ISOLATED, TESTED.size, np.nan))
 
 
 @pytest.mark.parametrize(("evidence", "back"), [(4.9, False), (5.1, True)])
 def test_a_sensor_is_readmitted_at_odds_of_its_share_of_the_false_alarms(evidence: float, back: bool) -> None:
     """ln(5 / 0.02) = 5.52; an error of 0 against a fault of one standard deviation adds 1 / 2."""
-    y, healthy = EXPECTED.copy(), VERDICT._replace(named=NOTHING)
+    y, healthy = EXPECTED.copy(), TESTED._replace(isolated=NOTHING)
     after, decision = conclude(out(1, size=0.0, evidence=evidence, quiet=1.0), y, healthy)
     assert after.out[1] == decision.isolated[1] == (not back)
 
@@ -81,7 +81,7 @@ def test_a_sensor_is_readmitted_at_odds_of_its_share_of_the_false_alarms(evidenc
 def test_a_reading_beyond_the_limit_voids_the_evidence_of_health() -> None:
     y = EXPECTED.copy()
     y[1] += 3.1 * np.sqrt(VARIANCE[1])
-    after, _ = conclude(out(1, size=20.0, evidence=100.0, quiet=1.0), y, VERDICT._replace(named=NOTHING))
+    after, _ = conclude(out(1, size=20.0, evidence=100.0, quiet=1.0), y, TESTED._replace(isolated=NOTHING))
     assert after.out[1] and after.evidence[1] == 0.0
 
 

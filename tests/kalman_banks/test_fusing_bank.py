@@ -34,7 +34,7 @@ def test_algebra_equals_the_literal_bank_with_missing_readings(plant: Plant, est
     slow = replace(fast, literal=True)
     _, a = run(fast, fast.init(seed=3), t, y, u[:, 0], covariance=True)
     _, b = run(slow, slow.init(seed=3), t, y, u[:, 0], covariance=True)
-    # weights of 1/alpha^2 = 1e6 magnify the rounding of values of 100 scales; 50 operations are allowed for
+    # weights of 1/alpha^2 = 1e6 magnify the rounding of values of 100 scales; tolerance for 50 operations
     tolerance = 50 * np.finfo(float).eps * 1e2 * 1e6
     np.testing.assert_allclose(a.estimate / plant.state_scale, b.estimate / plant.state_scale, atol=tolerance, rtol=0)
     np.testing.assert_allclose(a.residual / plant.sensor_sigma, b.residual / plant.sensor_sigma, atol=tolerance, rtol=0)
@@ -47,7 +47,7 @@ def test_algebra_equals_the_literal_bank_with_missing_readings(plant: Plant, est
 
 @pytest.mark.parametrize("sensors", [4, 7])
 def test_the_residual_is_the_printed_variance_of_what_the_local_filters_expect(sensors: int) -> None:
-    """(19) of Shaheen 2024 as it stands, a sum of N squares over N, from N textbook filters that miss one reading each."""
+    """(19) of Shaheen 2024 as printed, a sum of N squares over N, from N textbook filters that each leave out one reading."""
     plant = chain(4, sensors=sensors)
     t, _, y, u = readings(plant, 12, 1, seed=7)
     y = y[:, 0].copy()
@@ -89,7 +89,7 @@ def test_unequal_beta_runs_literally_and_equal_beta_given_in_full_does_not() -> 
     assert np.all(np.isfinite(other.estimate)) and np.abs(other.estimate - same.estimate).max() > 1e-6
 
 
-def test_a_large_bias_is_found_named_and_accommodated() -> None:
+def test_a_large_bias_is_detected_isolated_and_accommodated() -> None:
     plant = chain(8)
     t, x, y, u = readings(plant, 220, 10, seed=3)
     bank = FusingBank.fit(plant, (t, y, u), estimator=Extended(), false_alarm=1e-2)
@@ -120,7 +120,7 @@ def test_calibration_keeps_the_stated_rate_on_fresh_data() -> None:
 
 
 def test_isolation_depends_on_the_units_of_the_states_as_printed_and_not_in_units_of_their_scale() -> None:
-    """(20) of Shaheen 2024 is a length in a space whose axes are unlike quantities; a scale for each state makes it pure."""
+    """(20) of Shaheen 2024 is a length in a space of different quantities; a scale for each state makes it dimensionless."""
     plant = chain(6)
     size = np.array([1e3, 1.0, 1.0, 1.0, 1.0, 1.0])  # the first state in thousandths of its unit
 
@@ -137,14 +137,14 @@ def test_isolation_depends_on_the_units_of_the_states_as_printed_and_not_in_unit
     t, _, y, u = readings(plant, 40, 5, seed=6)
     y = y.copy()
     y[20:, :, 3] += 15.0
-    named = {}
+    isolated = {}
     for units, model in (("one", plant), ("other", other)):
         for scale in (None, (1.0,) * 6):
             bank = FusingBank(model, Extended(), thresholds=(1e-3,) * 6, residual_scale=scale, accommodate=False)
-            named[units, scale is None] = run(bank, bank.init((5,)), t, y, u)[1].isolated[20:]
-    np.testing.assert_array_equal(named["one", True], named["other", True])
-    assert named["one", True][..., 3].all() and named["one", False][..., 3].all()
-    assert named["other", False][..., 3].mean() < 0.1 and named["other", False].any(axis=-1).all()
+            isolated[units, scale is None] = run(bank, bank.init((5,)), t, y, u)[1].isolated[20:]
+    np.testing.assert_array_equal(isolated["one", True], isolated["other", True])
+    assert isolated["one", True][..., 3].all() and isolated["one", False][..., 3].all()
+    assert isolated["other", False][..., 3].mean() < 0.1 and isolated["other", False].any(axis=-1).all()
 
 
 def test_a_bank_without_thresholds_warns_that_it_never_alarms_unless_set_so() -> None:
@@ -160,11 +160,11 @@ def test_a_bank_without_thresholds_warns_that_it_never_alarms_unless_set_so() ->
     assert not silent.step(silent.init(), 1.0, np.full(3, 1e6), np.zeros(0))[1].alarm
 
 
-def test_bad_settings_are_named() -> None:
+def test_bad_settings_are_rejected() -> None:
     plant = chain(4)
-    with pytest.raises(ValueError, match="beta must be 4 positive numbers"):
+    with pytest.raises(ValueError, match=r"beta has shape \(2,\) with minimum 0.5; expected 4 positive numbers"):
         FusingBank(plant, beta=(0.5, 0.5))
-    with pytest.raises(ValueError, match="must sum to 1"):
+    with pytest.raises(ValueError, match="expected information distribution factors that sum to 1"):
         FusingBank(plant, beta=(0.5, 0.5, 0.5, 0.5))
     with pytest.raises(ValueError, match="leaving one out takes at least 2"):
         FusingBank(chain(1))

@@ -17,8 +17,8 @@ def test_each_quantity_takes_its_share_of_the_data_above_its_threshold() -> None
     bank = FusingBank(plant, Extended()).fit_thresholds((t, y, u), false_alarm=0.05, warm_up=20)
     assert bank.thresholds is not None and all(isinstance(v, float) for v in bank.thresholds)
     assert bank.thresholds[0] == bank.thresholds[1] and bank.thresholds[2] == bank.thresholds[3]
-    watching = replace(bank, accommodate=False)
-    _, d = run(watching, watching.init((10,)), t, y, u)
+    bank = replace(bank, accommodate=False)
+    _, d = run(bank, bank.init((10,)), t, y, u)
     for members in plant.quantities.values():
         above = np.any(d.scores[20:][..., members] > 1, axis=-1)
         # a quantile of 1000 numbers leaves .025 x 999 of them above it, to the next whole number
@@ -26,7 +26,7 @@ def test_each_quantity_takes_its_share_of_the_data_above_its_threshold() -> None
     assert d.alarm[20:].mean() <= 0.05 + 2 / 1000
 
 
-def test_the_thresholds_follow_the_noise_and_one_run_will_do() -> None:
+def test_the_thresholds_scale_with_the_noise_and_one_run_is_enough() -> None:
     t, _, y, u = readings(chain(4, sigma=1.0), 150, 4, seed=1)
     one = FusingBank.fit(chain(4, sigma=1.0), (t, y, u), 0.1, estimator=Extended())
     ten = FusingBank.fit(chain(4, sigma=10.0), (t, 10 * y, u), 0.1, estimator=Extended())
@@ -35,7 +35,7 @@ def test_the_thresholds_follow_the_noise_and_one_run_will_do() -> None:
     assert single.thresholds is not None and all(v > 0 for v in single.thresholds)
 
 
-def test_thresholds_already_set_and_missing_readings_do_not_disturb() -> None:
+def test_present_thresholds_and_missing_readings_have_no_effect() -> None:
     plant = chain(4)
     t, _, y, u = readings(plant, 150, 4, seed=2)
     y = np.where(np.random.default_rng(0).random(y.shape) < 0.05, np.nan, y)
@@ -52,7 +52,7 @@ def test_a_rate_is_a_probability(false_alarm: float) -> None:
         FusingBank.fit(chain(4), (t, y, u), false_alarm, estimator=Extended())
 
 
-def test_too_few_samples_name_how_many_are_expected() -> None:
+def test_the_error_for_too_few_samples_states_the_expected_number() -> None:
     t, _, y, u = readings(chain(4), 30, 2, seed=0)
     bank = FusingBank(chain(4), Extended())
     with pytest.raises(ValueError, match=r"20 healthy samples cannot set a false-alarm rate of 0\.1 over 4 .*at least 40"):

@@ -1,4 +1,4 @@
-"""The leave-one-out algebra and the mixture against filters that really leave a sensor out."""
+"""The leave-one-out algebra and the mixture against filters that leave out a sensor."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_every_local_filter_equals_the_one_that_deletes_its_sensor(n: int, count
 
 @pytest.mark.parametrize("n", [1, 4, 12])
 def test_covariances_stay_positive_definite_under_precise_readings(n: int) -> None:
-    """Readings 1e-6 of the prior's standard deviation, 50 updates without noise: what is subtracted is all but all of P."""
+    """Readings 1e-6 of the prior's standard deviation, 50 updates without noise: each subtracts nearly all of P."""
     rng = np.random.default_rng(n)
     root = rng.normal(size=(n, n))
     p, h, r = root @ root.T + np.eye(n), rng.normal(size=(n, n)), np.full(n, 1e-12)
@@ -56,7 +56,7 @@ def test_covariances_stay_positive_definite_under_precise_readings(n: int) -> No
         assert np.linalg.eigvalsh(p / np.outer(size, size))[0] > 0
 
 
-def test_a_missing_reading_equals_a_deleted_one_and_poisons_nothing() -> None:
+def test_a_missing_reading_equals_a_deleted_one() -> None:
     rng = np.random.default_rng(0)
     joint, _ = random_joint(rng, 4, 6)
     y = joint.y + rng.normal(size=6)
@@ -121,7 +121,7 @@ def test_toy_plants_have_the_jacobians_of_their_functions() -> None:
 
 
 def test_a_reading_without_noise_leaves_a_positive_variance() -> None:
-    """p - p^2 / (p + r) rounds to 0 or below for r far below p eps; what is added is four times its rounding."""
+    """p - p^2 / (p + r) rounds to 0 or below for r far below p eps; four times its rounding is added."""
     p = np.random.default_rng(7).uniform(0.1, 10.0, (500, 1, 1))
     joint = Joint(np.zeros((500, 1)), p, np.zeros((500, 1)), p + 1e-20, p)
     _, after = posterior(joint, statistics(joint, np.ones((500, 1)), np.ones((500, 1), bool)))

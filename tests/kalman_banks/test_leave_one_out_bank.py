@@ -1,4 +1,4 @@
-"""The consistent bank: budget, power, simultaneous faults, memory of weak ones, readmission, missing readings."""
+"""The leave-one-out bank: false alarms, detection, simultaneous and weak faults, readmission, missing readings."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def test_false_alarms_stay_within_the_budget(plant: Plant, window: int) -> None:
 
 
 @pytest.mark.parametrize("plant", [chain(12), tanks()], ids=["chain", "tanks"])
-def test_a_window_remembers_the_weak_bias_that_one_sample_lets_in(plant: Plant) -> None:
+def test_a_window_detects_the_weak_bias_that_one_sample_misses(plant: Plant) -> None:
     t, _, y, u = readings(plant, 150, 80, seed=2)
     y = y.copy()
     y[60:110, :, 1] += 3.0 * plant.sensor_sigma[1]
@@ -54,11 +54,11 @@ def test_the_size_of_a_fault_is_estimated_without_bias() -> None:
     _, decisions = run(bank, bank.init((80,)), t, y, u)
     size = decisions.fault_size[75:, :, 4]
     assert decisions.isolated[75:, :, 4].all()
-    # an average over five readings of unit noise, and of the estimate's slower error: 80 independent runs
+    # mean over five readings of unit noise and over the slower error of the estimate: 80 independent runs
     assert abs(np.mean(size) + 8.0) < 4 * np.std(np.mean(size, axis=0)) / np.sqrt(80)
 
 
-def test_three_faults_at_once_are_told_apart_in_their_first_sample() -> None:
+def test_three_simultaneous_faults_are_isolated_in_their_first_sample() -> None:
     plant = chain(12)
     t, _, y, u = readings(plant, 60, 100, seed=4)
     y = y.copy()
@@ -72,20 +72,20 @@ def test_three_faults_at_once_are_told_apart_in_their_first_sample() -> None:
     assert exact.mean() > 0.97  # 8 sigma against a threshold of 3.6: missed once in 1e4; false flags at most 1e-3 a step
 
 
-def test_a_healthy_again_sensor_is_readmitted_and_missing_is_not_isolated() -> None:
+def test_a_recovered_sensor_is_readmitted_and_a_missing_one_is_not_isolated() -> None:
     plant = chain(12)
     t, _, y, u = readings(plant, 200, 50, seed=5)
     y = y.copy()
     y[50:80, :, 6] += 12.0
-    y[60:70, :, 6] = np.nan  # silent in the middle of its fault: neither forgotten nor forgiven
-    y[120:140, :, 7] = np.nan  # silent while healthy: not isolated, and trusted at once when it is back
+    y[60:70, :, 6] = np.nan  # missing in the middle of its fault: it stays isolated
+    y[120:140, :, 7] = np.nan  # missing while healthy: not isolated, and used again at once
     bank = LeaveOneOutBank(plant)
     _, decisions = run(bank, bank.init((50,)), t, y, u)
     assert decisions.isolated[51:80, :, 6].mean() > 0.99
     assert decisions.isolated[90:, :, 6].mean() < 0.02
     assert decisions.isolated[120:145, :, 7].mean() < 0.01
     assert np.all(np.isnan(decisions.residual[120:140, :, 7]))
-    # what is missing or left out is replaced by its estimate, each sensor reading a state as it is
+    # a missing or excluded reading is replaced by the estimate; each sensor reads one state
     kept = np.isfinite(y) & ~decisions.isolated
     np.testing.assert_array_equal(decisions.reconstruction, np.where(kept, y, decisions.estimate))
 
@@ -104,7 +104,7 @@ def test_accommodation_keeps_the_error_of_a_healthy_run() -> None:
     ):
         _, decisions = run(used, used.init((60,)), t, data, u)
         rmse[name] = np.sqrt(np.mean((decisions.estimate - x)[50:100] ** 2))
-    assert rmse["with"] < 1.3 * rmse["healthy"]  # one of four sensors less
+    assert rmse["with"] < 1.3 * rmse["healthy"]  # with three of four sensors
     assert rmse["without"] > 4 * rmse["healthy"]
 
 
@@ -125,7 +125,7 @@ def test_decisions_do_not_change_with_the_unit_of_a_sensor() -> None:
         np.testing.assert_allclose(a.scores, b.scores, rtol=0, atol=1e-5)
 
 
-def test_a_change_of_step_and_several_rates_are_taken_as_they_come() -> None:
+def test_a_change_of_step_and_several_sampling_rates() -> None:
     plant = tanks()
     t, x, y, u = readings(plant, 120, 30, seed=8)
     slow = y.copy()
@@ -141,7 +141,7 @@ def test_a_change_of_step_and_several_rates_are_taken_as_they_come() -> None:
         run(bank, bank.init((30,), t=10.0), t, y, u)
 
 
-def test_divergence_is_flagged_and_the_rest_of_the_batch_goes_on() -> None:
+def test_divergence_is_flagged_and_the_other_runs_of_the_batch_continue() -> None:
     def steep(t: float, x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
         return np.where(np.abs(x) > 50, 1e200, 0.9)[..., None] * np.eye(4)  # beyond 50 the covariance overflows
 
@@ -157,7 +157,7 @@ def test_divergence_is_flagged_and_the_rest_of_the_batch_goes_on() -> None:
     np.testing.assert_allclose(decisions.estimate[:, 0], alone.estimate[:, 0], rtol=1e-12)
 
 
-def test_bad_settings_and_readings_are_named() -> None:
+def test_bad_settings_and_readings_are_rejected() -> None:
     plant = chain(4)
     with pytest.raises(ValueError, match="strictly between 0 and 1"):
         LeaveOneOutBank(plant, false_alarm=0.0)

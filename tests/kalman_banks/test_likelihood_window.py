@@ -1,4 +1,4 @@
-"""Likelihood ratios over a window of onsets, against their definition: a filter run on its own for each sensor and onset."""
+"""Likelihood ratios over a window of onsets, against their definition: a separate filter run for each sensor and onset."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Step:
 
 
 def filtered(y: Array, x: Array, P: Array) -> list[Step]:
-    """The textbook's filter from x, P on the readings y (K, N) of one run, rows of missing ones deleted."""
+    """The textbook filter from x, P on the readings y (K, N) of one run, rows of missing ones deleted."""
     steps = []
     for reading in y:
         x, P = F @ x, F @ P @ F.T + Q
@@ -53,7 +53,7 @@ def filtered(y: Array, x: Array, P: Array) -> list[Step]:
 
 @dataclass
 class Literal:
-    """By step k and onset j <= k (K, K, N): a, b; what a unit bias has moved the predicted state by (K, K, N, n)."""
+    """By step k and onset j <= k (K, K, N): a, b; change of the predicted state by a unit bias (K, K, N, n)."""
 
     steps: list[Step]
     a: Array
@@ -62,7 +62,7 @@ class Literal:
 
 
 def literal(y: Array, x: Array = PLANT.x0, P: Array = P0) -> Literal:
-    """A unit bias alone, with the same gaps, through the same filter: it is linear, so that is what it adds."""
+    """A unit bias alone through the same filter, with the same gaps: its effect, since the filter is linear."""
     steps, count = filtered(y, x, P), len(y)
     a, b, moved = np.zeros((count, count, N)), np.zeros((count, count, N)), np.zeros((count, count, N, 3))
     for i in range(N):
@@ -78,15 +78,15 @@ def literal(y: Array, x: Array = PLANT.x0, P: Array = P0) -> Literal:
 
 
 def limits(scale: float = 1.0) -> tuple[float, float]:
-    """Two-sided normal quantiles: half the budget to the present sample, half to the onsets before it, evenly."""
+    """Two-sided normal quantiles: half the budget for the present sample, half for the onsets before it, in equal shares."""
     one = norm.isf(FALSE_ALARM / 2 / N / 2)
     return float((scale * one) ** 2), float((scale * norm.isf(FALSE_ALARM / 2 / N / (WINDOW - 1) / 2)) ** 2)
 
 
 def best(of: Literal, k: int, i: int) -> tuple[float, float, float, int]:
-    """Largest a^2 / b over the onsets that the window holds, with a / b, b and the onset; 0 where nothing is known."""
+    """Largest a^2 / b over the onsets that the window holds, with a / b, b and the onset; 0 without information."""
     found = (0.0, 0.0, 1.0, -1)
-    for onset in range(max(0, k - WINDOW + 1), max(k, 1)):  # at the first step there is but itself
+    for onset in range(max(0, k - WINDOW + 1), max(k, 1)):  # the first step has only itself
         a, b = of.a[k, onset, i], of.b[k, onset, i]
         if b * R[i, i] > LEAST_INFORMATION and a * a / b > found[0]:
             found = (a * a / b, a / b, b, onset)
@@ -97,7 +97,7 @@ def shown(of: Literal, k: int, i: int) -> tuple[float, float, bool]:
     """Residual and threshold of sensor i: those of the window or of the sample, by the larger statistic over its limit."""
     one_limit, window_limit = limits()
     statistic, size, b, _ = best(of, k, i)
-    now, weight = of.a[k, k, i], of.b[k, k, i]  # begun at this very sample
+    now, weight = of.a[k, k, i], of.b[k, k, i]  # onset at this sample
     if statistic / window_limit > now**2 / weight / one_limit:
         return size, float(np.sqrt(window_limit / b)), True
     return float(now / weight), float(np.sqrt(one_limit / weight)), False
@@ -110,7 +110,7 @@ def near(y: Array) -> float:
 
 
 def data(runs: int, missing: float, size: float) -> tuple[Array, Array, Array]:
-    """t, y, u of healthy and faulty runs with gaps, at one step nothing at all."""
+    """t, y, u of healthy and faulty runs with gaps; one step has no readings."""
     t, _, y, u = readings(PLANT, STEPS, runs, seed=11)
     y = y.copy()
     for r in range(runs):
@@ -136,7 +136,7 @@ def test_residuals_and_thresholds_are_those_of_the_definition(missing: float) ->
                     assert np.isnan(found.residual[k, r, i])
                     continue
                 residual, threshold, window = shown(of, k, i)
-                # with little information both are large: what is rounded is a, of the size of 1 / R
+                # with little information both are large: the rounding is that of a, of the size of 1 / R
                 allowed = near(y) * max(1.0, threshold**2)
                 assert found.residual[k, r, i] == pytest.approx(residual, rel=0, abs=allowed), (k, r, i)
                 assert found.threshold[k, r, i] == pytest.approx(threshold, rel=0, abs=allowed), (k, r, i)
@@ -146,10 +146,10 @@ def test_residuals_and_thresholds_are_those_of_the_definition(missing: float) ->
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.25])
-def test_an_alarm_of_the_window_frees_the_estimate_of_what_it_had_absorbed(missing: float) -> None:
+def test_an_alarm_of_the_window_removes_the_effect_of_the_fault_from_the_estimate(missing: float) -> None:
     """x - eta f, P + eta eta' / b with the best f = a / b and its variance 1 / b, then the readings of all other sensors."""
     runs = 16
-    t, y, u = data(runs, missing, 2.0)  # weak: absorbed before it is seen
+    t, y, u = data(runs, missing, 2.0)  # weak: it has an effect on the estimate before it is detected
     bank = LeaveOneOutBank(PLANT, window=WINDOW, false_alarm=FALSE_ALARM)
     _, found = run(bank, bank.init((runs,)), t, y, u, covariance=True)
     assert found.covariance is not None
@@ -164,7 +164,7 @@ def test_an_alarm_of_the_window_frees_the_estimate_of_what_it_had_absorbed(missi
         i = int(np.argmax([s[0] for s in statistics]))
         one_sample = of.a[k, k] ** 2 / np.where(of.b[k, k] > 0, of.b[k, k], 1.0)
         if statistics[i][0] <= window_limit or np.any(one_sample > limits()[0]) or found.isolated[k, r].sum() > 1:
-            continue  # the sample's own alarm, or another's beside it
+            continue  # an alarm of the single sample, or a second alarm
         assert found.isolated[k, r, i]
         _, size, b, onset = statistics[i]
         moved, step = of.moved[k, onset, i], of.steps[k]
@@ -180,7 +180,7 @@ def test_an_alarm_of_the_window_frees_the_estimate_of_what_it_had_absorbed(missi
 
 
 def test_after_an_alarm_the_window_starts_again() -> None:
-    """The filter goes on without the sensor, and onsets before it did are forgotten: those since are as in a run from there."""
+    """The filter continues without the sensor and drops earlier onsets: later ones are as in a run that starts there."""
     runs = 16
     t, y, u = data(runs, 0.1, 6.0)
     bank = LeaveOneOutBank(PLANT, window=WINDOW, false_alarm=FALSE_ALARM)

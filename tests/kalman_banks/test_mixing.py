@@ -37,7 +37,7 @@ def test_mixture_in_closed_form_equals_the_printed_sum_of_inverses(missing: tupl
 
 
 def test_federated_factors_make_the_mixture_the_central_filter() -> None:
-    """Carlson's information sharing: local priors N P and noises (N - 1) R fuse to the one filter that uses everything."""
+    """Carlson's information sharing: local priors N P and noises (N - 1) R fuse to the central filter with all readings."""
     rng = np.random.default_rng(4)
     joint, r = random_joint(rng, 5, 6)
     y = joint.y + rng.normal(size=6)
@@ -64,14 +64,14 @@ def test_mixture_of_singular_covariances_stays_on_their_range() -> None:
     parts = [posterior(joint, statistics(joint, y, np.arange(9) != i)) for i in range(9)]
     literal_x, literal_p = mixing.mix(np.stack([a for a, _ in parts]), np.stack([b for _, b in parts]), np.ones(9))
     assert np.linalg.matrix_rank(p_m, rtol=1e-9, hermitian=True) == 3
-    ranged = np.linalg.eigvalsh(p)[-3:]  # what is inverted: P on its range, of rank 3
+    ranged = np.linalg.eigvalsh(p)[-3:]  # the inverted part: P on its range, of rank 3
     tolerance = ranged[-1] / ranged[0] * of_update(joint, y)
     np.testing.assert_allclose(x, literal_x, rtol=0, atol=tolerance)
     np.testing.assert_allclose(p_m, literal_p, rtol=0, atol=tolerance)
 
 
-def test_the_units_of_the_states_are_immaterial() -> None:
-    """Two states, one in units 1e-6 times those of the other: variances of 1e-12 are no missing directions."""
+def test_the_mixture_does_not_depend_on_the_units_of_the_states() -> None:
+    """Two states, one in units 1e-6 times those of the other: directions with variances of 1e-12 are kept."""
     size = np.array([1.0, 1e-6])
     x, p = np.array([[1.0, 1.0], [3.0, 2.0]]), np.array([[[1.0, 0.5], [0.5, 2.0]], [[3.0, -1.0], [-1.0, 2.0]]])
     information = np.linalg.inv(p)

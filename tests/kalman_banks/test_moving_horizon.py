@@ -1,4 +1,4 @@
-"""Moving-horizon estimation with sparse faults: against the stacked problem of all states and faults, and its laws."""
+"""Moving-horizon estimation with sparse faults: against the stacked problem of all states and faults, and its statistics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def root(cov: Array) -> Array:
 
 
 def filtered(y: Array) -> tuple[Array, Array]:
-    """The textbook's filter from the plant's x0 over readings y (K, N), rows of missing ones deleted."""
+    """The textbook filter from the plant's x0 over readings y (K, N), rows of missing ones deleted."""
     x, P = PLANT.x0, P0
     for reading in y:
         x, P, seen = F @ x, F @ P @ F.T + Q, np.isfinite(reading)
@@ -76,7 +76,7 @@ def near(A: Array, b: Array) -> float:
 
 
 def watched(y: Array, window: int, u: Array, t: Array) -> Horizons:
-    """E, g, G after readings y (K, N) of one run, nothing named."""
+    """E, g, G after readings y (K, N) of one run, without isolation."""
     bank = MovingHorizon(PLANT, window=window, threshold_scale=UNREACHED)
     state: State
     state, _ = run(bank, bank.init(), t, y, u[:, 0])
@@ -138,10 +138,10 @@ def test_the_fault_is_that_of_the_stacked_problem(penalty: float) -> None:
     gap = other.fun - ours
     assert -tolerance <= gap < 1e-6 * ours
     off = other.x[-2 * N : -N] - other.x[-N:] - f
-    assert off @ G @ off / 2 <= gap + tolerance  # the cost is that convex in f
+    assert off @ G @ off / 2 <= gap + tolerance  # by the convexity of the cost in f
 
 
-def test_the_estimate_is_that_of_the_stacked_problem_with_the_named_faults_free() -> None:
+def test_the_estimate_is_that_of_the_stacked_problem_with_the_isolated_faults_free() -> None:
     t, y, u = weak_bias(12, seed=3)
     found = watched(y, 60, u, t)
     fit = refitted(found.g[-1], found.G[-1], np.array([1, 3]), 0.0, N)
@@ -189,7 +189,7 @@ def test_without_accommodation_the_filter_stays_undisturbed() -> None:
     np.testing.assert_array_equal(a.estimate, b.estimate)
 
 
-def test_at_the_penalty_itself_there_is_no_fault_and_one_is_left_of_those_that_cannot_be_told_apart() -> None:
+def test_at_the_penalty_there_is_no_fault_and_of_indistinguishable_faults_one_is_left() -> None:
     G = np.array([[4.0, 3.8], [3.8, 4.0]])
     assert not np.any(sparse_faults(np.array([6.0, -6.0]), G, np.ones(2, bool), 3.0))  # g / s = 3
     np.testing.assert_allclose(sparse_faults(np.array([8.0, 0.0]), G, np.array([True, False]), 3.0), [0.5, 0.0])
@@ -204,7 +204,7 @@ def test_the_penalty_is_the_share_of_a_sensor_in_one_of_three_horizons() -> None
 
 @pytest.mark.parametrize("largest", [0, 1, 2])
 def test_the_horizon_with_the_largest_ratio_is_the_one_solved(largest: int) -> None:
-    """Of the present reading, and of a young and an old horizon; G = 1 of sensors apart, so that f = g and x loses E f."""
+    """Of the present reading, of a short and a long horizon; G = 1, sensors uncoupled: f = g, x loses E f."""
     g = np.full((3, N), 0.5)
     g[largest, 3], g[(largest + 1) % 3, 1] = 20.0, 10.0
     effect = np.broadcast_to(np.arange(1.0, 4.0)[:, None, None], (3, n, N))

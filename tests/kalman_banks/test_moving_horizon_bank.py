@@ -1,4 +1,4 @@
-"""The bank of moving horizons: its budget of false alarms, weak and simultaneous faults."""
+"""The bank of moving horizons: false-alarm probability, weak and simultaneous faults."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def test_alarms_begin_at_most_at_the_stated_rate() -> None:
 
 @pytest.mark.parametrize("estimator", [None, Unscented()], ids=["extended", "unscented"])
 @pytest.mark.parametrize("plant", [chain(12), tanks()], ids=["chain", "tanks"])
-def test_a_weak_bias_is_found_and_its_sensor_named(plant, estimator) -> None:  # type: ignore[no-untyped-def]
+def test_a_weak_bias_is_detected_and_its_sensor_isolated(plant, estimator) -> None:  # type: ignore[no-untyped-def]
     t, _, y, u = readings(plant, 100, 20, seed=7)
     y = y.copy()
     y[60:, :, 1] += 3.0 * plant.sensor_sigma[1]
     bank = MovingHorizon(plant) if estimator is None else MovingHorizon(plant, estimator)
     _, d = run(bank, bank.init((20,)), t, y, u)
-    assert d.isolated[74:, :, 1].mean() > 0.8  # 14 samples on, when a horizon knows of nothing else
+    assert d.isolated[74:, :, 1].mean() > 0.8  # 14 samples later, when a whole horizon contains the fault
     assert np.delete(d.isolated, 1, axis=-1).mean() < 0.01
 
 
-def test_simultaneous_faults_are_named_at_once_as_many_as_may_be_and_readmitted() -> None:
+def test_simultaneous_faults_are_isolated_at_once_up_to_max_faults_and_readmitted() -> None:
     plant = chain(12)
     t, _, y, u = readings(plant, 120, 20, seed=8)
     y = y.copy()

@@ -68,7 +68,7 @@ def test_probabilities_sum_to_one_with_missing_readings_and_huge_faults() -> Non
         np.testing.assert_allclose(np.exp(state.memory.log_probability).sum(axis=-1), 1.0, rtol=1e-12)
 
 
-def test_in_other_units_it_is_the_same() -> None:
+def test_results_do_not_depend_on_units() -> None:
     one, other = chain(6), chain(6, sigma=0.01)
     t, _, y, u = readings(one, 30, 2, seed=6)
     y = y + 6.0 * (np.arange(6) == 2)
@@ -78,7 +78,7 @@ def test_in_other_units_it_is_the_same() -> None:
     np.testing.assert_allclose(b.estimate * 100, a.estimate, rtol=0, atol=1e-9)  # matrices of condition below 100
 
 
-def test_of_one_model_it_is_the_kalman_filter() -> None:
+def test_with_one_model_it_is_the_kalman_filter() -> None:
     plant = chain(5, sensors=4)
     t, _, y, u = readings(plant, 40, 3, seed=3)
     bank, single = MultipleModel(plant, fault_probability=1e-300), CentralFilter(plant)
@@ -103,7 +103,7 @@ def test_the_threshold_of_the_residual_is_where_the_odds_are_even() -> None:
             assert d.isolated[:, 3].mean() > 0.8
 
 
-def test_false_alarms_are_fewer_than_faults_that_begin_and_the_estimate_knows_its_error() -> None:
+def test_false_alarms_are_rarer_than_assumed_faults_and_the_covariance_is_consistent() -> None:
     plant = chain(8)
     t, x, y, u = readings(plant, 200, 60, seed=5)
     bank = MultipleModel(plant, fault_probability=0.01)
@@ -113,11 +113,11 @@ def test_false_alarms_are_fewer_than_faults_that_begin_and_the_estimate_knows_it
     assert d.covariance is not None
     error = d.estimate - x
     nees = np.einsum("kbi,kbij,kbj->b", error, np.linalg.inv(d.covariance), error) / (200 * 8)
-    # healthy readings: modes of faults that are none widen the covariance a little, by their probability
+    # healthy readings: the fault modes widen the covariance a little, by their probability
     assert nees.mean() < 1 + 4 * nees.std() / np.sqrt(60) and nees.mean() > 0.9
 
 
-def test_settings_that_make_no_sense() -> None:
+def test_invalid_settings_are_rejected() -> None:
     plant = chain(4)
     for estimator in (Ensemble(), Unscented(redraw=False)):
         with pytest.raises(ValueError, match="no consistent mean"):

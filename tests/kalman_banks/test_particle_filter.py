@@ -1,4 +1,4 @@
-"""The particle filter as a detector: the Kalman filter's numbers on a linear plant, the integrals' on a bent one."""
+"""The particle filter as a detector: against the Kalman filter on a linear plant, against quadrature on a nonlinear one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SIZE, RUNS = 1000, 200
 
 
 def gaps() -> tuple[Plant, Array, Array, Array]:
-    """A linear plant of three sensors, and one series of readings with gaps, at one step without any."""
+    """A linear plant of three sensors, and one series of readings with gaps, one step without readings."""
     plant = chain(3)
     t, _, y, u = readings(plant, 6, 1, seed=4)
     y = y[:, 0].copy()
@@ -36,7 +36,7 @@ def gaps() -> tuple[Plant, Array, Array, Array]:
 
 @pytest.fixture(scope="module")
 def clouds() -> Decision:
-    """The same readings through RUNS filters whose particles differ."""
+    """The same readings through RUNS filters with different particles."""
     plant, t, y, u = gaps()
     detector = ParticleFilter(plant, size=SIZE, accommodate=False)
     same = np.broadcast_to(y[:, None], (len(t), RUNS, y.shape[-1]))
@@ -68,7 +68,7 @@ def test_on_a_linear_plant_it_is_the_kalman_filter(clouds: Decision, k: int) -> 
 
 
 @pytest.mark.parametrize("k", range(6))
-def test_weighed_without_a_sensor_it_is_the_kalman_filter_without_it(clouds: Decision, k: int) -> None:
+def test_weighted_without_a_sensor_it_is_the_kalman_filter_without_it(clouds: Decision, k: int) -> None:
     plant, t, y, u = gaps()
     bank = LeaveOneOutBank(plant, window=1, accommodate=False)
     exact = run(bank, bank.init(), t, y, u)[1]
@@ -80,7 +80,7 @@ def test_weighed_without_a_sensor_it_is_the_kalman_filter_without_it(clouds: Dec
 
 
 def square() -> Plant:
-    """A standard normal state that stands still, read twice as its square: the slope at its mean is 0."""
+    """A constant standard normal state, read twice as its square: the slope at its mean is 0."""
     return Plant(
         name="square",
         states=(Signal("x", "1", 0.0, -10.0, 10.0),),
@@ -96,7 +96,7 @@ def square() -> Plant:
 
 
 def test_two_peaks_have_the_weights_of_the_integral() -> None:
-    """E[x^2 | y_b], its variance and E[x^2 | y_a, y_b] by quadrature; a Kalman filter, extended, learns nothing here."""
+    """E[x^2 | y_b], its variance and E[x^2 | y_a, y_b] by quadrature; an extended Kalman filter gets no information here."""
     plant, y = square(), np.array([1.6, 2.1])
     x = np.linspace(-8, 8, 20001)
     prior, r = np.exp(-0.5 * x**2), plant.sensor_cov
@@ -126,13 +126,13 @@ def test_the_budget_of_false_alarms_holds_and_is_nearly_used() -> None:
     t, _, y, u = readings(plant, 80, 40, seed=1)
     detector = ParticleFilter(plant, size=500, false_alarm=budget, accommodate=False)
     _, d = run(detector, detector.init((40,)), t, y, u)
-    error = 3 * np.sqrt(budget / d.alarm.size)  # leave-one-out innovations are white; Bonferroni gives away little
+    error = 3 * np.sqrt(budget / d.alarm.size)  # leave-one-out innovations are white; Bonferroni is hardly conservative
     assert 0.8 * budget - error < d.alarm.mean() <= budget + error
     assert d.nis.mean() == pytest.approx(1.0, abs=3 * np.sqrt(2 / 4 / d.nis.size) + 1 / 500)
     assert not d.diverged.any()
 
 
-def test_jumps_are_named_with_their_size_and_replaced() -> None:
+def test_jumps_are_isolated_with_their_size_and_replaced() -> None:
     plant = chain(8, process=0.5)
     t, _, y, u = readings(plant, 30, 10, seed=2)
     faulty = y.copy()
@@ -143,9 +143,9 @@ def test_jumps_are_named_with_their_size_and_replaced() -> None:
     expected = np.zeros(8, bool)
     expected[[2, 5]] = True
     during = d.isolated[20:]
-    # 1e-3 of 100 steps: two false names are the 99.98 % point of a Poisson law of mean .1
+    # 1e-3 of 100 steps: two false isolations are the 99.98 % point of a Poisson law of mean .1
     assert np.sum(np.any(during != expected, axis=-1)) <= 2
-    # a size errs by the noise (1) and by the error of the others; the accommodated reading by the latter alone
+    # a size has the noise (1) and the error of the other readings; the accommodated reading only the latter
     sizes = d.fault_size[20:][..., [2, 5]]
     np.testing.assert_allclose(np.nanmean(sizes, axis=(0, 1)), [15.0, -25.0], atol=1.0)
     error = (d.reconstruction - y)[20:][..., [2, 5]]
@@ -173,7 +173,7 @@ def test_the_same_seed_gives_the_same_bits_and_a_saved_state_goes_on_with_them(t
     assert np.any(whole.estimate != other_seed.estimate)
 
 
-def test_a_run_without_a_batch_and_one_that_breaks_down_alone() -> None:
+def test_a_run_without_a_batch_and_one_that_diverges_alone() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 3, 2, seed=0)
     detector = ParticleFilter(plant, size=200)
@@ -190,7 +190,7 @@ def test_a_run_without_a_batch_and_one_that_breaks_down_alone() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"size": 1}, "1 particles; a covariance needs at least 2"),
+        ({"size": 1}, "1 particles; expected at least 2"),
         ({"false_alarm": 0.0}, "strictly between 0 and 1"),
         ({"max_faults": 4}, "plant 'two-tanks' has 4 sensors"),
     ],

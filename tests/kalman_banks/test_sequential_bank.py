@@ -11,10 +11,10 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.estimators import Ensemble, Unscented
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+from fusion_sfdia.kalman_banks.sequential_rules import Cusum, Ewma, SequentialRule, Shewhart, SumOfSquares
 
-MEMORIES: list[Rule] = [SumOfSquares(15), Cusum(1.0), Ewma(0.2)]
+MEMORIES: list[SequentialRule] = [SumOfSquares(15), Cusum(1.0), Ewma(0.2)]
 
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
@@ -30,14 +30,14 @@ def test_without_memory_and_accommodation_it_is_the_one_sample_test(leave_one_ou
     _, b = run(other, other.init((4,)), t, y, u)
     np.testing.assert_array_equal(a.isolated, b.isolated)
     np.testing.assert_array_equal(a.estimate, b.estimate)
-    # residual and threshold are multiplied and divided by one another: some roundings
+    # residual and threshold are multiplied and divided by each other: some roundings
     np.testing.assert_allclose(a.scores, b.scores, rtol=1e-13)
     np.testing.assert_allclose(a.residual, b.residual, rtol=1e-12)
 
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
 @pytest.mark.parametrize("rule", [SumOfSquares(15), Ewma(0.2)], ids=["window", "ewma"])
-def test_the_false_alarm_rate_of_a_sensor_is_its_share(rule: Rule, leave_one_out: bool) -> None:
+def test_the_false_alarm_rate_of_a_sensor_is_its_share(rule: SequentialRule, leave_one_out: bool) -> None:
     """On a linear Gaussian plant, of each sensor by itself: exactly, as innovations are white and Gaussian there."""
     plant, share, runs = chain(4), 0.02, 400
     t, _, y, u = readings(plant, 120, runs, seed=1)
@@ -51,19 +51,19 @@ def test_the_false_alarm_rate_of_a_sensor_is_its_share(rule: Rule, leave_one_out
 
 @pytest.mark.parametrize("leave_one_out", [False, True])
 @pytest.mark.parametrize("rule", MEMORIES, ids=lambda rule: type(rule).__name__)
-def test_alarms_begin_at_most_at_the_stated_rate(rule: Rule, leave_one_out: bool) -> None:
+def test_alarms_begin_at_most_at_the_stated_rate(rule: SequentialRule, leave_one_out: bool) -> None:
     plant = chain(6)
     t, _, y, u = readings(plant, 300, 60, seed=2)
     bank = SequentialBank(plant, (Shewhart(), rule), leave_one_out, false_alarm=0.01)
     _, d = run(bank, bank.init((60,)), t, y, u)
     begins = d.isolated[1:] & ~d.isolated[:-1]
-    # that of a cumulative sum is an approximation: a tenth is conceded to it
+    # the limit of a cumulative sum is an approximation: a tolerance of a tenth
     assert begins.sum() <= binom.ppf(0.9999, len(t) * 60, 0.011)
 
 
 @pytest.mark.parametrize("plant", [chain(12), tanks()], ids=["chain", "tanks"])
 @pytest.mark.parametrize("rule", MEMORIES, ids=lambda rule: type(rule).__name__)
-def test_memory_finds_the_weak_bias_that_one_sample_lets_in(rule: Rule, plant) -> None:  # type: ignore[no-untyped-def]
+def test_memory_detects_the_weak_bias_that_one_sample_misses(rule: SequentialRule, plant) -> None:  # type: ignore[no-untyped-def]
     t, _, y, u = readings(plant, 120, 40, seed=3)
     y = y.copy()
     y[60:, :, 1] += 3.0 * plant.sensor_sigma[1]
@@ -76,7 +76,7 @@ def test_memory_finds_the_weak_bias_that_one_sample_lets_in(rule: Rule, plant) -
     assert recall[1] > 0.7 and recall[1] > recall[0] + 0.1
 
 
-def test_simultaneous_faults_are_named_at_once_by_leave_one_out_and_one_a_step_by_innovations() -> None:
+def test_simultaneous_faults_are_isolated_at_once_by_leave_one_out_and_one_per_step_by_innovations() -> None:
     plant = chain(12)
     t, _, y, u = readings(plant, 60, 20, seed=4)
     y = y.copy()
@@ -88,7 +88,7 @@ def test_simultaneous_faults_are_named_at_once_by_leave_one_out_and_one_a_step_b
         assert np.all(d.isolated[42:, :, [2, 7]])
 
 
-def test_what_is_named_is_left_out_replaced_and_readmitted() -> None:
+def test_an_isolated_sensor_is_left_out_replaced_and_readmitted() -> None:
     plant = chain(12)
     t, _, y, u = readings(plant, 160, 30, seed=5)
     faulty = y.copy()
@@ -102,7 +102,7 @@ def test_what_is_named_is_left_out_replaced_and_readmitted() -> None:
     assert abs(off) < 1.0  # of a bias of 8
 
 
-def test_settings_that_make_no_sense() -> None:
+def test_invalid_settings_are_rejected() -> None:
     plant = chain(4)
     for estimator in (Ensemble(), Unscented(redraw=False)):
         with pytest.raises(ValueError, match="no consistent mean"):

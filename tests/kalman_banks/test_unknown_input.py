@@ -1,4 +1,4 @@
-"""The filter that no error of an input can move."""
+"""The filter that is decoupled from errors of the inputs."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter, complex_
 
 STATES, READOUT = 4, 6
 # DECOUPLED^-2 = 1e-8 of an input's error remains and rounding magnifies to eps DECOUPLED^2 = 2e-8, of readings of some hundred
-# and in sensors that nearly tell the input alone, whose weight is a tenth of what it was, ten times as much
+# for sensors that mainly measure the input, with a tenth of their former weight, the error is ten times as large
 TOLERANCE = 1e-4
 
 
 def driven(mute: bool = False) -> tuple[Plant, Array, Array, Array]:
-    """A plant with two inputs, and its A, B, H. mute: the second input moves nothing within a step."""
+    """A plant with two inputs, and its A, B, H. mute: the second input has no effect within a step."""
     rng = np.random.default_rng(0)
     a = 0.9 * np.eye(STATES) + 0.1 * rng.standard_normal((STATES, STATES))
     b = rng.standard_normal((STATES, 2)) * ([1.0, 0.0] if mute else [1.0, 1.0])
@@ -38,7 +38,7 @@ def driven(mute: bool = False) -> tuple[Plant, Array, Array, Array]:
 
 
 def recorded(plant: Plant, steps: int, runs: int, seed: int, error: Array) -> tuple[Array, Array, Array]:
-    """Times, readings (K, runs, N) of a plant whose inputs err by `error` (K, m), and the inputs as they are known: 0."""
+    """Times, readings (K, runs, N) of a plant whose inputs have the error `error` (K, m), and the known inputs: 0."""
     rng = np.random.default_rng(seed)
     x, y = np.zeros((runs, STATES)), np.empty((steps, runs, READOUT))
     for k in range(steps):
@@ -65,7 +65,7 @@ def test_an_arbitrary_error_of_the_inputs_moves_neither_error_nor_statistic() ->
     np.testing.assert_allclose(b.residual, a.residual, atol=TOLERANCE)
     known = SequentialBank(plant, accommodate=False)
     _, c = run(known, known.init((3,)), t, disturbed, u)
-    assert c.score.max() > 5 and b.score.max() < 2  # while who takes the inputs as known accuses sensors
+    assert c.score.max() > 5 and b.score.max() < 2  # while a bank that assumes known inputs isolates sensors falsely
 
 
 def test_it_is_the_filter_of_gillijns_and_de_moor() -> None:
@@ -91,7 +91,7 @@ def test_it_is_the_filter_of_gillijns_and_de_moor() -> None:
         np.testing.assert_allclose(d.covariance[k], p, atol=TOLERANCE)
 
 
-def test_a_faulty_sensor_is_named_while_the_inputs_err() -> None:
+def test_a_faulty_sensor_is_isolated_while_the_inputs_have_errors() -> None:
     plant, *_ = driven()
     error = 20 * np.sin(np.arange(80.0))[:, None] * np.ones(2)
     t, y, u = recorded(plant, 80, 20, 4, error)
@@ -154,8 +154,8 @@ def test_an_input_that_cannot_be_decoupled_counts_as_known() -> None:
         UnknownInputFilter(chain(4))
 
 
-def test_without_readings_that_show_an_input_the_model_is_believed() -> None:
-    """Else the remaining readings, which hardly feel it, would throw the estimate about."""
+def test_without_readings_of_the_effect_of_an_input_it_counts_as_known() -> None:
+    """Otherwise the remaining readings, which hardly depend on it, would give a large estimation error."""
     plant = tanks()
     t = np.arange(1, 41) * plant.dt
     y = np.tile(plant.output(0.0, plant.x0, plant.input_at(0.0)), (40, 1))

@@ -24,7 +24,7 @@ def test_the_diagnosers_of_a_plant_are_those_of_its_areas() -> None:
 
 
 def partly_measured() -> Plant:
-    """The power network, of whose areas 2, 7 and 13 angle and speed are read alone."""
+    """The power network; of areas 2, 7 and 13 only angle and speed are read."""
     whole = network()
     keep = [i for i, s in enumerate(whole.sensors) if s.name not in {f"{p}_{a}" for p in ("p_m", "p_v") for a in (2, 7, 13)}]
     jacobian = whole.numerics.output_jacobian
@@ -38,7 +38,7 @@ def partly_measured() -> Plant:
     )
 
 
-def test_areas_that_read_angle_and_speed_alone() -> None:
+def test_areas_that_read_only_angle_and_speed() -> None:
     plant, whole = partly_measured(), network()
     kept = [whole.sensor_index(name) for name in plant.sensor_names]
     t, y, u = healthy("network")

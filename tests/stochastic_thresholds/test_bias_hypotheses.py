@@ -47,7 +47,7 @@ def best_faults(i: int, steps: list[tuple[Array, Array, Array]], M: Array, L: Ar
     return [fault for fault in found if fault.gain >= most - 1e-9 * abs(most)]
 
 
-def test_explanations_are_those_of_plain_loops() -> None:
+def test_explanations_equal_those_of_plain_loops() -> None:
     """Two groups of three sensors that share nothing; residuals of one fault, or of one in each group, with noise and gaps."""
     rng, runs, groups = np.random.default_rng(8), 400, np.repeat([0, 1], 3)
     together = groups[:, None] == groups

@@ -1,4 +1,4 @@
-"""Thresholds of predicted readings by bounds: exact on linear plants, never crossed, and reached by the worst noise."""
+"""Thresholds of predicted readings by bounds: exact on linear plants, never exceeded, and reached by the worst noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def detector(plant: Plant) -> Chebyshev:
     return Chebyshev(plant, lam=0.0, rule="bound", moments=Extended(), accommodate=False)
 
 
-def test_the_threshold_is_what_the_worst_noise_does() -> None:
+def test_the_threshold_is_the_effect_of_the_worst_noise() -> None:
     plant = bounded_chain()
     F = plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), plant.dt)
     y = np.zeros((3, 6))
@@ -37,22 +37,22 @@ def test_noise_within_its_bounds_never_alarms() -> None:
     for k in range(steps):
         x = plant.step(k * plant.dt, x, u[k], plant.dt) + rng.choice([-0.05, 0.05], size=x.shape)
         y[k] = plant.output((k + 1) * plant.dt, x, u[k]) + rng.choice([-BOUND, BOUND], size=x.shape)
-    y[rng.random(y.shape) < 0.2] = np.nan  # what is missing has the bound of its own past
+    y[rng.random(y.shape) < 0.2] = np.nan  # a missing reading has the bound from past readings
     one = detector(plant)
     _, d = run(one, one.init((runs,)), plant.dt * np.arange(1, steps + 1), y, u)
     assert 0.99 < d.scores.max() <= 1.0  # noise of two values meets its bounds now and then
 
 
-def test_sensors_without_a_bound_are_taken_to_err_by_some_sigma() -> None:
+def test_sensors_without_a_bound_have_a_bound_in_standard_deviations() -> None:
     plant = chain(6)
     one = detector(plant).diagnoser
     assert isinstance(one, BoundedReadings)
     np.testing.assert_allclose(one._noise, WITHIN * plant.sensor_sigma)
 
 
-def test_a_bound_has_no_probability_to_be_asked_for() -> None:
+def test_the_rule_bound_takes_no_probability() -> None:
     assert false_alarm_of("bound", 1.0) == 0.0
-    with pytest.raises(ValueError, match="has no false alarms to allow for"):
+    with pytest.raises(ValueError, match="has no false alarms; leave"):
         alpha_for("bound", 0.01)
-    with pytest.raises(ValueError, match="has no false alarms to allow for"):
+    with pytest.raises(ValueError, match="has no false alarms; leave"):
         Chebyshev(chain(6), rule="bound", false_alarm=0.01)

@@ -1,4 +1,4 @@
-"""The detector of stochastic thresholds: laws of its residuals, claims of its rules, isolation, readings that do not exist."""
+"""The detector of stochastic thresholds: properties of its residuals, bounds of its rules, isolation, missing readings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_each_diagnoser_keeps_its_budget_of_false_alarms(rule: str, budget: floa
     owners = np.array([s.owner for s in network().sensors])
     for owner in np.unique(owners):
         rate = np.mean(np.any(alarm[..., owners == owner], axis=-1))
-        assert rate <= budget + 5 * np.sqrt(budget / RUNS)  # times in a run correlate: the runs count
+        assert rate <= budget + 5 * np.sqrt(budget / RUNS)  # times in a run correlate, so the number of runs counts
     assert detector.components[owners == "area 4"].tolist() == [7] * 7  # four of its own, three neighbours
     share = false_alarm_of(rule, float(detector.alphas[0])) * detector.components[0]
     assert share == pytest.approx(budget)
@@ -64,7 +64,7 @@ def test_each_diagnoser_keeps_its_budget_of_false_alarms(rule: str, budget: floa
 def test_a_gaussian_quantile_without_memory_is_exact() -> None:
     d = decisions(Chebyshev(network(), lam=0.0, rule="gaussian", alpha=2.0, **WATCHING), healthy("network"))
     rate, expected = np.mean(d.scores[SETTLED:] > 1), false_alarm_of("gaussian", 2.0)
-    assert rate == pytest.approx(expected, abs=5 * np.sqrt(expected / RUNS / 15))  # areas err nearly independently
+    assert rate == pytest.approx(expected, abs=5 * np.sqrt(expected / RUNS / 15))  # errors of the areas are nearly independent
 
 
 def test_as_printed_shared_states_alarm_too_often() -> None:
@@ -117,7 +117,7 @@ def test_a_run_in_a_batch_has_the_bits_it_has_alone(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["chain", "tanks", "network"])
-def test_silence_of_all_sensors_passes(name: str) -> None:
+def test_a_period_without_readings_has_no_lasting_effect(name: str) -> None:
     t, y, u = (a[:, :5] if a.ndim > 1 else a for a in healthy(name))
     y = y.copy()
     y[8:30] = np.nan
@@ -137,8 +137,8 @@ def test_one_diagnoser_follows_unmeasured_states() -> None:
     np.testing.assert_allclose(np.sqrt(np.mean(z**2, axis=(0, 1))), 1.0, atol=ERROR)
 
 
-def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:
-    """Of two residuals the second sees the fault of the first ten times as large, after a step."""
+def test_a_fault_is_isolated_although_another_residual_is_larger() -> None:
+    """A fault of the first sensor has a ten times larger effect on the second residual, one step later."""
     M = np.array([[[0.5, 0.0], [-10.0, 0.0]]])
     quiet, one = np.zeros((1, 2)), np.ones((1, 2))
     before = StepResiduals(np.array([[2.0, 0.0]]), one, 3 * one)
@@ -148,7 +148,9 @@ def test_a_fault_is_named_where_another_residual_stands_out_most() -> None:
     np.testing.assert_array_equal(found.isolated, [[True, False]])
     assert found.size[0, 0] == pytest.approx(2.0, abs=0.1) and 1.7 <= found.low[0, 0] <= found.high[0, 0] <= 2.3
     healthy, both = StepResiduals(quiet, one, 3 * one), StepResiduals(9 * one, one, 3 * one)
-    assert not explain(healthy, both, M, np.zeros((1, 2, 2)), one > 0).isolated[0, 0], "it would not have moved the other yet"
+    assert not explain(healthy, both, M, np.zeros((1, 2, 2)), one > 0).isolated[0, 0], (
+        "it would have no effect on the other residual yet"
+    )
     apart = explain(healthy, both, 0 * M, np.zeros((1, 2, 2)), one > 0)
     np.testing.assert_array_equal(apart.isolated, [[True, True]])  # neither reaches the other: two faults
     np.testing.assert_array_equal(apart.size, [[9.0, 9.0]])
@@ -166,10 +168,10 @@ def test_faults_of_every_kind_of_reading_are_isolated_exactly(name: str) -> None
     size = np.nanmean(d.fault_size[40:, :, i]) / plant.sensor_sigma[i]
     assert size == pytest.approx(40.0, abs=3.0)
     error = (d.reconstruction - r.y)[26:, :, i] / plant.sensor_sigma[i]
-    assert np.sqrt(np.mean(error**2)) < 20.0, "what stands for the reading is nearer to the truth than the reading"
+    assert np.sqrt(np.mean(error**2)) < 20.0, "the replacement is closer to the truth than the reading"
 
 
-def test_a_fault_of_the_process_is_none_of_the_sensors() -> None:
+def test_a_process_fault_isolates_no_sensor() -> None:
     plant = power_network(loads=(), noise="small")
     r = simulate(plant, 30, range(10), truth="model", process_noise=True)
     y = r.y.copy()
@@ -180,8 +182,8 @@ def test_a_fault_of_the_process_is_none_of_the_sensors() -> None:
 
 
 @pytest.mark.parametrize("name", ["chain", "network"])
-def test_a_fault_that_grew_unnoticed_is_taken_out_of_the_estimate(name: str) -> None:
-    """A ramp that the state follows: at its naming what stands for the reading is freed from what had been absorbed."""
+def test_the_effect_of_a_fault_detected_late_is_removed_from_the_estimate(name: str) -> None:
+    """A ramp that the state follows: at its isolation the effect on the estimate in place of the reading is removed."""
     plant = plant_of(name)
     t, y, u = (a[:, :20] if a.ndim > 1 else a for a in healthy(name))
     truth, y = y, y.copy()
@@ -190,13 +192,13 @@ def test_a_fault_that_grew_unnoticed_is_taken_out_of_the_estimate(name: str) -> 
     y[..., i] += ({"chain": 4.5, "network": 3.0}[name] * ramp)[:, None]
     d = decisions(Chebyshev(plant, lam=0.0, alpha=5.0), (t, y, u))
     first = np.argmax(d.isolated[..., i], axis=0)
-    assert np.all(np.any(d.isolated[..., i], axis=0)) and np.median(first) > 11, "named, and late"
+    assert np.all(np.any(d.isolated[..., i], axis=0)) and np.median(first) > 11, "isolated, and late"
     error = np.array([abs(d.reconstruction[k, b, i] - truth[k, b, i]) for b, k in enumerate(first)])
     bias = np.array([abs(y[k, b, i] - truth[k, b, i]) for b, k in enumerate(first)])
     assert np.median(error) < 0.5 * np.median(bias)
 
 
-def test_faults_apart_from_each_other_are_named_at_once() -> None:
+def test_faults_far_from_each_other_are_isolated_at_once() -> None:
     t, y, u = (a[:, :20] if a.ndim > 1 else a for a in healthy("network"))
     y, faulty = y.copy(), [network().sensor_index(n) for n in ("omega_1", "p_v_9", "theta_13@14")]
     for i in faulty:
@@ -208,7 +210,7 @@ def test_faults_apart_from_each_other_are_named_at_once() -> None:
 
 @pytest.mark.parametrize("name", ["chain", "tanks", "network"])
 @pytest.mark.parametrize("bad", [1e300, -1e300, 1e9, 0.0])
-def test_readings_that_are_nonsense_pass(name: str, bad: float) -> None:
+def test_implausible_readings_have_no_lasting_effect(name: str, bad: float) -> None:
     t, y, u = (a[:, :20] if a.ndim > 1 else a for a in healthy(name))
     y = y.copy()
     y[5:10] = bad
@@ -221,7 +223,7 @@ def test_readings_that_are_nonsense_pass(name: str, bad: float) -> None:
     assert np.mean(d.alarm[-1]) <= (1.0 if slow else 0.4), "whose state has followed takes long to return"
 
 
-def test_an_area_does_not_depend_on_readings_beyond_those_who_share_with_it() -> None:
+def test_an_area_does_not_depend_on_readings_beyond_the_areas_that_share_with_it() -> None:
     plant = network()
     t, y, u = (a[:, :3] if a.ndim > 1 else a for a in healthy("network"))
     near = {"area 4", "area 3", "area 5", "area 13"}
@@ -246,7 +248,9 @@ def test_an_area_does_not_depend_on_readings_beyond_those_who_share_with_it() ->
 def test_confirmations_wait() -> None:
     t, y, u = (a[:, :1] if a.ndim > 1 else a for a in healthy("network"))
     y, i = y.copy(), network().sensor_index("p_v_3")
-    y[20:, 0, i] += np.linspace(40, 160, 20) * network().sensor_sigma[i]  # grows: every step stands out
+    y[20:, 0, i] += (
+        np.linspace(40, 160, 20) * network().sensor_sigma[i]
+    )  # growing: the residual of every step exceeds its threshold
     first = [
         int(
             np.argmax(
@@ -261,12 +265,12 @@ def test_confirmations_wait() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"alpha": 1.0}, "must exceed 1"),
-        ({"alpha": np.nan}, "must exceed 1"),
+        ({"alpha": 1.0}, "expected a finite number above 1"),
+        ({"alpha": np.nan}, "expected a finite number above 1"),
         ({"alpha": (2.0, 3.0)}, "expected one number or one for each of 4 sensors"),
         ({"false_alarm": 0.0}, "strictly between 0 and 1"),
         ({"false_alarm": 1.5}, "strictly between 0 and 1"),
-        ({"alpha": 2.0, "false_alarm": 0.1}, "each follows from the other: give one"),
+        ({"alpha": 2.0, "false_alarm": 0.1}, "each determines the other: give one"),
         ({"lam": 1.0}, "lam is 1.0; expected at least 0 and less than 1"),
         ({"lam": -0.1}, "lam is -0.1"),
         ({"mode": "printed"}, "mode is 'printed'; known: corrected, paper"),

@@ -1,4 +1,4 @@
-"""Alarms from streams: against plain loops, what they promise, and what they do not."""
+"""Alarms from streams: against plain loops, and which false-alarm bounds hold."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fusion_sfdia.stochastic_thresholds.confirmation import Consecutive, Cusum, WindowGlr, run
+from fusion_sfdia.stochastic_thresholds.confirmation import ConfirmationCusum, Consecutive, WindowGlr, run
 from fusion_sfdia.stochastic_thresholds.threshold_rules import conformal_alpha
 
-TESTS = [Consecutive(2.0, q=3), Cusum(5.0), WindowGlr(4.0, window=5)]
+TESTS = [Consecutive(2.0, q=3), ConfirmationCusum(5.0), WindowGlr(4.0, window=5)]
 
 
 def test_against_plain_loops() -> None:
@@ -27,7 +27,7 @@ def test_against_plain_loops() -> None:
 
 
 @pytest.mark.parametrize("test", TESTS, ids=lambda t: type(t).__name__)
-def test_streams_are_independent_and_gaps_change_nothing(test: Cusum) -> None:
+def test_streams_are_independent_and_gaps_change_nothing(test: ConfirmationCusum) -> None:
     z = np.random.default_rng(1).standard_normal((40, 2, 4))
     together = run(test, z)
     np.testing.assert_array_equal(together[:, 1, 2], run(test, z[:, 1, 2]))
@@ -43,7 +43,7 @@ def test_streams_are_independent_and_gaps_change_nothing(test: Cusum) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_shift_is_found_sooner_by_sums_than_by_three_in_a_row() -> None:
+def test_sums_detect_a_shift_earlier_than_three_in_a_row() -> None:
     rng, K, runs, onset = np.random.default_rng(2), 400, 300, 200
     healthy = rng.standard_normal((K, runs))
     shifted = rng.standard_normal((K, runs)) + np.where(np.arange(K) >= onset, 1.5, 0.0)[:, None]
@@ -57,7 +57,7 @@ def test_a_shift_is_found_sooner_by_sums_than_by_three_in_a_row() -> None:
 
 
 def test_consecutive_alarms_are_not_independent() -> None:
-    """The proof of B18's Proposition 5 takes them to be; with a memory they are not, though one alarm's bound holds."""
+    """The proof of B18's Proposition 5 assumes it; with a memory they are dependent, though the bound of one alarm holds."""
     rng, alpha, lam, K = np.random.default_rng(3), 5.0, 0.3, 100_000
     p = 1 / alpha**2 / 50
     shock = rng.choice([-1.0, 0.0, 1.0], K, p=[p / 2, 1 - p, p / 2]) / np.sqrt(p)
@@ -88,12 +88,12 @@ def test_three_alarms_in_a_row_may_be_likelier_than_their_bound_at_alpha_10() ->
     [
         (lambda: Consecutive(2.0, q=0), "q is 0; expected a whole number of at least 1"),
         (lambda: Consecutive(0.0), "level is 0"),
-        (lambda: Cusum(1.0, drift=-0.1), "drift is -0.1"),
-        (lambda: Cusum(np.inf), "level is inf"),
+        (lambda: ConfirmationCusum(1.0, drift=-0.1), "drift is -0.1"),
+        (lambda: ConfirmationCusum(np.inf), "level is inf"),
         (lambda: WindowGlr(1.0, window=1.5), "window is 1.5"),
     ],
 )
-def test_settings_that_mean_nothing(make: object, message: str) -> None:
+def test_invalid_settings_are_rejected(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
@@ -102,7 +102,7 @@ def test_the_usual_settings_on_streams_that_are_checked_by_hand() -> None:
     """Three in a row: the least of the last three. Sums over up to eight samples: 8 / sqrt(8) at most, of ones."""
     np.testing.assert_array_equal(run(Consecutive(2.0), [4.0, -3.0, 5.0, 1.0]), [0.0, 0.0, 3.0, 1.0])
     np.testing.assert_allclose(run(WindowGlr(4.0), np.ones(10)), np.sqrt(np.minimum(np.arange(1, 11), 8)), rtol=1e-12)
-    np.testing.assert_array_equal(run(Cusum(5.0), [1.5, 0.0, -1.5]), [1.0, 0.5, 1.0])
-    np.testing.assert_array_equal(run(Cusum(5.0, drift=0.0), [1.0, 2.0]), [1.0, 3.0])
+    np.testing.assert_array_equal(run(ConfirmationCusum(5.0), [1.5, 0.0, -1.5]), [1.0, 0.5, 1.0])
+    np.testing.assert_array_equal(run(ConfirmationCusum(5.0, drift=0.0), [1.0, 2.0]), [1.0, 3.0])
     with pytest.raises(ValueError, match="z is"):
-        run(Cusum(5.0), "one")
+        run(ConfirmationCusum(5.0), "one")

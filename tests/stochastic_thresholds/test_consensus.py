@@ -41,13 +41,13 @@ def test_an_area_uses_only_its_own_data_and_what_neighbours_send() -> None:
         dirty = predict(
             AREAS, Diagnosers(*poisoned), np.where(known, reference, np.nan), np.where(known, load, np.nan), LAM, mode
         )
-        for name in ("estimate", "deviation", "doubt"):
+        for name in ("estimate", "deviation", "error_bound"):
             np.testing.assert_array_equal(getattr(dirty, name)[:, i], getattr(clean, name)[:, i])
             np.testing.assert_array_equal(getattr(dirty, name + "_shared")[:, mine], getattr(clean, name + "_shared")[:, mine])
         assert np.isnan(dirty.estimate).any()
 
 
-def test_of_a_drive_one_number_crosses_the_border() -> None:
+def test_of_a_drive_only_one_number_is_sent() -> None:
     rng, i = np.random.default_rng(2), AT.index("5")
     j = int(AT.neighbour[AREAS.network.sides(i)][0])
     whole = Diagnosers(*(rng.uniform(0.0, 1.0, a.shape) for a in initial_state(AREAS, (1,))))
@@ -64,31 +64,31 @@ def test_of_a_drive_one_number_crosses_the_border() -> None:
 
 
 def test_a_copy_starts_from_its_first_reading_and_an_open_tie_has_none() -> None:
-    away = network_areas(network_model(unplugged=["4"]))
-    now = initial_state(away, (1,))
+    unplugged = network_areas(network_model(unplugged=["4"]))
+    now = initial_state(unplugged, (1,))
     zero, y = np.zeros((1, 15)), np.random.default_rng(4).standard_normal((1, 15, 4))
-    shared = np.where(away.network.closed, 0.5, np.nan)[None]
-    first = predict(away, now, zero, zero, LAM, "corrected")
+    shared = np.where(unplugged.network.closed, 0.5, np.nan)[None]
+    first = predict(unplugged, now, zero, zero, LAM, "corrected")
     assert np.all(first.deviation > 1e50) and np.all(first.deviation_shared > 1e50)
     now = take(first, y, shared)
     np.testing.assert_array_equal(now.held, y)
-    assert not now.residual.any() and not now.doubt.any()
-    second = predict(away, now, zero, zero, LAM, "corrected")
+    assert not now.residual.any() and not now.error_bound.any()
+    second = predict(unplugged, now, zero, zero, LAM, "corrected")
     assert np.all(second.deviation < 1.0)
-    np.testing.assert_array_equal(second.deviation_shared[0] < 1.0, away.network.closed)
+    np.testing.assert_array_equal(second.deviation_shared[0] < 1.0, unplugged.network.closed)
 
 
-def test_what_diagnosers_keep_after_readings_of_some_sensors() -> None:
+def test_the_memory_of_diagnosers_after_readings_of_some_sensors() -> None:
     """Estimate 1, deviation 2, error bound 3: a reading of 5 replaces the estimate, a missing one keeps it."""
     own, shared = (np.ones(a.shape) for a in initial_state(AREAS, (1,))[:2])
     y, y_shared = np.where(own.cumsum().reshape(own.shape) % 2, 5.0, np.nan), np.full(shared.shape, np.nan)
     kept = take(Prediction(own, shared, 2 * own, 2 * shared, 3 * own, 3 * shared), y, y_shared)
     read = np.isfinite(y)
-    for found, reading, missing in ((kept.held, 5, 1), (kept.doubt, 0, 3), (kept.residual, 4, 0), (kept.deviation, 2, 0)):
+    for found, reading, missing in ((kept.held, 5, 1), (kept.error_bound, 0, 3), (kept.residual, 4, 0), (kept.deviation, 2, 0)):
         np.testing.assert_array_equal(found, np.where(read, reading, missing))
     for found, missing in (
         (kept.held_shared, 1),
-        (kept.doubt_shared, 3),
+        (kept.error_bound_shared, 3),
         (kept.residual_shared, 0),
         (kept.deviation_shared, 0),
     ):

@@ -1,4 +1,4 @@
-"""Diagnosers that share variables: their laws on the power network, and that nothing else crosses a border."""
+"""Diagnosers that share variables: their statistics on the power network, and which data areas exchange."""
 
 from __future__ import annotations
 
@@ -86,35 +86,37 @@ def test_as_printed_the_deviation_of_shared_states_is_too_small() -> None:
 def test_each_deviation_is_that_of_its_own_receivers_noise(missing: bool) -> None:
     """Without memory s^2 is the variance of the receiver's reading, of w, and of every reading by its share of the estimate.
 
-    Noises are unlike in all copies, shares are found by moving each reading by 1: estimates are linear in them. What is missing
-    is held with an error of a standard deviation of up to `doubt`, which adds its share of that to s.
+    Noises are unlike in all copies, shares are found by moving each reading by 1: estimates are linear in them. A missing
+    reading is replaced by an estimate with the bound `error_bound`, whose share is added to s.
     """
     rng = np.random.default_rng(6)
     noise, shared_noise = rng.uniform(1e-4, 1e-1, AREAS.noise.shape), rng.uniform(1e-4, 1e-1, 34)
     unlike = replace(AREAS, noise=noise, shared_noise=shared_noise)
     count, zero = 60 + 34, np.zeros((1, 15))
-    doubt = np.where(rng.random(count) < 0.2, rng.uniform(0.01, 0.1, count), 0.0) if missing else np.zeros(count)
+    error_bound = np.where(rng.random(count) < 0.2, rng.uniform(0.01, 0.1, count), 0.0) if missing else np.zeros(count)
 
     def ahead(held: Array) -> tuple[Array, Array]:
         """Estimates and deviations (94,) of own readings, then of copies, after these readings."""
-        given = (a.reshape(1, 15, 4) if k == 0 else a[None] for v in (held, doubt) for k, a in enumerate(np.split(v, [60])))
+        given = (
+            a.reshape(1, 15, 4) if k == 0 else a[None] for v in (held, error_bound) for k, a in enumerate(np.split(v, [60]))
+        )
         rest = (np.zeros(s) for s in ((1, 15, 4), (1, 34)) * 2)
         found = predict(unlike, Diagnosers(*given, *rest), zero, zero, 0.0, "corrected")
         return tuple(np.concatenate([a.ravel(), b.ravel()]) for a, b in (found[:2], found[2:4]))  # type: ignore[return-value]
 
     start = rng.standard_normal(count)
     at_start, deviation = ahead(start)
-    read_variance = np.where(doubt > 0, 0.0, np.concatenate([noise.ravel(), shared_noise]))
+    read_variance = np.where(error_bound > 0, 0.0, np.concatenate([noise.ravel(), shared_noise]))
     share = np.stack([ahead(start + e)[0] - at_start for e in np.eye(count)], axis=-1)
     own_noise = np.concatenate([noise.ravel(), shared_noise])
     own_process = np.concatenate([AREAS.process_variance.ravel(), AREAS.process_variance[AT.neighbour, 0]])
-    expected = np.sqrt(share**2 @ read_variance + own_process + own_noise) + np.abs(share) @ doubt
+    expected = np.sqrt(share**2 @ read_variance + own_process + own_noise) + np.abs(share) @ error_bound
     # shares are differences of sums of some ten terms; that of a reading in two ways (as copy, in the drive) is in one number
     size = np.abs(at_start).max() + np.abs(start).max()
     assert np.all(np.abs(deviation - expected) <= rounding(size / np.sqrt(own_noise.min()), 100))
 
 
-def test_weights_minimise_the_variance_and_do_not_depend_on_the_user() -> None:
+def test_weights_minimise_the_variance_and_do_not_depend_on_the_receiver() -> None:
     rng = np.random.default_rng(0)
     unlike = replace(
         AREAS, noise=AREAS.noise * rng.uniform(0.2, 5, AREAS.noise.shape), shared_noise=rng.uniform(1e-6, 1e-4, 34)

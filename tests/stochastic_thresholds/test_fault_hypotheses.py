@@ -1,4 +1,4 @@
-"""Isolation over fault functions: the equations of the detection with other models, answers by hand, and what is guaranteed."""
+"""Isolation over fault functions: the equations of the detection with other models, answers checked by hand, and guarantees."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def nothing(x: Array, u: Array, e: Array) -> Array:
 
 
 def anything(runs: int, seed: int = 0) -> tuple[Diagnosers, Array, Array]:
-    """Diagnosers that have read everything once, and reference and load."""
+    """Diagnosers after one reading of every sensor, and reference and load."""
     rng = np.random.default_rng(seed)
     empty = initial_state(AREAS, (runs,))
     own, shared = (rng.standard_normal(a.shape) for a in empty[:2])
@@ -49,7 +49,7 @@ def anything(runs: int, seed: int = 0) -> tuple[Diagnosers, Array, Array]:
 
 
 def same_model(fault: AreaFault | None) -> Areas:
-    """The areas whose diagnosers know of the fault."""
+    """The areas whose diagnosers have the model with the fault."""
     if fault is None or fault.kind != "governor":
         return AREAS
     altered = MODEL.altered(fault.area, governor_time=fault.value)
@@ -67,7 +67,7 @@ def as_known(fault: AreaFault | None, reference: Array, load: Array) -> tuple[Ar
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("missing", [False, True])
-def test_each_hypothesis_is_the_diagnoser_that_knows_its_fault(mode: str, missing: bool) -> None:
+def test_each_hypothesis_is_the_diagnoser_with_the_model_of_its_fault(mode: str, missing: bool) -> None:
     """(24) to (28) are (5), (6), (14), (15), (17) for the model with the fault; without one, those of the detection."""
     runs, everyone = 4, {"none": None} | FAULTS
     observer = FaultHypotheses(AREAS, "4", {"none": nothing} | SET, lam=LAM, mode=mode)
@@ -93,13 +93,13 @@ def test_each_hypothesis_is_the_diagnoser_that_knows_its_fault(mode: str, missin
             at = AREAS.network.topology
             sides = np.arange(at.start[AREA], at.start[AREA + 1])
             knows = knowing[name]
-            mixed = {k: np.array(getattr(knows, k)) for k in ("held_shared", "doubt_shared")}
+            mixed = {k: np.array(getattr(knows, k)) for k in ("held_shared", "error_bound_shared")}
             for k, a in mixed.items():
                 a[:, sides] = getattr(detection, k)[:, sides]
             ahead = predict(areas, knows._replace(**mixed), *as_known(fault, reference, load), LAM, mode)
             knowing[name] = knows = take(ahead, own, shared)
             open_there = ~AREAS.network.closed[there]
-            for k in ("held", "doubt", "residual", "deviation"):
+            for k in ("held", "error_bound", "residual", "deviation"):
                 expected = np.concatenate([getattr(knows, k)[:, AREA], getattr(knows, f"{k}_shared")[:, there]], axis=-1)
                 expected[:, 4:][:, open_there] = found_open = getattr(state, k)[:, place, 4:][:, open_there]
                 assert np.all(np.isfinite(found_open))
@@ -126,7 +126,7 @@ def test_a_curved_fault_function_counts_by_its_slope() -> None:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_fault_functions_are_what_the_faults_do(name: str) -> None:
+def test_fault_functions_are_the_effects_of_the_faults(name: str) -> None:
     rng = np.random.default_rng(2)
     x, reference, load = rng.standard_normal((6, 15, 4)), rng.standard_normal((6, 15)), rng.standard_normal((6, 15))
     faulty = network_conditions(MODEL, [FAULTS[name]])(0.0).step(x, reference, load)
@@ -166,10 +166,10 @@ def test_the_one_left_none_of_these_and_time_out() -> None:
     p2 = {"confirmations": 2, "patience": 6}
     assert observed([[NO, YES], [NO, YES], [NO, YES]], **p2) == [UNDECIDED, "h0", "h0"]
     assert observed([[NO, YES], [NO, NO], [NO, YES], [NO, YES]], **p2) == [UNDECIDED] * 3 + ["h0"]
-    # the last one is named when its own residual is within its threshold, and excluded too if it is not
+    # the last one is isolated when its own residual is within its threshold, otherwise excluded, too
     assert observed([[NO, YES], [YES, YES], [YES, YES]], **p2) == [UNDECIDED, UNDECIDED, NONE]
     assert observed([[NO, YES], [YES, YES], [NO, YES]], **p2) == [UNDECIDED, UNDECIDED, "h0"]
-    # an answer is taken back within the patience, and stands after it
+    # an answer may change within the patience, and is final after it
     assert observed([[NO, YES]] * 3 + [[YES, NO]] * 2, **p2) == [UNDECIDED, "h0", "h0", UNDECIDED, NONE]
     assert observed([[NO, YES]] * 6 + [[YES, NO]] * 3, **p2)[-4:] == ["h0"] * 4
     assert observed([[NO, NO]] * 7, **p2) == [UNDECIDED] * 5 + [NOT_ISOLATED] * 2
@@ -199,7 +199,7 @@ def test_nothing_happens_before_the_start_or_without_a_reading() -> None:
         ({"faults": {"x": lambda x, u, e: x.astype(str)}}, "expected 4 finite numbers"),
         ({"faults": {NONE: nothing}}, "more than once"),
         ({"area": "16"}, "unknown node '16'"),
-        ({"alpha": 0.9}, "must exceed 1"),
+        ({"alpha": 0.9}, "expected a finite number above 1"),
         ({"rule": "conformal"}, "conformal"),
         ({"lam": 1.0}, "lam is 1.0"),
         ({"mode": "printed"}, "known: corrected, paper"),
@@ -207,7 +207,7 @@ def test_nothing_happens_before_the_start_or_without_a_reading() -> None:
         ({"patience": 2}, "patience is 2; expected a whole number of at least 3"),
     ],
 )
-def test_settings_that_are_refused(change: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_rejected(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         FaultHypotheses(**({"areas": AREAS, "area": "4", "faults": SET} | change))
 

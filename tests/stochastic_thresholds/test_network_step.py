@@ -1,4 +1,4 @@
-"""The compiled step of a whole network: the numbers of the arrays' way to rounding, and the same bits in any batch."""
+"""The compiled step of a whole network: the numbers of the array code to rounding, and the same bits in any batch."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fusion_sfdia.stochastic_thresholds.network_step import network_step
 ALPHA, LAM = 2.0, 0.3
 NETWORKS = {
     "paper": network_areas(network_model()),
-    "area 4 away": network_areas(network_model(unplugged=["4"])),
+    "area 4 unplugged": network_areas(network_model(unplugged=["4"])),
     "dense": network_areas(network_model(generate_network(40, 1, degree=9.0), unplugged=["7", "8", "20"])),
 }
 
@@ -29,8 +29,8 @@ def anything(areas: Areas, batch: int, seed: int = 0) -> tuple[Diagnosers, Netwo
     rng = np.random.default_rng(seed)
     empty = initial_state(areas, (batch,))
     state = Diagnosers(*(rng.uniform(0.1, 1.0, a.shape) for a in empty))
-    for doubt in (state.doubt, state.doubt_shared):
-        doubt *= rng.random(doubt.shape) < 0.25
+    for error_bound in (state.error_bound, state.error_bound_shared):
+        error_bound *= rng.random(error_bound.shape) < 0.25
     reference, load = rng.standard_normal((2, *state.held.shape[:2]))
     readings = [np.where(rng.random(a.shape) < 0.25, np.nan, rng.standard_normal(a.shape)) for a in empty[:2]]
     return state, NetworkReadings(*readings, reference, load)
@@ -38,7 +38,7 @@ def anything(areas: Areas, batch: int, seed: int = 0) -> tuple[Diagnosers, Netwo
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("network", NETWORKS)
-def test_the_compiled_step_is_that_of_the_arrays(network: str, mode: str) -> None:
+def test_the_compiled_step_equals_array_code(network: str, mode: str) -> None:
     areas = NETWORKS[network]
     state, given = anything(areas, 3)
     inputs = given.reference, given.load, LAM, mode
@@ -67,7 +67,7 @@ def test_the_compiled_step_is_that_of_the_arrays(network: str, mode: str) -> Non
 
 @pytest.mark.parametrize("mode", MODES)
 def test_the_bits_depend_on_no_batch_and_on_no_reused_memory(mode: str) -> None:
-    areas = NETWORKS["area 4 away"]
+    areas = NETWORKS["area 4 unplugged"]
     state, given = anything(areas, 5)
     used = [Diagnosers(*(np.full_like(a, np.nan) for a in state)), Diagnosers(*map(np.copy, state))]
     whole, alone = state, [Diagnosers(*(a[b : b + 1] for a in state)) for b in range(5)]
@@ -103,17 +103,17 @@ def test_batches_have_any_leading_axes_and_are_broadcast() -> None:
         consensus.predict(NETWORKS["dense"], state, given.reference, given.load, LAM, "corrected")
 
 
-def test_diagnosers_that_know_nothing_start_from_their_first_readings() -> None:
+def test_diagnosers_without_information_start_from_their_first_readings() -> None:
     areas = NETWORKS["paper"]
     _, given = anything(areas, 1)
     now, alarm = network_step(areas, initial_state(areas, (1,)), given, ALPHA, LAM)
     assert not alarm.any() and not now.residual.any()
     read = np.isfinite(given.own)
     np.testing.assert_array_equal(now.held[read], given.own[read])
-    np.testing.assert_array_equal(now.doubt[~read] > 1e50, True)
+    np.testing.assert_array_equal(now.error_bound[~read] > 1e50, True)
 
 
-def test_wrong_shapes_are_named() -> None:
+def test_wrong_shapes_are_rejected() -> None:
     areas = NETWORKS["paper"]
     state, given = anything(areas, 2)
     for name, array in given._asdict().items():
@@ -124,5 +124,5 @@ def test_wrong_shapes_are_named() -> None:
     with pytest.raises(ValueError, match="mode is 'papr'; known: corrected, paper"):
         network_step(areas, state, given, ALPHA, LAM, mode="papr")
     for wrong in (state, initial_state(areas, (1,))):
-        with pytest.raises(ValueError, match="needed no more"):
+        with pytest.raises(ValueError, match="not needed any more"):
             network_step(areas, state, given, ALPHA, LAM, out=wrong)

@@ -25,7 +25,7 @@ AREAS = network_areas(network_model(generate_network(23, 3, degree=5.0), unplugg
 
 
 class Drawn(NamedTuple):
-    """Readings of every area at each step, the same whoever asks; a fifth are missing, and one area's are far off."""
+    """Readings of every area at each step, the same for every caller; a fifth are missing, and one area's are far off."""
 
     count: int
     n: int
@@ -61,12 +61,12 @@ def test_parts_give_the_bits_of_the_whole(size: int, mode: str) -> None:
     expected, alarms = in_one_process(AREAS, mode)
     found, start = part_layouts(AREAS, size), initial_state(AREAS, (BATCH,))
     parts = [Part(b, share(b, start), ALPHA, LAM, mode == "paper") for b in found]
-    told, reader = at_borders(found, start), AREAS.network.topology.node
+    received, reader = at_borders(found, start), AREAS.network.topology.node
     for k in range(STEPS):
         answers = [
-            p.step(told[..., r], SOURCE(k, b.areas, b.sides)) for p, b, r in zip(parts, found, routes(found), strict=True)
+            p.step(received[..., r], SOURCE(k, b.areas, b.sides)) for p, b, r in zip(parts, found, routes(found), strict=True)
         ]
-        told = np.concatenate([a[2] for a in answers], axis=-1)
+        received = np.concatenate([a[2] for a in answers], axis=-1)
         alarm = np.concatenate([a[0] for a in answers], axis=-1)
         for b, (_, beyond, _) in zip(found, answers, strict=True):
             for column, side in enumerate(b.sides[b.near :]):
@@ -76,7 +76,7 @@ def test_parts_give_the_bits_of_the_whole(size: int, mode: str) -> None:
         mine = np.setdiff1d(np.arange(b.sides.size), b.border)
         for a, whole in zip(p.kept(), share(b, expected), strict=True):
             assert (a if a.ndim == 3 else a[:, mine]).tobytes() == (whole if a.ndim == 3 else whole[:, mine]).tobytes()
-    assert sum(b.border.size for b in found) == told.shape[-1]
+    assert sum(b.border.size for b in found) == received.shape[-1]
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_two_processes_give_the_bits_of_one(client: Any, mode: str) -> None:
         assert a.tobytes() == b.tobytes()
 
 
-def test_it_goes_on_from_what_it_kept_with_other_parts(client: Any) -> None:
+def test_it_continues_from_its_state_with_other_parts(client: Any) -> None:
     _, alarms = in_one_process(AREAS, "corrected")
     network = PartitionedNetwork(client, AREAS, initial_state(AREAS, (BATCH,)), SOURCE, ALPHA, LAM)
     for _ in range(3):
@@ -122,9 +122,9 @@ def test_it_goes_on_from_what_it_kept_with_other_parts(client: Any) -> None:
     np.testing.assert_array_equal(alone.step(), alarms[0])
 
 
-def test_what_cannot_be_shared_out(client: Any) -> None:
+def test_invalid_partitions_are_rejected(client: Any) -> None:
     start = initial_state(AREAS, (BATCH,))
     with pytest.raises(ValueError, match="mode is 'papr'"):
         PartitionedNetwork(client, AREAS, start, SOURCE, ALPHA, LAM, "papr")
-    with pytest.raises(ValueError, match="no worker to put a part on"):
+    with pytest.raises(ValueError, match="no worker for a part"):
         PartitionedNetwork(client, AREAS, start, SOURCE, ALPHA, LAM, workers=[])

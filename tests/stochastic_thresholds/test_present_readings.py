@@ -1,4 +1,4 @@
-"""The diagnoser of present readings: gains, and what is left of a fault that was removed."""
+"""The diagnoser of present readings: gains, and the removal of the effect of a fault."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from fusion_sfdia.stochastic_thresholds.present_readings import PresentReadings
 
 
 @pytest.mark.parametrize("kind", [PresentReadings, BoundedReadings])
-def test_a_fault_taken_out_leaves_its_doubt_and_runs_without_one_as_they_were(kind: type[PresentReadings]) -> None:
-    """Each reading is a state: a fault f of the last reading of sensor 1 has put F[:, 1] f into what is expected."""
-    plant, lam, size, doubt = bounded_chain(), 0.3, np.zeros((3, 6)), np.zeros((3, 6))
+def test_a_removed_fault_leaves_its_uncertainty_and_other_runs_do_not_change(kind: type[PresentReadings]) -> None:
+    """Each reading is a state: a fault f of the last reading of sensor 1 adds F[:, 1] f to the expected readings."""
+    plant, lam, size, uncertainty = bounded_chain(), 0.3, np.zeros((3, 6)), np.zeros((3, 6))
     one, u = kind(plant, lam, Extended()), np.zeros((3, len(plant.inputs)))
     F = plant.step_jacobian_at(0.0, plant.x0, u[0], plant.dt)
     memory = one.start((3,), 0)
     for k in (0, 1):
-        outlook = one.predict(memory, TimeStep(k * plant.dt, (k + 1) * plant.dt, plant.dt, 0, k), u)
-        memory = one.take(outlook, np.random.default_rng(k).normal(size=(3, 6))).memory
+        predicted = one.predict(memory, TimeStep(k * plant.dt, (k + 1) * plant.dt, plant.dt, 0, k), u)
+        memory = one.take(predicted, np.random.default_rng(k).normal(size=(3, 6))).memory
     now = TimeStep(2 * plant.dt, 3 * plant.dt, plant.dt, 0, 2)
-    before, outlook = one.predict(memory, now, u), one.predict(memory, now, u)
-    size[2, 1], doubt[2, 1] = 2.0, 0.25
-    freed = one.freed(memory, outlook, now, u, size, doubt)
-    np.testing.assert_allclose(freed.expected[:2], before.expected[:2], rtol=0, atol=1e-12)  # of numbers of some units
-    np.testing.assert_allclose(freed.deviation[:2], before.deviation[:2], rtol=1e-12)
+    before, predicted = one.predict(memory, now, u), one.predict(memory, now, u)
+    size[2, 1], uncertainty[2, 1] = 2.0, 0.25
+    corrected = one.without_faults(memory, predicted, now, u, size, uncertainty)
+    np.testing.assert_allclose(corrected.expected[:2], before.expected[:2], rtol=0, atol=1e-12)  # of numbers of some units
+    np.testing.assert_allclose(corrected.deviation[:2], before.deviation[:2], rtol=1e-12)
     expected = before.expected[2] - 2.0 * F[:, 1]
     expected[1] += lam * memory.residual[2, 1]  # its own last residual was that of the fault
-    np.testing.assert_allclose(freed.expected[2], expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(corrected.expected[2], expected, rtol=0, atol=1e-12)
     kept = lam * memory.deviation[2]
     power = 1 if kind is BoundedReadings else 2  # bounds add up, variances do
     wider = (before.deviation[2] - kept) ** power + np.abs(0.25 * F[:, 1]) ** power
-    np.testing.assert_allclose((freed.deviation[2] - kept) ** power, wider, rtol=1e-11)
+    np.testing.assert_allclose((corrected.deviation[2] - kept) ** power, wider, rtol=1e-11)
 
 
 def test_a_state_that_is_read_as_a_multiple_is_its_reading_over_it() -> None:

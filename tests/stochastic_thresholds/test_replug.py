@@ -1,4 +1,4 @@
-"""Networks that change between two steps: what changes, what keeps its bits, what starts again, and what is refused."""
+"""Networks that change between two steps: changed numbers, unchanged bits, restarted copies, and rejected changes."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ UNPLUG = ((), Switch(AT, unplug=("4",)), ("4",), {"3", "4", "5", "13"})
 PLUG_IN = (("15",), Switch(AT, plug_in=("15",)), (), {"14", "15"})
 
 
-@pytest.mark.parametrize(("before", "switch", "away", "touched"), [UNPLUG, PLUG_IN], ids=["4 leaves", "15 joins"])
+@pytest.mark.parametrize(("before", "switch", "unplugged", "touched"), [UNPLUG, PLUG_IN], ids=["4 leaves", "15 joins"])
 @pytest.mark.parametrize("mode", ["corrected", "paper"])
 def test_only_the_neighbours_change(
-    before: tuple[str, ...], switch: Switch, away: tuple[str, ...], touched: set[str], mode: str
+    before: tuple[str, ...], switch: Switch, unplugged: tuple[str, ...], touched: set[str], mode: str
 ) -> None:
     data, detector = closed_loop(before, switch), Chebyshev(plant(*before), mode=mode, alpha=8.0)
     state = until(detector, data)
     kept = [a.copy() for a in leaves(state)]
-    changed, moved = replug(detector, state, plant(*away))
+    changed, moved = replug(detector, state, plant(*unplugged))
     for a, b in zip(leaves(state), kept, strict=True):
         np.testing.assert_array_equal(a, b)
     t, y, u = (a[AT] for a in data)
@@ -73,19 +73,19 @@ def test_only_the_neighbours_change(
         assert np.all(a[:, own] != b[:, own]), name
 
 
-@pytest.mark.parametrize(("before", "switch", "away", "touched"), [UNPLUG, PLUG_IN], ids=["4 leaves", "15 joins"])
-def test_a_replugged_detector_is_silent_and_goes_on_without_a_gap(
-    before: tuple[str, ...], switch: Switch, away: tuple[str, ...], touched: set[str]
+@pytest.mark.parametrize(("before", "switch", "unplugged", "touched"), [UNPLUG, PLUG_IN], ids=["4 leaves", "15 joins"])
+def test_a_replugged_detector_continues_without_alarms(
+    before: tuple[str, ...], switch: Switch, unplugged: tuple[str, ...], touched: set[str]
 ) -> None:
     data, detector = closed_loop(before, switch), Chebyshev(plant(*before), alpha=8.0)
-    changed, state = replug(detector, until(detector, data), plant(*away))
+    changed, state = replug(detector, until(detector, data), plant(*unplugged))
     _, d = after(changed, state, data)
     assert not d.alarm.any() and not d.diverged.any()
     open_now = np.isnan(data[1][-1, 0])
     assert np.all(np.isinf(d.threshold[:, :, open_now])) and np.all(np.isfinite(d.threshold[:, :, ~open_now]))
     assert np.all(np.isfinite(d.estimate)) and np.all(np.isfinite(d.reconstruction))
     # the memory of the old network fades as 0.3^k, and then there is no difference to a detector that was always so
-    fresh = Chebyshev(plant(*away), alpha=8.0)
+    fresh = Chebyshev(plant(*unplugged), alpha=8.0)
     _, always = after(fresh, until(fresh, (data[0], np.where(open_now, np.nan, data[1]), data[2])), data)
     np.testing.assert_allclose(d.residual[-1][:, ~open_now], always.residual[-1][:, ~open_now], atol=1.0 * 0.3**19)
     _, blind = after(detector, until(detector, data), data)
@@ -94,19 +94,19 @@ def test_a_replugged_detector_is_silent_and_goes_on_without_a_gap(
 
 
 def test_a_copy_that_joins_starts_from_its_first_reading() -> None:
-    before, switch, away, _ = PLUG_IN
+    before, switch, unplugged, _ = PLUG_IN
     t, y, u = closed_loop(before, switch)
     y = y.copy()
     joins = [plant().sensor_index(n) for n in ("theta_15@14", "theta_14@15")]
     y[AT - 1, :, joins] += 0.5  # far off: its estimate until now has no part in it
     y[AT:, :, joins] += 0.5
     detector = Chebyshev(plant(*before), lam=0.3, alpha=8.0, accommodate=False)
-    changed, state = replug(detector, until(detector, (t, y, u)), plant(*away))
+    changed, state = replug(detector, until(detector, (t, y, u)), plant(*unplugged))
     _, d = after(changed, state, (t, y, u))
     assert np.all(np.isfinite(d.threshold[0][:, joins])) and np.all(np.abs(d.residual[0][:, joins]) < 0.5)
 
 
-def test_a_sensor_held_faulty_is_forgotten_with_its_tie() -> None:
+def test_an_isolated_sensor_is_reset_with_its_tie() -> None:
     t, y, u = closed_loop((), UNPLUG[1])
     y, i = y.copy(), plant().sensor_index("theta_4@3")
     y[10:AT, :, i] += 0.3
@@ -117,7 +117,7 @@ def test_a_sensor_held_faulty_is_forgotten_with_its_tie() -> None:
     assert not after(changed, moved, (t, y, u))[1].alarm.any()
 
 
-def test_there_and_back_is_as_before_but_for_the_ties_that_were_open() -> None:
+def test_unplugging_and_replugging_changes_only_the_ties_that_were_open() -> None:
     data, detector = closed_loop((), UNPLUG[1]), Chebyshev(plant(), alpha=8.0)
     state = until(detector, data)
     again, restored = replug(*replug(detector, state, plant("4")), plant())
@@ -130,10 +130,10 @@ def test_there_and_back_is_as_before_but_for_the_ties_that_were_open() -> None:
 
 
 def test_a_state_is_saved_and_loaded_across_a_change(tmp_path: Path) -> None:
-    before, switch, away, _ = PLUG_IN
+    before, switch, unplugged, _ = PLUG_IN
     data, detector = closed_loop(before, switch), Chebyshev(plant(*before), alpha=8.0)
     save_state(tmp_path / "before.npz", detector, until(detector, data))
-    changed, state = replug(detector, load_state(tmp_path / "before.npz", detector), plant(*away))
+    changed, state = replug(detector, load_state(tmp_path / "before.npz", detector), plant(*unplugged))
     save_state(tmp_path / "after.npz", changed, state)
     rebuilt = Chebyshev(power_network(loads=()), alpha=8.0)
     _, resumed = after(rebuilt, load_state(tmp_path / "after.npz", rebuilt), data)
@@ -167,7 +167,7 @@ def test_a_change_that_fails_leaves_all_as_it_was() -> None:
     assert np.all(np.isfinite(after(detector, state, data)[1].estimate))
 
 
-def test_one_diagnoser_takes_another_model() -> None:
+def test_a_single_diagnoser_continues_with_another_model() -> None:
     slow = chain(4)
     numerics = replace(slow.numerics, step_jacobian=lambda t, x, u, dt: 0.5 * np.eye(4))
     fast = replace(slow, step=lambda t, x, u, dt: 0.5 * x, numerics=numerics)

@@ -1,4 +1,4 @@
-"""Threshold rules: what each claims holds, and alpha from a budget."""
+"""Threshold rules: their bounds hold, and alpha from a false-alarm probability."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from fusion_sfdia.stochastic_thresholds.threshold_rules import RULES, alpha_for, conformal_alpha, false_alarm_of
 
 
-def test_rules_against_numbers_worked_by_hand() -> None:
+def test_rules_against_numbers_checked_by_hand() -> None:
     assert false_alarm_of("chebyshev", 2.0) == 0.25
     assert false_alarm_of("cantelli", 3.0) == 0.2
     assert false_alarm_of("cantelli-one-sided", 2.0) == pytest.approx(0.2)
@@ -49,7 +49,7 @@ def test_a_gaussian_quantile_is_exact_for_gaussians_alone() -> None:
 
 
 @pytest.mark.parametrize(("M", "p"), [(19, 0.05), (99, 0.05), (150, 0.02)])
-def test_conformal_thresholds_keep_their_promise_with_few_samples(M: int, p: float) -> None:
+def test_conformal_thresholds_keep_their_probability_with_few_samples(M: int, p: float) -> None:
     rng, trials = np.random.default_rng(7), 8_000
     alpha = conformal_alpha(rng.standard_cauchy((M, trials)) ** 2, p)
     further = rng.standard_cauchy(trials) ** 2
@@ -66,14 +66,14 @@ def test_missing_scores_count_as_the_largest() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: false_alarm_of("chebyshev", 1.0), "must exceed 1"),
-        (lambda: false_alarm_of("cantelli", 0.5), "must exceed 1"),
-        (lambda: false_alarm_of("gaussian", 0.0), "must exceed 0"),
-        (lambda: false_alarm_of("chebyshev", np.nan), "must exceed 1"),
+        (lambda: false_alarm_of("chebyshev", 1.0), "expected a finite number above 1"),
+        (lambda: false_alarm_of("cantelli", 0.5), "expected a finite number above 1"),
+        (lambda: false_alarm_of("gaussian", 0.0), "expected a finite number above 0"),
+        (lambda: false_alarm_of("chebyshev", np.nan), "expected a finite number above 1"),
         (lambda: false_alarm_of("chebyshev", "2"), "alpha is '2'; expected a number"),
         (lambda: false_alarm_of("conformal", 2.0), "does not determine"),
         (lambda: false_alarm_of("markov", 2.0), "rule is 'markov'; known: chebyshev, cantelli"),
-        (lambda: false_alarm_of("chebyshev", np.inf), "must exceed 1 and be finite"),
+        (lambda: false_alarm_of("chebyshev", np.inf), "expected a finite number above 1"),
         (lambda: alpha_for("markov", 0.1), "rule is 'markov'; known: chebyshev, cantelli"),
         (lambda: alpha_for("bound", 0.1), "the rule 'bound' has no false alarms"),
         (lambda: alpha_for("chebyshev", 0.0), "strictly between 0 and 1"),
@@ -84,6 +84,6 @@ def test_missing_scores_count_as_the_largest() -> None:
         (lambda: conformal_alpha(np.ones(18), -1), "strictly between 0 and 1"),
     ],
 )
-def test_what_claims_nothing_is_refused(call: object, message: str) -> None:
+def test_settings_without_a_bound_are_rejected(call: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()

@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import ENVELOPE, AdaptiveThreshold
+from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.diagnosis_sets import DiagnosisLogic
+from fusion_sfdia.adaptive_thresholds.monitored_plant import ENVELOPE
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, MOST_NOISE, engine, extremes
 from fusion_sfdia.builders import adaptive_threshold
 from fusion_sfdia.core.plant import Plant

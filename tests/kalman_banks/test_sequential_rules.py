@@ -1,4 +1,4 @@
-"""Sequential tests: their recursions against literal loops, their limits against known laws, missing samples."""
+"""Sequential rules: their recursions against literal loops, their limits against known laws, missing samples."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from fusion_sfdia.kalman_banks.memory_rules import Cusum, Ewma, Rule, Shewhart, SumOfSquares, cusum_limit
+from fusion_sfdia.kalman_banks.sequential_rules import Cusum, Ewma, SequentialRule, Shewhart, SumOfSquares, cusum_limit
 
-RULES: list[Rule] = [Shewhart(), SumOfSquares(5), Cusum(1.0), Ewma(0.2)]
+RULES: list[SequentialRule] = [Shewhart(), SumOfSquares(5), Cusum(1.0), Ewma(0.2)]
 every_rule = pytest.mark.parametrize("rule", RULES, ids=lambda rule: type(rule).__name__)
 
 
-def literal(rule: Rule, z: np.ndarray) -> float:
-    """The statistic of one sensor after the numbers z, as the textbook writes it."""
+def literal(rule: SequentialRule, z: np.ndarray) -> float:
+    """The statistic of one sensor after the numbers z, by its textbook definition."""
     if isinstance(rule, Shewhart):
         return abs(float(z[-1]))
     if isinstance(rule, SumOfSquares):
@@ -34,7 +34,7 @@ def literal(rule: Rule, z: np.ndarray) -> float:
 
 
 @every_rule
-def test_a_recursion_is_the_textbook_s_loop_and_rests_where_nothing_is_read(rule: Rule) -> None:
+def test_a_recursion_is_the_textbook_loop_and_does_not_change_without_a_reading(rule: SequentialRule) -> None:
     rng = np.random.default_rng(0)
     z = rng.standard_normal((40, 3, 2)) + 0.5
     z[rng.random(z.shape) < 0.3] = np.nan
@@ -50,7 +50,7 @@ def test_a_recursion_is_the_textbook_s_loop_and_rests_where_nothing_is_read(rule
                 assert rule.statistic(memory)[run, sensor] == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def alarms(rule: Rule, share: float, steps: int, runs: int) -> np.ndarray:
+def alarms(rule: SequentialRule, share: float, steps: int, runs: int) -> np.ndarray:
     rng = np.random.default_rng(1)
     memory = rule.start((runs,), 1)
     found = np.empty((steps, runs), bool)
@@ -61,13 +61,13 @@ def alarms(rule: Rule, share: float, steps: int, runs: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("rule", [Shewhart(), SumOfSquares(5), Ewma(0.2)], ids=lambda rule: type(rule).__name__)
-def test_limits_that_claim_to_be_exact_are_so_at_every_step(rule: Rule) -> None:
+def test_exact_limits_are_exact_at_every_step(rule: SequentialRule) -> None:
     found = alarms(rule, 0.02, 12, 40_000)
     # runs are independent: the rate of each step is binomial; 12 steps, four standard errors
     assert np.all(np.abs(found.mean(axis=1) - 0.02) < 4 * np.sqrt(0.02 * 0.98 / 40_000))
 
 
-def test_a_window_not_yet_full_has_the_chi_square_limit_of_what_it_holds() -> None:
+def test_a_partly_filled_window_has_the_chi_square_limit_of_its_samples() -> None:
     rule = SumOfSquares(3)
     memory = rule.start((), 1)
     for held in (1, 2, 3, 3):
@@ -87,7 +87,7 @@ def test_the_limit_of_a_cumulative_sum_gives_the_stated_mean_time_between_false_
         first[over & (first == most)] = step
     assert np.all(first < most)
     # run lengths are about exponential, their mean has the standard error mean / sqrt(runs); Siegmund's approximation
-    # is asymptotic, and a tenth is conceded to it for run lengths as short as 50
+    # is asymptotic: a tolerance of a tenth for run lengths as short as 50
     assert abs(first.mean() * share - 1) < 0.1 + 4 / np.sqrt(runs)
 
 
@@ -99,21 +99,21 @@ def test_the_limit_of_a_cumulative_sum_against_a_published_run_length() -> None:
 
 
 @every_rule
-def test_a_limit_is_positive_and_grows_with_what_is_asked(rule: Rule) -> None:
+def test_a_limit_is_positive_and_increases_as_the_share_decreases(rule: SequentialRule) -> None:
     memory = rule.advance(rule.start((2,), 3), np.zeros((2, 3)))
     limits = [rule.limit(memory, share) for share in (0.9, 1e-2, 1e-4, 1e-8)]
     assert np.all(limits[0] > 0) and all(np.all(b > a) for a, b in pairwise(limits))
     assert limits[0].shape == (2, 3)
 
 
-def test_one_sample_s_limit_is_the_gaussian_one_for_all_that_have_seen_one() -> None:
+def test_after_one_sample_the_limit_is_the_gaussian_quantile() -> None:
     for rule in (Shewhart(), SumOfSquares(9), Ewma(0.3)):
         memory = rule.advance(rule.start((), 1), np.array([2.5]))
         ratio = rule.statistic(memory) / rule.limit(memory, 1e-3)
         assert ratio[0] == pytest.approx(2.5 / norm.isf(5e-4), rel=1e-12)
 
 
-def test_settings_that_make_no_sense() -> None:
+def test_invalid_settings_are_rejected() -> None:
     with pytest.raises(ValueError, match="length, in samples, is 0"):
         SumOfSquares(0)
     with pytest.raises(ValueError, match="shift is 0"):

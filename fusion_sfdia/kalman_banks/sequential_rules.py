@@ -1,12 +1,12 @@
-"""Sequential tests on standardised residuals z, white N(0, 1) when healthy: recursions of what each keeps of a sensor.
+"""Sequential tests of standardised residuals z, white N(0, 1) when healthy, as recursions.
 
     Shewhart       |z|                                             (Shewhart 1931: no memory)
     SumOfSquares   sqrt(sum of the last L z^2)                     chi with L degrees of freedom
     Cusum          g+ <- max(0, g+ + z - k), g- <- max(0, g- - z - k), the larger       (Page 1954)
     Ewma           e <- (1 - lam) e + lam z, over its own standard deviation            (Roberts 1959)
 
-The memory of a batch is an array (..., rows, N), a column a sensor. A sensor without z (NaN) keeps its
-column as it was. `share` is the probability at which one healthy sensor may alarm in a step.
+The memory of a batch is an array (..., rows, N) with one column for each sensor. A missing z (NaN) does not change the column.
+`share` is the false-alarm probability of one sensor in a step.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from fusion_sfdia.core.arguments import number, whole
 Array = NDArray[Any]
 
 OVERSHOOT = 1.166  # 2 * .583: mean excess of a Gaussian random walk over both limits of a CUSUM (Siegmund 1985)
-LEAST = 0.1
+LEAST = 0.1  # smallest limit of a CUSUM
 
 
-class Rule(Protocol):
-    """A sequential test: its initial memory, that after z (..., N), the statistic and its limit (..., N)."""
+class SequentialRule(Protocol):
+    """A sequential test: its initial memory, the memory after z (..., N), the statistic and its limit (..., N)."""
 
     def start(self, batch: tuple[int, ...], sensors: int) -> Array: ...
     def advance(self, memory: Array, z: Array) -> Array: ...
@@ -56,7 +56,7 @@ class Shewhart:
 
 @dataclass(frozen=True)
 class SumOfSquares:
-    """The last `length` samples, with the chi-square quantile of as many as there have been: exact for white z."""
+    """The last `length` samples, with the chi-square quantile of the number of samples so far: exact for white z."""
 
     length: int = 15
 
@@ -79,10 +79,10 @@ class SumOfSquares:
 
 @dataclass(frozen=True)
 class Cusum:
-    """Both cumulative sums against a shift of the mean by `shift` standard deviations, for which k = shift / 2 is the best.
+    """Two-sided cumulative sum for a shift of the mean by `shift` standard deviations, for which k = shift / 2 is optimal.
 
-    The limit h gives each sum the mean time to a false alarm 2 / share by Siegmund's (1985) approximation of its run length,
-    (exp(2 k b) - 2 k b - 1) / (2 k^2) with b = h + 1.166; accurate to some per cent for white z, and therefore not a bound.
+    The limit h gives each sum a mean time between false alarms of 2 / share, by Siegmund's (1985) approximation of its run
+    length, (exp(2 k b) - 2 k b - 1) / (2 k^2) with b = h + 1.166. It is accurate to some per cent for white z, and not a bound.
     """
 
     shift: float = 1.0
@@ -116,15 +116,15 @@ class Ewma:
 
     def __post_init__(self) -> None:
         if not 0 < number("lam", self.lam) <= 1:
-            raise ValueError(f"lam is {self.lam}; expected a weight from above 0 to 1, such as 0.2")
+            raise ValueError(f"lam is {self.lam}; expected a weight above 0 and at most 1, such as 0.2")
 
     def start(self, batch: tuple[int, ...], sensors: int) -> Array:
         return np.zeros((*batch, 2, sensors))
 
     def advance(self, memory: Array, z: Array) -> Array:
         average, variance = memory[..., 0, :], memory[..., 1, :]
-        rest = 1 - self.lam
-        return _where_seen(z, np.stack([rest * average + self.lam * z, rest**2 * variance + self.lam**2], axis=-2), memory)
+        kept = 1 - self.lam
+        return _where_seen(z, np.stack([kept * average + self.lam * z, kept**2 * variance + self.lam**2], axis=-2), memory)
 
     def statistic(self, memory: Array) -> Array:
         variance = memory[..., 1, :]
@@ -137,7 +137,7 @@ class Ewma:
 @cache
 def cusum_limit(k: float, share: float) -> float:
     """The limit h of both sums, see `Cusum`; at least LEAST, below which the approximation has no meaning."""
-    grown = 4 * k**2 / share  # exp(s) - s - 1 for s = 2 k b
+    grown = 4 * k**2 / share  # value of exp(s) - s - 1, s = 2 k b
     s = float(brentq(lambda s: np.expm1(s) - s - grown, 0.0, 2 * np.log1p(grown) + 1))
     return max(s / (2 * k) - OVERSHOOT, LEAST)
 
