@@ -1,1 +1,1 @@
-"""Scenarios of the papers as data, their experiments, and the work of the command line."""
+"""The papers' experiments as scenarios, one file each, and measurements of speed."""

@@ -121,7 +121,7 @@ def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
     kept = []
     for y, estimate, deviation, error_bound in zip((own, shared), predicted[:2], predicted[2:4], predicted[4:], strict=True):
         read = np.isfinite(y)
-        known = read & (deviation < UNKNOWN**0.5)  # a copy without an estimate starts here, its residual 0
+        known = read & (deviation < UNKNOWN**0.5)  # a copy that knew nothing starts here, its residual 0
         kept.append(
             (
                 np.where(read, y, estimate),
