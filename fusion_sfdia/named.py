@@ -42,14 +42,19 @@ def diagnose(
     return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
 
 
-def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> Detector:
+def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:
     """The registered detector of that name, fitted to healthy readings; one that does not learn gets its thresholds from them.
 
     The counterpart of `BatchDetector.fit` for names. healthy: as `as_log` takes it; None for simulated runs of the plant,
     enough for the rate, with the seeds on which registered detectors are fitted. false_alarm: per step over all sensors.
-    ValueError for unknown names, and where the readings do not fit or are too few; NotApplicableError as the detector raises
-    it.
+    ValueError for unknown names and any other setting, and where the readings do not fit or are too few; NotApplicableError
+    as the detector raises it.
     """
+    if unknown:
+        raise ValueError(
+            f"fit has no settings {', '.join(unknown)}; it has healthy and false_alarm: build the detector's class with its "
+            "own settings and call its fit_thresholds"
+        )
     plant, named = registry.plant(plant), registry.find_detector(name)
     if named.learns:
         return named.build(plant, healthy=healthy, false_alarm=false_alarm)

@@ -163,3 +163,8 @@ def test_diagnose_takes_a_class_or_function_that_builds_a_detector() -> None:
             diagnose(wrong, recording, plant=PLANT)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="built Plant; expected a Detector"):
         diagnose(lambda plant: plant, recording, plant=PLANT)  # type: ignore[arg-type,return-value]
+
+
+def test_fit_refuses_settings_that_it_has_not() -> None:
+    with pytest.raises(ValueError, match="fit has no settings sigma; it has healthy and false_alarm: build"):
+        fit("limits", PLANT, sigma=1)
