@@ -38,8 +38,9 @@ def as_log(
 
     data: t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, or a Recording, the names of whose
     sensors and inputs must be the plant's; or a pandas frame with a column for each sensor and input, as `read_log` has
-    them, and the times in a column `time` or in its index. Times are in seconds. Only a frame may have time stamps
-    (datetime64, with or without a time zone): they become seconds since its first row, which then is at 0 s.
+    them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or durations. Times are
+    in seconds. Only a frame may have time stamps (datetime64, with or without a time zone), which become seconds since its
+    first row, which then is at 0 s, and durations (timedelta64), which become seconds.
     absent_sensors, other_columns, nominal_inputs: of a frame, as in `read_log`. ValueError for anything else, for shapes
     that do not fit, for no reading at all, and for time stamps in an array, which could be read as nanoseconds.
     """
@@ -156,9 +157,13 @@ def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, 
 def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool) -> Log:
     """The columns of a pandas frame by name, the times from its column `time` or else from its index."""
     where, header = "the frame", [str(title) for title in frame.columns]
-    as_index = TIME.name not in (_title(title)[0] for title in header) and (
-        frame.index.dtype.kind == "M" or frame.index.name == TIME.name
-    )
+    has_times = TIME.name in (_title(title)[0] for title in header)
+    as_index = not has_times and (frame.index.dtype.kind in "mM" or frame.index.name == TIME.name)
+    if not has_times and not as_index:
+        raise ValueError(
+            f"{where}: no column 'time' among {_some(header)}, and its index has the name {frame.index.name!r}; give the "
+            "column of the times (s) that name, or the index: frame.rename_axis('time')"
+        )
     columns = find_columns(where, [*header, *([TIME.name] if as_index else [])], plant, absent, other, nominal)
     t = _seconds(where, frame.index if as_index else frame.iloc[:, columns[TIME.name]])
 
@@ -177,13 +182,13 @@ def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool
 
 
 def _seconds(where: str, column: Any) -> Array:
-    """Return the times of a pandas column or index (K,) in s, time stamps as seconds since the first."""
-    if column.dtype.kind != "M":
+    """Return the times of a pandas column or index (K,) in s: time stamps since the first, durations as they are."""
+    if (kind := column.dtype.kind) not in "mM":
         return _numbers(where, TIME.name, column)
-    stamps = np.asarray(column, dtype="datetime64[ns]")  # in UTC
+    stamps = np.asarray(column, dtype="datetime64[ns]" if kind == "M" else "timedelta64[ns]")  # in UTC
     if np.any(np.isnat(stamps)):
         raise ValueError(f"{where}, column {TIME.name}: row {np.argmax(np.isnat(stamps)) + 1} has no time; drop such rows")
-    return np.asarray((stamps - stamps[:1]) / np.timedelta64(1, "s"))
+    return np.asarray((stamps - stamps[:1] if kind == "M" else stamps) / np.timedelta64(1, "s"))
 
 
 def _numbers(where: str, name: str, column: Any) -> Array:

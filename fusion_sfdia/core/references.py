@@ -82,7 +82,7 @@ def source_of(thing: Any) -> str:
 def path_of(module: str) -> str | None:
     """The file of a module that `load` imported from a file, None for any other module."""
     found = sys.modules.get(module)
-    return str(found.__file__) if hasattr(found, "__digest__") else None
+    return str(found.__file__) if found is not None and hasattr(found, "__digest__") else None
 
 
 def imported_from(path: str) -> str | None:

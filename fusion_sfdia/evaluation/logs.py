@@ -115,5 +115,7 @@ def _values(
             values[k] = np.inf
         if np.isinf(values[k]) or (required and np.isnan(values[k])):
             expected = "a finite number" if required else "a finite number, or nothing where the reading is missing"
+            if what is TIME and text:
+                expected += " of seconds: subtract the first time stamp, or read the file with pandas and pass the frame"
             raise ValueError(f"{path}, row {numbers[k]}, column {what.name}: {shown(text)}; expected {expected}")
     return values
