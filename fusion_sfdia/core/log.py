@@ -42,7 +42,8 @@ def as_log(
     in seconds. Only a frame may have time stamps (datetime64, with or without a time zone), which become seconds since its
     first row, which then is at 0 s, and durations (timedelta64), which become seconds.
     absent_sensors, other_columns, nominal_inputs: of a frame, as in `read_log`. ValueError for anything else, for shapes
-    that do not fit, for no reading at all, and for time stamps in an array, which could be read as nanoseconds.
+    that do not fit, for no reading at all, for inputs of a frame beyond their limits, and for time stamps in an array, which
+    could be read as nanoseconds.
     """
     if len(data) == 1 and type(data[0]).__module__.split(".")[0] == "pandas" and hasattr(data[0], "columns"):
         t, y, u = _of_frame(plant, data[0], absent_sensors, other_columns, nominal_inputs)
@@ -104,6 +105,15 @@ def usual_inputs(where: str, plant: Plant, t: Array, columns: dict[str, int], st
             stacklevel=stacklevel,
         )
     return np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
+
+
+def require_within_limits(where: str, plant: Plant, signal: Signal, values: Array, rows: Sequence[int]) -> None:
+    """Raise ValueError, which names the row, for a value (K,) of an input beyond its limits; rows: the number of each."""
+    for k in np.flatnonzero((values < signal.low) | (values > signal.high))[:1]:
+        raise ValueError(
+            f"{where}, row {rows[k]}, column {signal.name}: {values[k]:g} {signal.unit}; plant {plant.name!r} holds "
+            f"from {signal.low:g} to {signal.high:g} {signal.unit}; correct the input or convert its unit"
+        )
 
 
 def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, other: bool, nominal: bool) -> dict[str, int]:
@@ -178,6 +188,7 @@ def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool
     for i, signal in enumerate(plant.inputs):
         if signal.name in columns:
             u[:, i] = values(signal.name)
+            require_within_limits(where, plant, signal, u[:, i], range(1, t.size + 1))
     return Log(t, y, u)
 
 

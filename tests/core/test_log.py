@@ -174,6 +174,15 @@ def test_columns_keep_the_policy_of_read_log() -> None:
         as_log(PLANT, data.assign(l1="high"))
 
 
+def test_inputs_beyond_their_limits_are_refused_as_read_log_does() -> None:
+    data = frame(arrays())
+    data.loc[2, "inflow [m3/s]"] = 7.0
+    with pytest.raises(
+        ValueError, match=r"the frame, row 3, column inflow: 7 m3/s; plant 'two-tanks' holds from 0 to 0.002 m3/s; correct"
+    ):
+        as_log(PLANT, data)
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
