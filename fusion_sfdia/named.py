@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from fusion_sfdia import registry
@@ -13,17 +14,26 @@ from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 
 
-def diagnose(detector: Detector | str, *data: Any, plant: Plant | str | None = None, gap: int = 3) -> Diagnosis:
+def diagnose(
+    detector: Detector | str | Callable[[Plant], Detector], *data: Any, plant: Plant | str | None = None, gap: int = 3
+) -> Diagnosis:
     """Run a detector over recorded readings and collect what it isolates into events, see `diagnose_run`.
 
-    detector: an object, or a registered name, which needs its plant, an object or a name. data: a Log, a Recording of one
-    run, a pandas frame, or t (K,), y (K, N), u (K, m), see `as_log`; of a frame with time stamps, events are in seconds since
-    its first row. ValueError where names are unknown or the data do not fit; DiagnosisWarning for limits of the diagnosis
-    that the events do not show.
+    detector: an object; or a registered name, a class or a function that builds one, which needs its plant, an object or a
+    name. data: a Log, a Recording of one run, a pandas frame, or t (K,), y (K, N), u (K, m), see `as_log`; of a frame with
+    time stamps, events are in seconds since its first row. ValueError where names are unknown, the first argument is no
+    detector or the data do not fit; DiagnosisWarning for limits of the diagnosis that the events do not show.
     """
-    if isinstance(detector, str):
+    if isinstance(detector, str | type | registry.NamedDetector) or not isinstance(detector, Detector):
+        if not isinstance(detector, str | registry.NamedDetector) and not callable(detector):
+            raise ValueError(
+                f"the first argument is of type {type(detector).__name__}; expected a detector or its name: "
+                "diagnose('kf-chi2', t, y, u, plant=plant)"
+            )
         if plant is None:
-            raise ValueError(f"detector {detector!r} is a name, which needs its plant; pass plant=..., a Plant or a name")
+            name = registry.find_detector(detector).name
+            lacks = f"{name!r} is a name, which" if isinstance(detector, str) else f"{name} is not built: it"
+            raise ValueError(f"detector {lacks} needs its plant; pass plant=..., a Plant or a name")
         detector = registry.detector(detector, registry.plant(plant))
     elif plant is not None and plant is not detector.plant:
         raise ValueError(
@@ -32,14 +42,19 @@ def diagnose(detector: Detector | str, *data: Any, plant: Plant | str | None = N
     return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
 
 
-def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> Detector:
+def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:
     """The registered detector of that name, fitted to healthy readings; one that does not learn gets its thresholds from them.
 
     The counterpart of `BatchDetector.fit` for names. healthy: as `as_log` takes it; None for simulated runs of the plant,
     enough for the rate, with the seeds on which registered detectors are fitted. false_alarm: per step over all sensors.
-    ValueError for unknown names, and where the readings do not fit or are too few; NotApplicableError as the detector raises
-    it.
+    ValueError for unknown names and any other setting, and where the readings do not fit or are too few; NotApplicableError
+    as the detector raises it.
     """
+    if unknown:
+        raise ValueError(
+            f"fit has no settings {', '.join(unknown)}; it has healthy and false_alarm: build the detector's class with its "
+            "own settings and call its fit_thresholds"
+        )
     plant, named = registry.plant(plant), registry.find_detector(name)
     if named.learns:
         return named.build(plant, healthy=healthy, false_alarm=false_alarm)

@@ -233,6 +233,8 @@ def _with_entry_points(kind: str, known: dict[str, Any], entry: Callable[..., An
 
 def _meant(kind: str, text: str, known: dict[str, Any]) -> Any:
     """The registered entry of that name, or else the object of the reference."""
+    if text.endswith(".py"):
+        raise ValueError(f"{kind} {text!r} is a file; name the {kind} in it, {text}:NAME")
     if text in known or not is_reference(text):
         return known[require_known(kind, text, known)]
     try:

@@ -38,10 +38,12 @@ def as_log(
 
     data: t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, or a Recording, the names of whose
     sensors and inputs must be the plant's; or a pandas frame with a column for each sensor and input, as `read_log` has
-    them, and the times in a column `time` or in its index. Times are in seconds. Only a frame may have time stamps
-    (datetime64, with or without a time zone): they become seconds since its first row, which then is at 0 s.
+    them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or durations. Times are
+    in seconds. Only a frame may have time stamps (datetime64, with or without a time zone), which become seconds since its
+    first row, which then is at 0 s, and durations (timedelta64), which become seconds.
     absent_sensors, other_columns, nominal_inputs: of a frame, as in `read_log`. ValueError for anything else, for shapes
-    that do not fit, for no reading at all, and for time stamps in an array, which could be read as nanoseconds.
+    that do not fit, for no reading at all, for inputs of a frame beyond their limits, and for time stamps in an array, which
+    could be read as nanoseconds.
     """
     if len(data) == 1 and type(data[0]).__module__.split(".")[0] == "pandas" and hasattr(data[0], "columns"):
         t, y, u = _of_frame(plant, data[0], absent_sensors, other_columns, nominal_inputs)
@@ -105,6 +107,15 @@ def usual_inputs(where: str, plant: Plant, t: Array, columns: dict[str, int], st
     return np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
 
 
+def require_within_limits(where: str, plant: Plant, signal: Signal, values: Array, rows: Sequence[int]) -> None:
+    """Raise ValueError, which names the row, for a value (K,) of an input beyond its limits; rows: the number of each."""
+    for k in np.flatnonzero((values < signal.low) | (values > signal.high))[:1]:
+        raise ValueError(
+            f"{where}, row {rows[k]}, column {signal.name}: {values[k]:g} {signal.unit}; plant {plant.name!r} holds "
+            f"from {signal.low:g} to {signal.high:g} {signal.unit}; correct the input or convert its unit"
+        )
+
+
 def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, other: bool, nominal: bool) -> dict[str, int]:
     """Return the position of each name's column in a header; ValueError for a header that does not fit the plant.
 
@@ -156,9 +167,13 @@ def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, 
 def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool) -> Log:
     """The columns of a pandas frame by name, the times from its column `time` or else from its index."""
     where, header = "the frame", [str(title) for title in frame.columns]
-    as_index = TIME.name not in (_title(title)[0] for title in header) and (
-        frame.index.dtype.kind == "M" or frame.index.name == TIME.name
-    )
+    has_times = TIME.name in (_title(title)[0] for title in header)
+    as_index = not has_times and (frame.index.dtype.kind in "mM" or frame.index.name == TIME.name)
+    if not has_times and not as_index:
+        raise ValueError(
+            f"{where}: no column 'time' among {_some(header)}, and its index has the name {frame.index.name!r}; give the "
+            "column of the times (s) that name, or the index: frame.rename_axis('time')"
+        )
     columns = find_columns(where, [*header, *([TIME.name] if as_index else [])], plant, absent, other, nominal)
     t = _seconds(where, frame.index if as_index else frame.iloc[:, columns[TIME.name]])
 
@@ -173,17 +188,18 @@ def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool
     for i, signal in enumerate(plant.inputs):
         if signal.name in columns:
             u[:, i] = values(signal.name)
+            require_within_limits(where, plant, signal, u[:, i], range(1, t.size + 1))
     return Log(t, y, u)
 
 
 def _seconds(where: str, column: Any) -> Array:
-    """Return the times of a pandas column or index (K,) in s, time stamps as seconds since the first."""
-    if column.dtype.kind != "M":
+    """Return the times of a pandas column or index (K,) in s: time stamps since the first, durations as they are."""
+    if (kind := column.dtype.kind) not in "mM":
         return _numbers(where, TIME.name, column)
-    stamps = np.asarray(column, dtype="datetime64[ns]")  # in UTC
+    stamps = np.asarray(column, dtype="datetime64[ns]" if kind == "M" else "timedelta64[ns]")  # in UTC
     if np.any(np.isnat(stamps)):
         raise ValueError(f"{where}, column {TIME.name}: row {np.argmax(np.isnat(stamps)) + 1} has no time; drop such rows")
-    return np.asarray((stamps - stamps[:1]) / np.timedelta64(1, "s"))
+    return np.asarray((stamps - stamps[:1] if kind == "M" else stamps) / np.timedelta64(1, "s"))
 
 
 def _numbers(where: str, name: str, column: Any) -> Array:

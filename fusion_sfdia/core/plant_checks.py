@@ -29,16 +29,25 @@ def require_kinds(plant: Plant) -> None:
 
 
 def require_shapes(plant: Plant) -> None:
-    """Raise ValueError unless step and output take a batch of states; a step that fails at x0 is left to the runs."""
+    """Raise ValueError unless step and output take a batch of states; a step that fails at x0 is left to the runs.
+
+    The batch (b, 1) has b other than n: indexing states along the first axis, x[0], then never gives the expected shape.
+    """
     n, count = len(plant.states), len(plant.sensors)
-    x, u = np.broadcast_to(plant.x0, (2, 1, n)).copy(), plant.input_at(0.0)[None]
-    for what, expected, arguments in (("step", (2, 1, n), (x, u, plant.dt)), ("output", (2, 1, count), (x, u))):
+    batch = (3 if n == 2 else 2, 1)
+    x, u = np.broadcast_to(plant.x0, (*batch, n)).copy(), plant.input_at(0.0)[None]
+    for what, expected, arguments in (("step", (*batch, n), (x, u, plant.dt)), ("output", (*batch, count), (x, u))):
         try:
             with np.errstate(all="ignore"):
                 found = np.shape(getattr(plant, what)(0.0, *arguments))
         except ArithmeticError:
             continue
         except (IndexError, TypeError, ValueError) as error:
+            if not plant.inputs and isinstance(error, IndexError) and "with size 0" in str(error):  # only u has an axis of 0
+                raise ValueError(
+                    f"{what} of plant {plant.name!r} uses an input, and the plant declares none; pass inputs=(Signal(...), "
+                    "...), a Signal for each input"
+                ) from error
             raise ValueError(
                 f"{what} of plant {plant.name!r} fails for states {x.shape} and inputs {u.shape}: {error}; write it for "
                 "batches, which are leading axes: x[..., 0]"

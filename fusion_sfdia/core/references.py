@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from difflib import get_close_matches
 from hashlib import sha256
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -30,8 +32,11 @@ def load(reference: str) -> Any:
     found: Any = _file(Path(place)) if _is_file(place) else _module(place)
     for attribute in attributes.split("."):
         if not hasattr(found, attribute):
-            there = ", ".join(name for name in vars(found) if not name.startswith("_")) if hasattr(found, "__dict__") else ""
-            raise ValueError(f"{reference}: {place} has no attribute {attribute!r}; it has {there or 'none'}")
+            members = getattr(found, "__dict__", {})
+            near = get_close_matches(attribute, members, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            there = ", ".join(_offered(members)) or "none"
+            raise ValueError(f"{reference}: {place} has no attribute {attribute!r}; {hint}it has {there}")
         found = getattr(found, attribute)
     return found
 
@@ -74,9 +79,37 @@ def source_of(thing: Any) -> str:
     return f"{thing.__module__}:{getattr(thing, '__qualname__', type(thing).__qualname__)}"
 
 
+def path_of(module: str) -> str | None:
+    """The file of a module that `load` imported from a file, None for any other module."""
+    found = sys.modules.get(module)
+    return str(found.__file__) if found is not None and hasattr(found, "__digest__") else None
+
+
+def imported_from(path: str) -> str | None:
+    """The name of the module that `load` imported from that file, or else from the only one of that file name."""
+    files = {name: file for name in list(sys.modules) if (file := path_of(name))}
+    same = [name for name, file in files.items() if file == path]
+    alike = [name for name, file in files.items() if Path(file).name == Path(path).name]
+    return next(iter(same or (alike if len(alike) == 1 else [])), None)
+
+
 def first_line(thing: Any) -> str:
     """The first line of the docstring of a function or class, without a full stop."""
     return (getdoc(thing) or "").partition("\n")[0].removesuffix(".")
+
+
+def _offered(members: Mapping[str, Any]) -> list[str]:
+    """The public functions, classes and Plants among members, without classes that a module imports."""
+    from fusion_sfdia.core.plant import Plant
+
+    def imported(value: Any) -> bool:
+        return isinstance(value, type) and value.__module__ != members.get("__name__", value.__module__)
+
+    return [
+        name
+        for name, value in members.items()
+        if not name.startswith("_") and (isinstance(value, Plant) or callable(value)) and not imported(value)
+    ]
 
 
 def _is_file(place: str) -> bool:

@@ -1,7 +1,8 @@
 """Fitted detectors on disk, without pickle: their class, their settings and arrays; the plant is given again.
 
 A file is written by `write_arrays`: arrays, and a JSON text of the settings, which refers to each array and each class by
-name. Reading one runs no code but the constructors of this package and of modules that are imported already.
+name. Reading one runs no code but the constructors of this package and of modules that are imported already; of a class
+from a file "path/mine.py:make", that file must have been named before.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.storage import fingerprint, read_arrays, write_arrays
+from fusion_sfdia.core.references import imported_from, path_of
+from fusion_sfdia.core.storage import fingerprint, read_arrays, require_detector, write_arrays
 
 OWN = __name__.partition(".")[0]
 Arrays = dict[str, NDArray[Any]]
@@ -32,6 +34,7 @@ def save_detector(path: str | Path, detector: Detector) -> None:
     Settings may be numbers, text, None, arrays, tuples, mappings with text keys, and dataclasses or named tuples of such.
     ValueError for a detector with anything else among its settings, such as a function, which only pickle keeps.
     """
+    require_detector(detector)
     arrays: Arrays = {}
     settings = json.dumps(_packed(detector, detector.plant, arrays, type(detector).__name__))
     write_arrays(Path(path), {"detector": np.array(settings), "fingerprint": np.array(fingerprint(detector)), **arrays})
@@ -43,6 +46,10 @@ def load_detector(path: str | Path, plant: Plant) -> Any:
     ValueError where the file is of another kind or damaged, where its class is not known here, and where the plant is not
     the one with which it was saved: another name, noise, step or layout (see `fingerprint`).
     """
+    if not isinstance(plant, Plant):
+        raise ValueError(
+            f"plant is {shown(plant)}; expected a Plant, such as registry.plant('two-tanks') returns it for a name"
+        )
     try:
         arrays = read_arrays(Path(path))
         settings, expected = json.loads(str(arrays.pop("detector"))), str(arrays.pop("fingerprint"))
@@ -82,7 +89,8 @@ def _packed(value: Any, plant: Plant, arrays: Arrays, where: str) -> Any:
             "with pickle, or build it again"
         )
     kept = {name: _packed(getattr(value, name), plant, arrays, f"{where}.{name}") for name in names}
-    return {"class": f"{type(value).__module__}:{type(value).__qualname__}", "settings": kept}
+    module = type(value).__module__
+    return {"class": f"{path_of(module) or module}:{type(value).__qualname__}", "settings": kept}
 
 
 def _unpacked(packed: Any, plant: Plant, arrays: Arrays) -> Any:
@@ -110,8 +118,18 @@ def _settings_of(kind: type) -> list[str] | None:
 
 
 def _class_of(reference: str) -> type:
-    """The dataclass or named tuple of "module:name", of this package or of a module that is imported already."""
-    module, _, name = reference.partition(":")
+    """The dataclass or named tuple of "module:name" or "path/file.py:name".
+
+    The module is of this package or imported already. ValueError for any other.
+    """
+    module, _, name = reference.rpartition(":")
+    if module.endswith(".py"):
+        path, module = module, imported_from(module) or ""
+        if not module:
+            raise ValueError(
+                f"its class {name} is of the file {path}, which is not imported yet; build a detector of that file once, with "
+                f"registry.detector('{path}:...', plant), then load this one"
+            )
     if module.partition(".")[0] != OWN and module not in sys.modules:
         raise ValueError(f"its class {name} is of the module {module!r}; import that first")
     found: Any = import_module(module)

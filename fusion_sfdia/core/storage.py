@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.plant import Plant
@@ -60,6 +61,14 @@ def _described(value: Any) -> str:
     return repr(value)
 
 
+def require_detector(detector: Any) -> None:
+    """Raise ValueError for anything but a Detector object, such as its name or its class."""
+    if isinstance(detector, type) or not isinstance(detector, Detector):
+        raise ValueError(
+            f"detector is {shown(detector)}; expected a Detector, such as registry.detector('kf-chi2', plant) returns it"
+        )
+
+
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, compress: bool = False) -> None:
     """Write arrays to a .npz file that ends with a digest of everything before it; ValueError for arrays of objects."""
     packed = io.BytesIO()
@@ -85,6 +94,7 @@ def save_state(path: str | Path, detector: Detector, state: State) -> None:
 
     On the same machine a run goes on from it with the same bits. ValueError for arrays of objects.
     """
+    require_detector(detector)
     arrays = dict(zip(names(state), map(np.asarray, leaves(state)), strict=True))
     write_arrays(Path(path), {"fingerprint": np.array(fingerprint(detector)), **arrays})
 
@@ -95,11 +105,14 @@ def load_state(path: str | Path, detector: Detector) -> State:
     ValueError where the file is none, damaged, of another detector, settings or plant, or of a version whose states have other
     fields.
     """
+    require_detector(detector)
     try:
         arrays = read_arrays(Path(path))
         found = str(arrays.pop("fingerprint"))
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path} is not a saved detector state ({error}); write one with save_state") from error
+    if "detector" in arrays:
+        raise ValueError(f"{path} is a saved detector, not a state; read it with load_detector(path, plant)")
     if "t" not in arrays:
         raise ValueError(f"{path} {OTHER_FIELDS}")
     if found != fingerprint(detector):

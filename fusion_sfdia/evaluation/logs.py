@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, shown
 from fusion_sfdia.core.files import atomic_write
-from fusion_sfdia.core.log import TIME, Log, find_columns, usual_inputs
+from fusion_sfdia.core.log import TIME, Log, find_columns, require_within_limits, usual_inputs
 from fusion_sfdia.core.numerals import decimal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -87,11 +87,7 @@ def read_log(
     for i, signal in enumerate(plant.inputs):
         if signal.name in columns:
             u[:, i] = _values(path, numbers, cells, columns, signal, required=True)
-            for k in np.flatnonzero((u[:, i] < signal.low) | (u[:, i] > signal.high))[:1]:
-                raise ValueError(
-                    f"{path}, row {numbers[k]}, column {signal.name}: {u[k, i]:g} {signal.unit}; plant {plant.name!r} holds "
-                    f"from {signal.low:g} to {signal.high:g} {signal.unit}; correct the input or convert its unit"
-                )
+            require_within_limits(str(path), plant, signal, u[:, i], numbers)
     return Log(t, y, u)
 
 
@@ -115,5 +111,7 @@ def _values(
             values[k] = np.inf
         if np.isinf(values[k]) or (required and np.isnan(values[k])):
             expected = "a finite number" if required else "a finite number, or nothing where the reading is missing"
+            if what is TIME and text:
+                expected += " of seconds: subtract the first time stamp, or read the file with pandas and pass the frame"
             raise ValueError(f"{path}, row {numbers[k]}, column {what.name}: {shown(text)}; expected {expected}")
     return values

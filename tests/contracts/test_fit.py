@@ -146,3 +146,25 @@ def test_diagnose_takes_a_detector_by_name() -> None:
         ValueError, match=r"plant is given together with a detector, which has its own, 'two-tanks'; leave plant out"
     ):
         diagnose(CentralFilter(tanks()), recording, plant=PLANT)
+
+
+def test_diagnose_takes_a_class_or_function_that_builds_a_detector() -> None:
+    recording = simulate(tanks(), 30, [0])
+    expected = diagnose(CentralFilter(tanks()), recording)
+    for build in (CentralFilter, lambda plant: CentralFilter(plant), registry.NamedDetector("mine", "", CentralFilter)):
+        found = diagnose(build, recording, plant=PLANT)
+        np.testing.assert_array_equal(found.decisions.residual, expected.decisions.residual)
+    with pytest.raises(ValueError, match=r"detector CentralFilter is not built: it needs its plant; pass plant="):
+        diagnose(CentralFilter, recording)
+    for wrong in (tanks(), None):
+        with pytest.raises(
+            ValueError, match=r"the first argument is of type (Plant|NoneType); expected a detector or its name"
+        ):
+            diagnose(wrong, recording, plant=PLANT)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="built Plant; expected a Detector"):
+        diagnose(lambda plant: plant, recording, plant=PLANT)  # type: ignore[arg-type,return-value]
+
+
+def test_fit_refuses_settings_that_it_has_not() -> None:
+    with pytest.raises(ValueError, match="fit has no settings sigma; it has healthy and false_alarm: build"):
+        fit("limits", PLANT, sigma=1)

@@ -119,6 +119,16 @@ def test_time_stamps_become_seconds_since_the_first(zone: str | None, as_index: 
     assert_same_bits(run(DETECTOR, state, data)[1], run(DETECTOR, state, moved)[1])
 
 
+@pytest.mark.parametrize("as_index", [True, False], ids=["index", "column"])
+def test_durations_become_seconds(as_index: bool) -> None:
+    log = arrays()
+    data = frame(log)
+    pandas = pytest.importorskip("pandas")
+    times = pandas.to_timedelta(log.t, unit="s")
+    data = data.drop(columns="time").set_index(times) if as_index else data.assign(time=times)
+    np.testing.assert_array_equal(as_log(PLANT, data).t, log.t)
+
+
 def test_times_that_could_be_misread_are_refused() -> None:
     data = frame(arrays())
     pandas = pytest.importorskip("pandas")
@@ -131,7 +141,9 @@ def test_times_that_could_be_misread_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             as_log(PLANT, data.assign(time=times))
-    with pytest.raises(ValueError, match=r"no column 'time' among"):
+    with pytest.raises(
+        ValueError, match=r"no column 'time' among .*, and its index has the name None; .*rename_axis\('time'\)"
+    ):
         as_log(PLANT, data.drop(columns="time"))  # the index counts rows
     with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers; pass dates as seconds since the first"):
         as_log(PLANT, stamps.to_numpy(), *arrays()[1:])
@@ -160,6 +172,15 @@ def test_columns_keep_the_policy_of_read_log() -> None:
         as_log(PLANT, data.assign(**{"l1 [m]": data["l1"]}))
     with pytest.raises(ValueError, match=r"the frame, column l1: its type is .*; expected numbers, .*pandas.to_numeric"):
         as_log(PLANT, data.assign(l1="high"))
+
+
+def test_inputs_beyond_their_limits_are_refused_as_read_log_does() -> None:
+    data = frame(arrays())
+    data.loc[2, "inflow [m3/s]"] = 7.0
+    with pytest.raises(
+        ValueError, match=r"the frame, row 3, column inflow: 7 m3/s; plant 'two-tanks' holds from 0 to 0.002 m3/s; correct"
+    ):
+        as_log(PLANT, data)
 
 
 @pytest.mark.parametrize(

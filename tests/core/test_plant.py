@@ -300,3 +300,19 @@ def test_our_plants_are_analytic(name: str) -> None:
 def test_models_of_another_shape_are_refused_when_the_plant_is_built(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(chain(3), **change)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_functions_that_index_states_along_the_first_axis_are_refused(n: int) -> None:
+    with pytest.raises(ValueError, match=r"step of plant 'chain' (gives shape|fails for states)"):
+        replace(chain(n), step=lambda t, x, u, dt: np.array([x[i] for i in range(n)]))
+    with pytest.raises(ValueError, match=r"output of plant 'chain' (gives shape|fails for states)"):
+        replace(chain(n), output=lambda t, x, u: np.array([x[i] for i in range(n)]))
+
+
+def test_an_input_that_is_not_declared_is_named_as_the_cause() -> None:
+    message = r"of plant 'chain' uses an input, and the plant declares none; pass inputs=\(Signal\(\.\.\.\), \.\.\.\)"
+    with pytest.raises(ValueError, match=f"step {message}"):
+        replace(chain(2), inputs=(), step=lambda t, x, u, dt: x + dt * u[..., 0, None])
+    with pytest.raises(ValueError, match=f"output {message}"):
+        replace(chain(2), inputs=(), output=lambda t, x, u: x + u[..., 0, None])

@@ -57,7 +57,7 @@ def test_files_of_one_name_are_two_modules(tmp_path: Path) -> None:
     [
         ("math", "'math' names no object; expected module:attribute or path/file.py:attribute"),
         ("no_such.module:x", "there is no module no_such.module; install the package that has it, or name its file"),
-        ("math:tao", "math:tao: math has no attribute 'tao'; it has .*tau"),
+        ("math:tao", r"math:tao: math has no attribute 'tao'; did you mean 'tau'\? it has .*sin"),
         ("absent.py:x", r"absent.py cannot be read \(No such file or directory\); expected a Python file"),
         ("broken.py:x", r"broken.py fails while it is imported: SyntaxError: .*; correct it"),
         ("needy.py:x", "needy.py fails while it is imported: ModuleNotFoundError: No module named 'no_such'"),
@@ -73,3 +73,12 @@ def test_an_error_names_what_cannot_be_loaded(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ValueError, match=message):
         load(reference)
+
+
+def test_an_unknown_attribute_is_answered_by_functions_and_plants_only(tmp_path: Path) -> None:
+    (tmp_path / "tank.py").write_text(
+        "import math\nfrom toy_plants import tanks\nfrom fusion_sfdia import Signal\n"
+        "SIZE = 1\nPLANT = tanks()\nclass Mine:\n    pass\ndef make():\n    return PLANT\n"
+    )
+    with pytest.raises(ValueError, match=r"no attribute 'mak'; did you mean 'make'\? it has tanks, PLANT, Mine, make$"):
+        load(f"{tmp_path}/tank.py:mak")

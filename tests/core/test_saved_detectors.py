@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 from toy_plants import readings, tanks
 
+from fusion_sfdia import registry
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
-from fusion_sfdia.core.storage import read_arrays, save_state, write_arrays
+from fusion_sfdia.core.storage import load_state, read_arrays, save_state, write_arrays
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.filters.estimators import Unscented
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
@@ -91,3 +93,48 @@ def test_a_file_names_no_other_code(reference: str, message: str, tmp_path: Path
     write_arrays(path, found)
     with pytest.raises(ValueError, match=message):
         load_detector(path, PLANT)
+
+
+def test_a_detector_of_a_file_is_loaded_once_its_file_is_imported(tmp_path: Path) -> None:
+    """In a new process the error names the file and the cure, and the cure works; also where the file was moved."""
+    (tmp_path / "bank.py").write_text(
+        "from dataclasses import dataclass\n"
+        "from fusion_sfdia.kalman_banks.central_filter import CentralFilter\n"
+        "@dataclass(frozen=True)\n"
+        "class Bank(CentralFilter):\n"
+        "    size: int = 1\n"
+        "def make(plant):\n"
+        "    return Bank(plant, size=7)\n"
+    )
+    path, file = tmp_path / "bank.npz", tmp_path / "bank.py"
+    saved = registry.detector(f"{file}:make", PLANT)
+    save_detector(path, saved)
+    del sys.modules[type(saved).__module__]  # as in a new process
+    with pytest.raises(
+        ValueError,
+        match=rf"its class Bank is of the file {file}, which is not imported yet; build .* registry.detector\('{file}:",
+    ):
+        load_detector(path, PLANT)
+    moved = tmp_path / "moved" / "bank.py"
+    moved.parent.mkdir()
+    registry.detector(f"{file}:make", PLANT)
+    assert load_detector(path, PLANT).size == 7
+    del sys.modules[type(saved).__module__]
+    registry.detector(f"{file.rename(moved)}:make", PLANT)
+    assert load_detector(path, PLANT).size == 7
+
+
+def test_names_in_place_of_objects_and_a_state_in_place_of_a_detector_are_one_clear_error(tmp_path: Path) -> None:
+    path = tmp_path / "mine.npz"
+    save_detector(path, Mine(PLANT))
+    with pytest.raises(ValueError, match=r"plant is 'two-tanks'; expected a Plant, such as registry.plant\('two-tanks'\)"):
+        load_detector(path, "two-tanks")  # type: ignore[arg-type]
+    for wrong in ("kf-chi2", Mine, PLANT):
+        with pytest.raises(
+            ValueError, match=r"detector is .*; expected a Detector, such as registry.detector\('kf-chi2', plant\)"
+        ):
+            save_detector(path, wrong)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="detector is 'kf-chi2'; expected a Detector"):
+        load_state(path, "kf-chi2")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"mine.npz is a saved detector, not a state; read it with load_detector"):
+        load_state(path, Mine(PLANT))

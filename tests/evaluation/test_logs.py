@@ -102,6 +102,10 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         (HEADER + "\n1,1.0," + 5000 * "x" + ",1,1", r"row 2, column l2: 'x{56}\.\.\.; expected a finite number"),
         (HEADER.replace("l1", f"l1 [{5000 * 'm'}]") + "\n" + ROW, r"column 'l1' is in 'm{56}\.\.\., plant"),
         (HEADER + "\n1,1.0,1,1", "row 2: 4 cells under a header of 5"),
+        (
+            HEADER + "\n2024-05-01,1.0,1,1,1",
+            "column time: '2024-05-01'; expected a finite number of seconds: subtract the first",
+        ),
         (HEADER + "\n,1.0,1,1,1", "row 2, column time: ''; expected a finite number"),
         (HEADER + "\n" + ROW + "\n\n" + ROW, r"row 4, column time: 1\.0 s after 1\.0 s; times must increase"),
         (HEADER + ",inflow\n1,1,1,1,1,", "row 2, column inflow: ''; expected a finite number"),

@@ -116,6 +116,7 @@ def test_detectors_by_reference_and_as_objects() -> None:
         ),
         ("tank.py:number", "plant tank.py:number: its function returned int; expected a Plant"),
         ("tank.py:TANK", "has no attribute 'TANK'; it has two_tanks, PLANT, make, of_size, number"),
+        ("tank.py", "plant 'tank.py' is a file; name the plant in it, tank.py:NAME"),
         ("other.py:make", "other.py cannot be read"),
         (7, "plant int is of type int; expected a Plant, or a function without arguments that returns one"),
     ],
