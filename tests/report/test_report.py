@@ -80,7 +80,7 @@ def test_what_a_reader_looks_for(page: str) -> None:
     assert "6 seeds of 50 in the full size" in page
     assert "2 published values" not in page
     assert re.search(r"1 published values?: 1 of 1 lies? within the 95 % interval", " ".join(read.text.split()))
-    assert "Nobody 1999, Table I, p. 1" in read.text
+    assert "Author 1999, Table I, p. 1" in read.text
     assert "(within)" in read.text
     assert "undefined" in read.text
     assert "fusion-sfdia run toy/mean" in read.text

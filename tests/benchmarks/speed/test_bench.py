@@ -120,7 +120,7 @@ def test_bad_input_is_named_before_anything_is_timed(tmp_path: Path) -> None:
         bench.run(["bnak"])
     with pytest.raises(ValueError, match="positive time"):
         best_times({}, 0.0)
-    with pytest.raises(ValueError, match="seconds is nan; a positive time"):
+    with pytest.raises(ValueError, match="seconds is nan; expected a positive time"):
         best_times({}, float("nan"))
     (tmp_path / "metrics.csv").write_text("mine")
     with pytest.raises(ValueError, match=r"already used; name another folder with --out, or write into it with --force"):
