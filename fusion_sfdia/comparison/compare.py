@@ -100,7 +100,8 @@ SCENARIO = scenario_of(Subjects())
 class ComparisonResult:
     """What a comparison found: its rows as in metrics.csv, findings in sentences, a line for each piece of work that failed.
 
-    folder: where metrics.csv, figures and report.html are; None where they were not kept. notes: lines of damaged parts.
+    folder: where metrics.csv, figures and report.html are; None where they were not kept. notes: lines of damaged parts, and
+    of plants that have the name of a registered one but not its cases.
     """
 
     rows: list[Row]
@@ -152,21 +153,30 @@ def compare(
     """Compare detectors on plants under one protocol, at one rate of false alarms.
 
     plants: names, references "file.py:attribute" or "module:attribute", Plants, or functions without arguments that return
-    one; None for all that are registered. detectors: names, references, or classes and functions that take a Plant and return
-    a Detector; None for all. A detector is a frozen dataclass with a field threshold_scale, a factor of all its thresholds.
+    one; None for all that are registered. A Plant, and that of a function, is compared under its own name; one that equals
+    the registered plant of its name has the cases of that one. detectors: names, references, or classes and functions that
+    take a Plant and return a Detector; None for all. A detector is a frozen dataclass with a field threshold_scale, a factor
+    of all its thresholds.
     faults: kinds of sensor faults, see `protocol.KINDS`. seeds: runs of each condition. full: the size of the whole comparison,
     hours. cases: by a plant's name its mismatch cases and process faults, in place of those with which it is registered; one
     without any is compared without. workers: processes, None for one a core; objects are pickled to send them there. scheduler:
     address of a dask cluster instead. out: folder of the results, which takes up an interrupted comparison; None to keep none.
     force: write into a folder that is in use. settings: those of `protocol.SETTINGS`.
 
+    An interrupted comparison is taken up only for what is unchanged: the sources of a plant and detector, and the values that
+    the built plant holds, also those read from a file. What a module reads on import and its functions use as global variables,
+    and files that a detector reads, are not seen: name another folder after a change of those.
+
     The numbers are the same bits as those of the command `fusion-sfdia compare` with the same names. ValueError for what does
     not fit, also for two of one name. A piece of work that fails is in `failures`, and a detector that is not applicable to a
     plant is left out there.
     """
     by_name = dict(cases or {})
-    found = [compared_plant(what) for what in _each(plants, registry.plants())]
-    found = [compared_plant(p.entry, by_name.pop(p.name)) if p.name in by_name else p for p in found]
+    of_plants = _each(plants, registry.plants())
+    found = [compared_plant(what) for what in of_plants]
+    found = [
+        compared_plant(what, by_name.pop(p.name)) if p.name in by_name else p for what, p in zip(of_plants, found, strict=True)
+    ]
     for name in by_name:
         require_known("plant", name, [p.name for p in found])
     of_detectors = [compared_detector(what) for what in _each(detectors, registry.detectors())]
@@ -185,7 +195,8 @@ def compare(
         )  # fmt: skip
         page = outcome.report.read_text(encoding="utf-8")
     kept = None if out is None else Path(out)
-    return ComparisonResult(outcome.rows, outcome.highlights, outcome.failures, outcome.notes, kept, page)
+    notes = [*(p.note for p in found if p.note), *outcome.notes]
+    return ComparisonResult(outcome.rows, outcome.highlights, outcome.failures, notes, kept, page)
 
 
 def _each(given: Any, known: Iterable[str]) -> list[Any]:
