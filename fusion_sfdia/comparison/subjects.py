@@ -120,7 +120,16 @@ def _built(entry: NamedPlant) -> Plant:
 
 
 def compared_detector(what: DetectorLike) -> ComparedDetector:
-    """A detector that is compared, by its name, a reference or itself; ValueError as of `registry.find_detector`."""
+    """A detector that is compared, by its name, a reference or itself.
+
+    ValueError as of `registry.find_detector`, and for a built detector: each plant needs one of its own.
+    """
+    if isinstance(what, Detector) and not isinstance(what, type):
+        name = type(what).__name__
+        raise ValueError(
+            f"detector {name} is already built for plant {what.plant.name!r}; expected what builds it for each plant: pass the "
+            f"class, {name}, or lambda plant: {name}(plant, ...) with its settings"
+        )
     entry = registry.find_detector(what)
     digest = object_digest(entry.build, _modules(entry.source))
     if _is_file(what):

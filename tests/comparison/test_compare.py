@@ -259,6 +259,10 @@ def test_the_comparison_knows_no_plant(root: Path) -> None:
         ({"detectors": ["limits", "limits"]}, "detectors named limits are given twice"),
         ({"plants": "two-tank"}, "did you mean 'two-tanks'"),
         ({"plants": my_chain, "cases": {"chains": CASES}}, "did you mean 'chain'"),
+        (
+            {"detectors": Cautious(chain(4))},
+            r"is already built for plant 'chain'; .* pass the class, Cautious, or lambda plant",
+        ),
         ({"detectors": 3}, "expected a class or function that takes a Plant"),
         ({"plants": my_chain, "sizes": (3,)}, "no setting 'sizes'"),
         ({"plants": my_chain, "window": 1}, "a whole number from 2 "),
