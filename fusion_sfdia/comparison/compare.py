@@ -7,7 +7,8 @@ What is compared: `subjects`. What is done: `protocol`, with the cases that stan
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Set
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -26,6 +27,7 @@ from fusion_sfdia.comparison.subjects import (
     compared_detector,
     compared_plant,
 )
+from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.evaluation.cases import ComparisonCases
@@ -171,6 +173,8 @@ def compare(
     not fit, also for two of one name. A piece of work that fails is in `failures`, and a detector that is not applicable to a
     plant is left out there.
     """
+    if seeds is not None:
+        seeds = whole("seeds", seeds, 1)
     by_name = dict(cases or {})
     of_plants = _each(plants, registry.plants())
     found = [compared_plant(what) for what in of_plants]
@@ -186,17 +190,43 @@ def compare(
         if names != SETTINGS[kind]:  # else the command of the folder has them as its defaults
             given[kind] = names
     if faults is not None:
-        given["faults"] = faults if isinstance(faults, str) else tuple(faults)
+        given["faults"] = _fault_names(faults)
     changes = {name: setting_text(value) for name, value in given.items()}
     with nullcontext(str(out)) if out is not None else TemporaryDirectory(prefix="fusion-sfdia-") as folder:
-        outcome = run_scenarios(
-            [scenario_of(subjects)], folder, seeds=seeds, full=full, changes=changes, workers=workers, scheduler=scheduler,
-            force=force,
-        )  # fmt: skip
+        try:
+            outcome = run_scenarios(
+                [scenario_of(subjects)], folder, seeds=seeds, full=full, changes=changes, workers=workers, scheduler=scheduler,
+                force=force,
+            )  # fmt: skip
+        except ValueError as error:
+            raise ValueError(_of_both(str(error))) from error
         page = outcome.report.read_text(encoding="utf-8")
     kept = None if out is None else Path(out)
     notes = [*(p.note for p in found if p.note), *outcome.notes]
-    return ComparisonResult(outcome.rows, outcome.highlights, outcome.failures, notes, kept, page)
+    failures = [re.sub(r", sources [0-9a-f]+-[0-9a-f]+", "", line) for line in outcome.failures]
+    return ComparisonResult(outcome.rows, outcome.highlights, failures, notes, kept, page)
+
+
+def _fault_names(faults: Any) -> str | tuple[str, ...]:
+    """The kinds of faults as a setting; ValueError for anything but a name, or a list of names."""
+    if isinstance(faults, str):
+        return faults
+    cure = f"such as ['bias', 'drift'], of: {', '.join(KINDS)}"
+    if not isinstance(faults, Iterable) or isinstance(faults, Mapping | Set):
+        raise ValueError(f"faults is {shown(faults)}; expected a list of kinds of faults, {cure}")
+    names = tuple(faults)
+    for name in names:
+        if not isinstance(name, str):
+            raise ValueError(
+                f"faults has {shown(name)} in it; expected names of kinds of faults, {cure}. Sensors, onsets and sizes are set "
+                "by the protocol: give sizes as magnitudes=(...) in sigma"
+            )
+    return names
+
+
+def _of_both(text: str) -> str:
+    """An error of a run with the names of arguments in Python beside the options of the command line."""
+    return text.replace("with --out", "with out= (--out)").replace("with --force", "with force=True (--force)")
 
 
 def _each(given: Any, known: Iterable[str]) -> list[Any]:

@@ -23,6 +23,7 @@ from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, compared_d
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.results import read_rows
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.models.two_tanks.plant import two_tanks
@@ -263,6 +264,17 @@ def test_the_comparison_knows_no_plant(root: Path) -> None:
             {"detectors": Cautious(chain(4))},
             r"is already built for plant 'chain'; .* pass the class, Cautious, or lambda plant",
         ),
+        ({"plants": my_chain, "seeds": 1.5}, "seeds is 1.5; expected a whole number of at least 1"),
+        (
+            {"faults": [Fault("x0", "bias", 1.0, magnitude=2.0)]},
+            r"faults has Fault\(.* in it; expected names .* give sizes as magnitudes=",
+        ),
+        (
+            {"faults": {"bias": 3.0}},
+            r"faults is {'bias': 3.0}; expected a list of kinds of faults, such as \['bias', 'drift'\]",
+        ),
+        ({"faults": {"bias"}}, r"faults is {'bias'}; expected a list"),
+        ({"faults": 3}, "faults is 3; expected a list"),
         ({"detectors": 3}, "expected a class or function that takes a Plant"),
         ({"plants": my_chain, "sizes": (3,)}, "no setting 'sizes'"),
         ({"plants": my_chain, "window": 1}, "a whole number from 2 "),
@@ -272,6 +284,13 @@ def test_the_comparison_knows_no_plant(root: Path) -> None:
 def test_what_does_not_fit_is_refused_before_any_work(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         compare(**({"detectors": ["limits"]} | arguments))
+
+
+def test_a_folder_that_is_in_use_is_refused_with_the_arguments_of_the_function(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
+    message = r"name another folder with out= \(--out\), or write into it with force=True \(--force\)"
+    with pytest.raises(ValueError, match=message):
+        compare("two-tanks", "limits", out=tmp_path, workers=1, **TINY)
 
 
 @dataclass(frozen=True)
@@ -291,6 +310,7 @@ class Unscaled:
 def test_a_detector_whose_thresholds_have_no_scale_fails_with_the_cure() -> None:
     found = compare(my_chain, [Unscaled, Cautious], workers=1, **TINY)
     [line] = found.failures
+    assert "sources" not in line and not re.search("[0-9a-f]{16}", line)
     assert "detector Unscaled has no field threshold_scale" in line and "derive it from BatchDetector" in line
     assert {r.detector for r in found.rows if r.metric == "auc"} == {"Cautious"}
 
