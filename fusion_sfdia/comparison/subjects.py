@@ -124,10 +124,11 @@ def compared_detector(what: DetectorLike) -> ComparedDetector:
 
     ValueError as of `registry.find_detector`, and for a built detector: each plant needs one of its own.
     """
-    if isinstance(what, Detector) and not isinstance(what, type):
-        name = type(what).__name__
+    built: Any = what
+    if isinstance(built, Detector) and not isinstance(built, type):
+        name = type(built).__name__
         raise ValueError(
-            f"detector {name} is already built for plant {what.plant.name!r}; expected what builds it for each plant: pass the "
+            f"detector {name} is already built for plant {built.plant.name!r}; expected what builds it for each plant: pass the "
             f"class, {name}, or lambda plant: {name}(plant, ...) with its settings"
         )
     entry = registry.find_detector(what)
