@@ -128,8 +128,8 @@ def compared_detector(what: DetectorLike) -> ComparedDetector:
     if isinstance(built, Detector) and not isinstance(built, type):
         name = type(built).__name__
         raise ValueError(
-            f"detector {name} is already built for plant {built.plant.name!r}; expected what builds it for each plant: pass the "
-            f"class, {name}, or lambda plant: {name}(plant, ...) with its settings"
+            f"detector {name} is already built for plant {built.plant.name!r}; expected what builds it for each plant: pass "
+            f"the class, {name}, or lambda plant: {name}(plant, ...) with its settings"
         )
     entry = registry.find_detector(what)
     digest = object_digest(entry.build, _modules(entry.source))
