@@ -10,6 +10,22 @@ from typing import Any
 
 from fusion_sfdia.core.numerals import integer
 
+# those of comparison.protocol, which would import NumPy: a test holds them equal
+FAULTS = (
+    *("bias", "drift", "noise", "scale", "freeze", "dropout", "two-faults", "three-faults"),
+    *("replay", "sign", "published"),
+)
+SETTINGS = {
+    "magnitudes": "1,3,10,30",
+    "lengths": "2,5,30,120",
+    "settle": "0",
+    "window": "30",
+    "false_alarm": "0.001",
+    "calibration_error": "0.1667",
+    "mismatch_cases": "true",
+    "process_faults": "true",
+}
+
 
 def add_run(commands: Any) -> None:
     """Add `run`."""
@@ -21,7 +37,14 @@ def add_run(commands: Any) -> None:
 
 def add_compare(commands: Any) -> None:
     """Add `compare`, which calls `fusion_sfdia.compare`."""
-    one = commands.add_parser("compare", help="compare detectors on plants under one protocol", allow_abbrev=False)
+    one = commands.add_parser(
+        "compare",
+        help="compare detectors on plants under one protocol",
+        epilog=f"Names of --faults: {', '.join(FAULTS)}. Keys of --set and their defaults: "
+        f"{', '.join(f'{key}={value}' for key, value in SETTINGS.items())}. Magnitudes are in sigma of the sensor's noise; "
+        "lengths, settle and window in samples. Names of plants and detectors: fusion-sfdia list.",
+        allow_abbrev=False,
+    )
     for what in ("plants", "detectors", "faults"):
         one.add_argument(
             f"--{what}", dest="set", action="append", default=[], type=f"{what}={{}}".format, metavar="A,B", help="only these"
@@ -79,13 +102,13 @@ def _run(chosen: argparse.Namespace) -> int:
 
 
 def _compare(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.comparison import protocol
     from fusion_sfdia.comparison.compare import compare
-    from fusion_sfdia.comparison.protocol import SETTINGS
     from fusion_sfdia.registry import require_known
 
     settings: dict[str, Any] = _settings(chosen.set)
     for key in settings:
-        require_known("setting", key, SETTINGS)
+        require_known("setting", key, protocol.SETTINGS)
     for kind in ("plants", "detectors"):
         if kind in settings:
             settings[kind] = [name.strip() for name in settings[kind].split(",") if name.strip()]

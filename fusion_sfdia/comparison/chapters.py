@@ -235,11 +235,13 @@ def words_chapter(detectors: Sequence[ComparedDetector]) -> Chapter:
 
 
 def extremes(values: Mapping[str, float]) -> str:
-    """The least and the largest by name."""
+    """The least and the largest by name; of a single one its value."""
     known = {k: v for k, v in values.items() if np.isfinite(v)}
     if not known:
         return "none is known"
     low, high = min(known, key=lambda k: known[k]), max(known, key=lambda k: known[k])
+    if len(known) == 1:
+        return f"{span([known[low]])} ({low})"
     return f"from {span([known[low]])} ({low}) to {span([known[high]])} ({high})"
 
 

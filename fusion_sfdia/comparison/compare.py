@@ -7,7 +7,8 @@ What is compared: `subjects`. What is done: `protocol`, with the cases that stan
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Set
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -26,6 +27,7 @@ from fusion_sfdia.comparison.subjects import (
     compared_detector,
     compared_plant,
 )
+from fusion_sfdia.core.arguments import shown, whole
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.evaluation.cases import ComparisonCases
@@ -100,7 +102,8 @@ SCENARIO = scenario_of(Subjects())
 class ComparisonResult:
     """What a comparison found: its rows as in metrics.csv, findings in sentences, a line for each piece of work that failed.
 
-    folder: where metrics.csv, figures and report.html are; None where they were not kept. notes: lines of damaged parts.
+    folder: where metrics.csv, figures and report.html are; None where they were not kept. notes: lines of damaged parts, and
+    of plants that have the name of a registered one but not its cases.
     """
 
     rows: list[Row]
@@ -152,21 +155,32 @@ def compare(
     """Compare detectors on plants under one protocol, at one rate of false alarms.
 
     plants: names, references "file.py:attribute" or "module:attribute", Plants, or functions without arguments that return
-    one; None for all that are registered. detectors: names, references, or classes and functions that take a Plant and return
-    a Detector; None for all. A detector is a frozen dataclass with a field threshold_scale, a factor of all its thresholds.
+    one; None for all that are registered. A Plant, and that of a function, is compared under its own name; one that equals
+    the registered plant of its name has the cases of that one. detectors: names, references, or classes and functions that
+    take a Plant and return a Detector; None for all. A detector is a frozen dataclass with a field threshold_scale, a factor
+    of all its thresholds.
     faults: kinds of sensor faults, see `protocol.KINDS`. seeds: runs of each condition. full: the size of the whole comparison,
     hours. cases: by a plant's name its mismatch cases and process faults, in place of those with which it is registered; one
     without any is compared without. workers: processes, None for one a core; objects are pickled to send them there. scheduler:
     address of a dask cluster instead. out: folder of the results, which takes up an interrupted comparison; None to keep none.
     force: write into a folder that is in use. settings: those of `protocol.SETTINGS`.
 
+    An interrupted comparison is taken up only for what is unchanged: the sources of a plant and detector, and the values that
+    the built plant holds, also those read from a file. What a module reads on import and its functions use as global variables,
+    and files that a detector reads, are not seen: name another folder after a change of those.
+
     The numbers are the same bits as those of the command `fusion-sfdia compare` with the same names. ValueError for what does
     not fit, also for two of one name. A piece of work that fails is in `failures`, and a detector that is not applicable to a
     plant is left out there.
     """
+    if seeds is not None:
+        seeds = whole("seeds", seeds, 1)
     by_name = dict(cases or {})
-    found = [compared_plant(what) for what in _each(plants, registry.plants())]
-    found = [compared_plant(p.entry, by_name.pop(p.name)) if p.name in by_name else p for p in found]
+    of_plants = _each(plants, registry.plants())
+    found = [compared_plant(what) for what in of_plants]
+    found = [
+        compared_plant(what, by_name.pop(p.name)) if p.name in by_name else p for what, p in zip(of_plants, found, strict=True)
+    ]
     for name in by_name:
         require_known("plant", name, [p.name for p in found])
     of_detectors = [compared_detector(what) for what in _each(detectors, registry.detectors())]
@@ -176,16 +190,43 @@ def compare(
         if names != SETTINGS[kind]:  # else the command of the folder has them as its defaults
             given[kind] = names
     if faults is not None:
-        given["faults"] = faults if isinstance(faults, str) else tuple(faults)
+        given["faults"] = _fault_names(faults)
     changes = {name: setting_text(value) for name, value in given.items()}
     with nullcontext(str(out)) if out is not None else TemporaryDirectory(prefix="fusion-sfdia-") as folder:
-        outcome = run_scenarios(
-            [scenario_of(subjects)], folder, seeds=seeds, full=full, changes=changes, workers=workers, scheduler=scheduler,
-            force=force,
-        )  # fmt: skip
+        try:
+            outcome = run_scenarios(
+                [scenario_of(subjects)], folder, seeds=seeds, full=full, changes=changes, workers=workers, scheduler=scheduler,
+                force=force,
+            )  # fmt: skip
+        except ValueError as error:
+            raise ValueError(_of_both(str(error))) from error
         page = outcome.report.read_text(encoding="utf-8")
     kept = None if out is None else Path(out)
-    return ComparisonResult(outcome.rows, outcome.highlights, outcome.failures, outcome.notes, kept, page)
+    notes = [*(p.note for p in found if p.note), *outcome.notes]
+    failures = [re.sub(r", sources [0-9a-f]+-[0-9a-f]+", "", line) for line in outcome.failures]
+    return ComparisonResult(outcome.rows, outcome.highlights, failures, notes, kept, page)
+
+
+def _fault_names(faults: Any) -> str | tuple[str, ...]:
+    """The kinds of faults as a setting; ValueError for anything but a name, or a list of names."""
+    if isinstance(faults, str):
+        return faults
+    cure = f"such as ['bias', 'drift'], of: {', '.join(KINDS)}"
+    if not isinstance(faults, Iterable) or isinstance(faults, Mapping | Set):
+        raise ValueError(f"faults is {shown(faults)}; expected a list of kinds of faults, {cure}")
+    names = tuple(faults)
+    for name in names:
+        if not isinstance(name, str):
+            raise ValueError(
+                f"faults has {shown(name)} in it; expected names of kinds of faults, {cure}. Sensors, onsets and sizes are set "
+                "by the protocol: give sizes as magnitudes=(...) in sigma"
+            )
+    return names
+
+
+def _of_both(text: str) -> str:
+    """An error of a run with the names of arguments in Python beside the options of the command line."""
+    return text.replace("with --out", "with out= (--out)").replace("with --force", "with force=True (--force)")
 
 
 def _each(given: Any, known: Iterable[str]) -> list[Any]:

@@ -11,7 +11,7 @@ from fusion_sfdia.comparison.figures import Cells, of_plant
 from fusion_sfdia.comparison.protocol import sizes
 from fusion_sfdia.comparison.ranking import Standing
 from fusion_sfdia.comparison.rows import exact_isolation, under_mismatch, under_process_faults
-from fusion_sfdia.comparison.tables import EVERY, Standings, robustness
+from fusion_sfdia.comparison.tables import EVERY, NOT_TRIED, Standings, robustness
 from fusion_sfdia.experiments.scenario import Settings
 
 MOST_EQUALS = 4  # detectors that are no worse beyond chance, by name
@@ -28,8 +28,9 @@ def opening(settings: Settings, cells: Cells, standings: Standings) -> list[str]
 def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: Mapping[str, Standing]) -> str:
     """Which detector to take on a plant, what it does where the model is wrong, and which does better there.
 
-    Of those that nothing beats beyond chance in isolation the one with the largest share of exact isolation. Empty where none
-    isolates a faulty sensor, or where no such fault is among the conditions.
+    Of those that nothing beats beyond chance in isolation the one with the largest share of exact isolation; where no two
+    differ, the two with the largest shares. Empty where none isolates a faulty sensor, or where no such fault is among the
+    conditions.
     """
     exact = {d: exact_isolation(settings, cell) for d, cell in cells.items()}
     best = [d for d in exact if d not in isolation or isolation[d].rank == 1]
@@ -39,23 +40,33 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: 
     cell, (_, large) = cells[name], sizes(settings)
     others = [d for d in best if d != name]
     named = f" (nor {', '.join(others)})" if 0 < len(others) <= MOST_EQUALS else ""
-    told = [
-        f"{cell.plant}: take {name}, which none exceeds in isolation{named}; under a fault of {large:g} sigma it isolates "
-        f"exactly the faulty sensor in {percent(exact[name].value)} of the samples."
-    ]
+    share = f"exactly the faulty sensor in {percent(exact[name].value)}"
+    if len(isolation) > 1 and all(standing.rank == 1 for standing in isolation.values()):
+        second = max(others, key=lambda d: np.nan_to_num(exact[d].value))
+        advice = [
+            f"{cell.plant}: no detector isolates significantly better than another; {name} and {second} have the highest "
+            f"values: under a fault of {large:g} sigma they isolate {share} and {percent(exact[second].value)} of the samples."
+        ]
+    else:
+        advice = [
+            f"{cell.plant}: take {name}, which none exceeds in isolation{named}; under a fault of {large:g} sigma it isolates "
+            f"{share} of the samples."
+        ]
+    if not any(c.mismatches for c in cells.values()):
+        advice.append(f"{NOT_TRIED.capitalize()}.")
     mismatch, process = under_mismatch(cell), under_process_faults(cell)
     if mismatch.share.value > RARELY:
-        told.append(
-            f"If the model errs ({mismatch.case}), it isolates a healthy sensor in {percent(mismatch.share.value)} of "
+        advice.append(
+            f"If the model errs ({mismatch.case}), {name} isolates a healthy sensor in {percent(mismatch.share.value)} of "
             "the samples"
         )
         robust = max(cells, key=lambda d: np.nan_to_num(robustness(settings, cells[d])))
         less = under_mismatch(cells[robust]).share.value
         better = robust != name and less < mismatch.share.value / 2
-        told[-1] += f"; {robust} in {percent(less)}, and the faulty one in {percent(exact[robust].value)}." if better else "."
+        advice[-1] += f"; {robust} in {percent(less)}, and the faulty one in {percent(exact[robust].value)}." if better else "."
     if process.share.value > RARELY:
-        told.append(f"It takes a process fault ({process.case}) for a sensor's in {percent(process.share.value)}.")
-    return " ".join(told)
+        advice.append(f"A process fault ({process.case}) is taken by {name} for a sensor's in {percent(process.share.value)}.")
+    return " ".join(advice)
 
 
 def decided(standings: Standings) -> str:

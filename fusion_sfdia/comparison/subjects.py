@@ -17,7 +17,7 @@ from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.references import call, load
 from fusion_sfdia.evaluation.cases import ComparisonCases, in_operation
-from fusion_sfdia.experiments.sources import object_digest
+from fusion_sfdia.experiments.sources import content_digest, object_digest
 from fusion_sfdia.registry import NamedDetector, NamedPlant
 
 PlantLike = str | Plant | Callable[[], Plant] | NamedPlant
@@ -26,11 +26,15 @@ DetectorLike = str | Callable[[Plant], Detector] | NamedDetector
 
 @dataclass(frozen=True)
 class ComparedPlant:
-    """A plant by its name in the results; two of the same name and digest are the same. entry: what makes it."""
+    """A plant by its name in the results; two of the same name and digest are the same.
+
+    entry: what makes it. note: what its user should know, "" for nothing.
+    """
 
     name: str
     digest: str
     entry: NamedPlant = field(compare=False, repr=False)
+    note: str = field(default="", compare=False, repr=False)
 
     @property
     def slug(self) -> str:
@@ -66,19 +70,67 @@ class Subjects:
 def compared_plant(what: PlantLike, cases: ComparisonCases | None = None) -> ComparedPlant:
     """A plant that is compared, by its name, a reference or itself; cases: in place of those with which it is registered.
 
-    ValueError as of `registry.find_plant`, and for what cannot be sent to other processes.
+    One that holds the same as the registered plant of its name has the cases of that one. The digest of a plant that is none
+    of this package includes what the built plant holds: numbers that its function reads from a file count, too. ValueError as
+    of `registry.find_plant`, for a plant that cannot be built, and for what cannot be sent to other processes.
     """
-    entry = registry.find_plant(what)
+    entry, content, note = _recognised(what, registry.find_plant(what))
     entry = entry if cases is None else entry._replace(cases=cases)
     lazy = [entry.cases] if isinstance(entry.cases, str) else []
-    digest = object_digest((entry.make, entry.cases), _modules(entry.source, *lazy))
+    digest = object_digest((entry.make, entry.cases, content), _modules(entry.source, *lazy))
     if _is_file(what):  # its module is none that another process could import
         entry = entry._replace(make=partial(call, _absolute(what), ""))
-    return ComparedPlant(_short(entry.name), digest, entry)
+    return ComparedPlant(_short(entry.name), digest, entry, note if cases is None else "")
+
+
+def _recognised(what: PlantLike, entry: NamedPlant) -> tuple[NamedPlant, str, str]:
+    """The entry of a plant, with the cases of the registered plant that it equals; a digest of what it holds, and a note."""
+    known = registry.plants()
+    if entry in known.values() or isinstance(what, NamedPlant):
+        return entry, "" if entry.package == registry.OURS else _content_of(entry), ""
+    plant = _built(entry)
+    content, same = content_digest(plant), known.get(plant.name)
+    if same is not None and content == _content_of(same):
+        return (entry._replace(cases=same.cases), content, "") if isinstance(what, str) else (same, "", "")
+    if isinstance(what, str):
+        return entry, content, ""
+    differs = (
+        f"plant {plant.name!r} has the name of a registered plant, but differs from it: it is compared without the mismatch "
+        f"cases and process faults of that one; give it a name of its own, or pass cases={{{plant.name!r}: ...}}"
+    )
+    return entry._replace(name=plant.name), content, "" if same is None else differs
+
+
+def _content_of(entry: NamedPlant) -> str:
+    """A digest of what a registered plant holds; "" for one that cannot be built, which its work reports."""
+    try:
+        return content_digest(_built(entry))
+    except ValueError:
+        return ""
+
+
+def _built(entry: NamedPlant) -> Plant:
+    """The plant of an entry; ValueError where its function fails."""
+    try:
+        return registry.plant(entry)
+    except Exception as error:
+        raise ValueError(
+            f"plant {entry.name} cannot be built: {type(error).__name__}: {error}; correct its function"
+        ) from error
 
 
 def compared_detector(what: DetectorLike) -> ComparedDetector:
-    """A detector that is compared, by its name, a reference or itself; ValueError as of `registry.find_detector`."""
+    """A detector that is compared, by its name, a reference or itself.
+
+    ValueError as of `registry.find_detector`, and for a built detector: each plant needs one of its own.
+    """
+    built: Any = what
+    if isinstance(built, Detector) and not isinstance(built, type):
+        name = type(built).__name__
+        raise ValueError(
+            f"detector {name} is already built for plant {built.plant.name!r}; expected what builds it for each plant: pass "
+            f"the class, {name}, or lambda plant: {name}(plant, ...) with its settings"
+        )
     entry = registry.find_detector(what)
     digest = object_digest(entry.build, _modules(entry.source))
     if _is_file(what):

@@ -25,6 +25,7 @@ from fusion_sfdia.report.content import Interval, Table
 
 Standings = Mapping[str, Mapping[str, Mapping[str, Standing]]]  # plant, criterion, detector
 EVERY = "all plants"
+NOT_TRIED = "model mismatch not tried"
 
 
 def robustness(settings: Settings, cell: ComparisonCell) -> float:
@@ -41,8 +42,12 @@ def choices_table(settings: Settings, cells: Cells) -> Table:
         if (best := best_isolation(settings, there)) is None:
             continue
         robust = max(there, key=lambda d: robustness(settings, there[d]))
-        chosen = {best: "most exact isolation"}
-        chosen |= {robust: "most exact isolation, with mismatch too" if best == robust else "most robust to mismatch"}
+        if not any(cell.mismatches for cell in there.values()):
+            chosen = {best: f"most exact isolation; {NOT_TRIED}"}
+        elif best == robust:
+            chosen = {best: "most exact isolation, with mismatch too"}
+        else:
+            chosen = {best: "most exact isolation", robust: "most robust to mismatch"}
         for detector, what in chosen.items():
             cell = there[detector]
             mismatch, fault = under_mismatch(cell), under_process_faults(cell)

@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 from fusion_sfdia import __version__, scenarios
-from fusion_sfdia.cli import listing
+from fusion_sfdia.cli import listing, runs
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.comparison import protocol
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
 PLANT = gas_pipeline()
@@ -153,6 +154,21 @@ def test_a_wrong_command_line_shows_its_use(capsys: pytest.CaptureFixture[str], 
         main(arguments)
     assert stop.value.code == 2
     assert "usage: fusion-sfdia" in capsys.readouterr().err
+
+
+def test_the_help_of_compare_lists_faults_and_settings_of_the_protocol(capsys: pytest.CaptureFixture[str]) -> None:
+    def text(value: object) -> str:
+        if isinstance(value, tuple):
+            return ",".join(map(text, value))
+        return str(value).lower() if isinstance(value, bool) else f"{value:.4g}"
+
+    named = ("plants", "detectors", "faults")
+    assert runs.FAULTS == protocol.KINDS
+    assert {key: text(value) for key, value in protocol.SETTINGS.items() if key not in named} == runs.SETTINGS
+    with pytest.raises(SystemExit):
+        main(["compare", "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "replay, sign, published" in shown and "window=30, false_alarm=0.001" in shown
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,8 +23,10 @@ from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, compared_d
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, ProcessFaultCase
+from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.results import read_rows
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.models.two_tanks.plant import two_tanks
 from fusion_sfdia.registry import NamedPlant, plants
 
 TINY: dict[str, Any] = {
@@ -66,17 +70,17 @@ def numbers(rows: Any) -> list[tuple[Any, ...]]:
 
 
 def test_a_plant_and_a_detector_of_ones_own_with_any_number_of_workers(tmp_path: Path) -> None:
-    two = compare(my_chain, [Cautious, "limits"], workers=2, cases={"my_chain": CASES}, **TINY)
+    two = compare(my_chain, [Cautious, "limits"], workers=2, cases={"chain": CASES}, **TINY)
     assert not two.failures and two.folder is None
-    assert {(r.plant, r.detector) for r in two.rows} == {("my_chain", "Cautious"), ("my_chain", "limits")}
+    assert {(r.plant, r.detector) for r in two.rows} == {("chain", "Cautious"), ("chain", "limits")}
     assert {r.condition for r in two.rows if r.metric == "false_isolation_probability"} == {"", "louder"}
     assert {r.fault for r in two.rows if r.metric == "false_isolation_probability"} == {"none", "jump"}
     claimed = {r.detector: r.value for r in two.rows if r.metric == "claimed_false_alarm_probability"}
     assert claimed == {"Cautious": 1e-4, "limits": 1e-3}
-    assert set(two.ranks) == {"my_chain"} and two.ranks["my_chain"]["isolation"] == {"Cautious": 1, "limits": 1}
+    assert set(two.ranks) == {"chain"} and two.ranks["chain"]["isolation"] == {"Cautious": 1, "limits": 1}
     page = two.report(tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Six tanks in a row" in page and "more of what moves them" in page and "A filter that alarms rarely" in page
-    one = compare([my_chain], [Cautious, "limits"], workers=1, cases={"my_chain": CASES}, **TINY)
+    one = compare([my_chain], [Cautious, "limits"], workers=1, cases={"chain": CASES}, **TINY)
     assert numbers(one.rows) == numbers(two.rows)
 
 
@@ -144,6 +148,74 @@ def test_a_changed_plant_never_takes_up_old_parts(tmp_path: Path, monkeypatch: p
     assert compared_plant("tank.py:tank") != before  # what it imports counts, too
 
 
+def test_the_registered_plant_as_an_object_has_its_cases_under_its_name() -> None:
+    named = compared_plant("two-tanks")
+    for what in (two_tanks, two_tanks(), lambda: two_tanks(), "fusion_sfdia.models.two_tanks.plant:two_tanks"):
+        found = compared_plant(what)
+        assert cases_of(found).mismatch and found.note == ""
+        assert isinstance(what, str) or found == named
+    used = two_tanks()
+    assert used.sensor_names and compared_plant(used) == named  # what a cached property keeps does not count
+
+
+def test_another_plant_of_a_registered_name_is_compared_without_cases_and_noted() -> None:
+    plant = replace(two_tanks(), dt=2 * two_tanks().dt)
+    found = compare(plant, "limits", workers=1, **TINY)
+    [note] = found.notes
+    assert "'two-tanks' has the name of a registered plant, but differs from it" in note and "cases={'two-tanks'" in note
+    assert not found.failures and {r.condition for r in found.rows if r.metric == "false_isolation_probability"} == {""}
+    assert compared_plant(plant, CASES).note == "" == compared_plant(chain(4)).note
+    assert compared_plant(lambda: plant).note == note
+
+
+def test_a_plant_that_cannot_be_built_is_refused() -> None:
+    def broken() -> Plant:
+        raise KeyError("length")
+
+    with pytest.raises(ValueError, match="plant broken cannot be built: KeyError: 'length'; correct its function"):
+        compared_plant(broken)
+
+
+READING = """
+import json
+from pathlib import Path
+from fusion_sfdia import Sensor, linear_plant
+
+def tank():
+    a = json.loads(Path(__file__).with_name("p.json").read_text(encoding="utf-8"))
+    return linear_plant(
+        "tank", [[a]], [[1.0], [1.0]], [Sensor("a", "x0", sigma=0.1), Sensor("b", "x0", sigma=0.1)],
+        dt=1.0, x0=[0.0], initial_cov=[0.01], process_cov=[0.01],
+    )
+"""
+
+
+def test_numbers_that_a_plant_reads_from_a_file_count(tmp_path: Path) -> None:
+    (tmp_path / "tank3.py").write_text(READING, encoding="utf-8")
+    found = []
+    for a in (0.9, 0.9, 0.8):
+        (tmp_path / "p.json").write_text(str(a), encoding="utf-8")
+        found.append(compared_plant(f"{tmp_path / 'tank3.py'}:tank"))
+    assert found[0] == found[1] != found[2]
+
+
+@pytest.mark.slow
+def test_two_processes_give_a_plant_one_digest(tmp_path: Path, root: Path) -> None:
+    (tmp_path / "tank3.py").write_text(READING, encoding="utf-8")
+    (tmp_path / "p.json").write_text("0.9", encoding="utf-8")
+    code = (
+        "from fusion_sfdia.comparison.subjects import compared_plant as c; from fusion_sfdia.registry import plants, plant\n"
+        "from fusion_sfdia.experiments.sources import content_digest as d\n"
+        "print(c('tank3.py:tank').digest, [d(plant(name)) for name in plants()])"
+    )
+    here = {"cwd": tmp_path, "check": True, "capture_output": True, "text": True}
+    outputs = [
+        subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(root), "PYTHONHASHSEED": seed}, **here)
+        for seed in ("1", "2")
+    ]
+    assert outputs[0].stdout == outputs[1].stdout
+
+
 def test_objects_that_differ_have_other_digests() -> None:
     assert compared_plant(chain(4)) == compared_plant(chain(4))
     assert compared_plant(chain(4)) != compared_plant(chain(5))
@@ -167,7 +239,7 @@ def test_cases_stand_beside_the_registered_plants_only() -> None:
 
 
 def test_process_faults_that_cannot_be_made_are_refused() -> None:
-    with pytest.raises(ValueError, match="'nothing' of my_chain: expected either a truth or what is lost"):
+    with pytest.raises(ValueError, match="'nothing' of chain: expected either a truth or what is lost"):
         failing(compared_plant(my_chain), ProcessFaultCase("nothing", "no fault"), 5, (0,), 1.0)
     closed = ProcessFaultCase("lost", "half of all inputs", lost=(0.5,) * 30)
     with pytest.raises(ValueError, match="'power-network' has controllers, which would act on what is lost"):
@@ -184,10 +256,25 @@ def test_the_comparison_knows_no_plant(root: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"plants": [my_chain, my_chain]}, "plants named my_chain are given twice"),
+        ({"plants": [my_chain, my_chain]}, "plants named chain are given twice"),
         ({"detectors": ["limits", "limits"]}, "detectors named limits are given twice"),
         ({"plants": "two-tank"}, "did you mean 'two-tanks'"),
-        ({"plants": my_chain, "cases": {"my-chain": CASES}}, "did you mean 'my_chain'"),
+        ({"plants": my_chain, "cases": {"chains": CASES}}, "did you mean 'chain'"),
+        (
+            {"detectors": Cautious(chain(4))},
+            r"is already built for plant 'chain'; .* pass the class, Cautious, or lambda plant",
+        ),
+        ({"plants": my_chain, "seeds": 1.5}, "seeds is 1.5; expected a whole number of at least 1"),
+        (
+            {"faults": [Fault("x0", "bias", 1.0, magnitude=2.0)]},
+            r"faults has Fault\(.* in it; expected names .* give sizes as magnitudes=",
+        ),
+        (
+            {"faults": {"bias": 3.0}},
+            r"faults is {'bias': 3.0}; expected a list of kinds of faults, such as \['bias', 'drift'\]",
+        ),
+        ({"faults": {"bias"}}, r"faults is {'bias'}; expected a list"),
+        ({"faults": 3}, "faults is 3; expected a list"),
         ({"detectors": 3}, "expected a class or function that takes a Plant"),
         ({"plants": my_chain, "sizes": (3,)}, "no setting 'sizes'"),
         ({"plants": my_chain, "window": 1}, "a whole number from 2 "),
@@ -197,6 +284,13 @@ def test_the_comparison_knows_no_plant(root: Path) -> None:
 def test_what_does_not_fit_is_refused_before_any_work(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         compare(**({"detectors": ["limits"]} | arguments))
+
+
+def test_a_folder_that_is_in_use_is_refused_with_the_arguments_of_the_function(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
+    message = r"name another folder with out= \(--out\), or write into it with force=True \(--force\)"
+    with pytest.raises(ValueError, match=message):
+        compare("two-tanks", "limits", out=tmp_path, workers=1, **TINY)
 
 
 @dataclass(frozen=True)
@@ -216,6 +310,7 @@ class Unscaled:
 def test_a_detector_whose_thresholds_have_no_scale_fails_with_the_cure() -> None:
     found = compare(my_chain, [Unscaled, Cautious], workers=1, **TINY)
     [line] = found.failures
+    assert "sources" not in line and not re.search("[0-9a-f]{16}", line)
     assert "detector Unscaled has no field threshold_scale" in line and "derive it from BatchDetector" in line
     assert {r.detector for r in found.rows if r.metric == "auc"} == {"Cautious"}
 

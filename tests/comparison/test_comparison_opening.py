@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_up_cell import SETTINGS_HERE, cell
+from made_up_cell import SETTINGS_HERE, cell, made_up
 
+from fusion_sfdia.comparison.chapters import extremes
 from fusion_sfdia.comparison.opening import advised, decided, opening, percent
 from fusion_sfdia.comparison.ranking import Standing
-from fusion_sfdia.comparison.tables import EVERY
+from fusion_sfdia.comparison.tables import EVERY, choices_table
 from fusion_sfdia.comparison.text import MOST_LISTED, false_isolations
 from fusion_sfdia.evaluation.metrics import Estimate
 
@@ -25,8 +26,8 @@ def test_the_advice_names_the_detector_its_faults_and_the_more_robust_one() -> N
     assert advised(SETTINGS_HERE, cells, standings(first=1, second=2)) == (
         "two-tanks: take first, which none exceeds in isolation; under a fault of 10 sigma it isolates "
         "exactly the faulty sensor in 44 % of the samples. "
-        "If the model errs (inflow), it isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one in "
-        "31 %. It takes a process fault (leak) for a sensor's in 12 %."
+        "If the model errs (inflow), first isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one "
+        "in 31 %. A process fault (leak) is taken by first for a sensor's in 12 %."
     )
     alone = advised(SETTINGS_HERE, {"second": cells["second"]}, {})
     assert alone == (
@@ -42,9 +43,35 @@ def test_only_what_nothing_beats_is_advised_and_its_equals_are_named() -> None:
         "two-tanks: take fewer, which none exceeds in isolation (nor equal); "
     )
     many = {f"d{k}": cell() for k in range(6)}
-    assert advised(SETTINGS_HERE, many, standings(**dict.fromkeys(many, 1))).startswith(
+    last = cell(exact=fewer)
+    assert advised(SETTINGS_HERE, {**many, "last": last}, standings(**dict.fromkeys(many, 1), last=2)).startswith(
         "two-tanks: take d0, which none exceeds in isolation; "
     )
+
+
+def test_where_no_difference_is_significant_the_two_highest_are_stated() -> None:
+    fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
+    cells = {"least": cell(exact=NONE), "second": cell(exact=fewer), "first": cell()}
+    found = advised(SETTINGS_HERE, cells, standings(least=1, second=1, first=1))
+    assert found.startswith(
+        "two-tanks: no detector isolates significantly better than another; first and second have the highest values: "
+        "under a fault of 10 sigma they isolate exactly the faulty sensor in 44 % and 31 % of the samples. "
+        "If the model errs (inflow), first isolates"
+    )
+
+
+def test_without_mismatch_cases_the_report_states_that_they_are_not_tried() -> None:
+    kept = cell()["mismatch"] == ""
+    nominal = cell(**{name: v[kept] for name, v in made_up().items() if v.ndim and len(v) == kept.size})
+    assert "of the samples. Model mismatch not tried. A process fault" in advised(SETTINGS_HERE, {"d": nominal}, {})
+    assert "not tried" not in advised(SETTINGS_HERE, {"d": cell()}, {})
+    [row] = choices_table(SETTINGS_HERE, {("two-tanks", "d"): nominal}).rows
+    assert row[1] == "most exact isolation; model mismatch not tried"
+
+
+def test_a_single_detector_has_one_value_and_several_a_range() -> None:
+    assert extremes({"d": 1.0, "unknown": np.nan}) == "1 (d)"
+    assert extremes({"d": 1.0, "e": 0.5}) == "from 0.5 (e) to 1 (d)"
 
 
 def test_where_nothing_isolates_nothing_is_advised() -> None:
