@@ -39,7 +39,7 @@ def example_figure(settings: Settings, cells: Mapping[str, ComparisonCell]) -> F
     return Figure(
         f"{some.subject.slug}-example",
         f"An example: one faulty run, {some.plant}",
-        f"Which detectors isolate it, how soon, and what they put in the place of the reading. {sensor}, the middle one of the "
+        f"Which detectors isolate the fault, how soon, and what they reconstruct. {sensor}, the middle one of the "
         f"plant's sensors, has a bias of {SIGMAS:g} sigma; thresholds are those of the common rate of false alarms. "
         "Reconstructions are cut off where they leave the range of the readings.",
         partial(draw_example, some.model, examples, named),
@@ -61,7 +61,7 @@ def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], name
     readings.plot(t, some[f"{PREFIX}signal"], color="0.55", linestyle="--", label="without noise and fault")
     titled(readings, f"Readings of {sensor.name}, with a bias of {SIGMAS:g} sigma in the grey time", unit)
     restored.plot(t, some[f"{PREFIX}signal"], color="0.55", linestyle="--", label="without noise and fault")
-    titled(restored, "What each detector puts in its place", unit)
+    titled(restored, "Reconstruction by each detector", unit)
     titled(scores, "Largest residual over its threshold: an alarm above 1", "residual / threshold")
     for name, one in sorted(examples.items(), key=lambda item: item[0] in named):  # the named on top
         look = {k: v for k, v in look_of[name].items() if k in ("color", "linestyle")} if name in named else {"color": GREY}

@@ -39,7 +39,7 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: 
         return ""
     cell, (_, large) = cells[name], sizes(settings)
     others = [d for d in best if d != name]
-    named = f" (nor {', '.join(others)})" if 0 < len(others) <= MOST_EQUALS else ""
+    named = f" (as good: {', '.join(others)})" if 0 < len(others) <= MOST_EQUALS else ""
     share = f"exactly the faulty sensor in {percent(exact[name].value)}"
     if len(isolation) > 1 and all(standing.rank == 1 for standing in isolation.values()):
         second = max(others, key=lambda d: np.nan_to_num(exact[d].value))
@@ -49,7 +49,7 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: 
         ]
     else:
         advice = [
-            f"{cell.plant}: take {name}, which none exceeds in isolation{named}; under a fault of {large:g} sigma it isolates "
+            f"{cell.plant}: use {name}: no other detector isolates better{named}; under a fault of {large:g} sigma it isolates "
             f"{share} of the samples."
         ]
     if not any(c.mismatches for c in cells.values()):
@@ -57,7 +57,7 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: 
     mismatch, process = under_mismatch(cell), under_process_faults(cell)
     if mismatch.share.value > RARELY:
         advice.append(
-            f"If the model errs ({mismatch.case}), {name} isolates a healthy sensor in {percent(mismatch.share.value)} of "
+            f"With a wrong model ({mismatch.case}) {name} isolates a healthy sensor in {percent(mismatch.share.value)} of "
             "the samples"
         )
         robust = max(cells, key=lambda d: np.nan_to_num(robustness(settings, cells[d])))
@@ -65,7 +65,9 @@ def advised(settings: Settings, cells: Mapping[str, ComparisonCell], isolation: 
         better = robust != name and less < mismatch.share.value / 2
         advice[-1] += f"; {robust} in {percent(less)}, and the faulty one in {percent(exact[robust].value)}." if better else "."
     if process.share.value > RARELY:
-        advice.append(f"A process fault ({process.case}) is taken by {name} for a sensor's in {percent(process.share.value)}.")
+        advice.append(
+            f"It attributes a process fault ({process.case}) to a sensor in {percent(process.share.value)} of the samples."
+        )
     return " ".join(advice)
 
 
@@ -77,7 +79,7 @@ def decided(standings: Standings) -> str:
             pairs = len(found) * (len(found) - 1) // 2
             counts = [sum(s.rank - 1 for s in criteria.get(c, {}).values()) for c in ("detection", "isolation")]
             told.append(f"{plant} {counts[0]} and {counts[1]} of {pairs}")
-    return f"Pairs of detectors that differ beyond chance, in detection and in isolation: {'; '.join(told)}." if told else ""
+    return f"Pairs of detectors that differ significantly, in detection and in isolation: {'; '.join(told)}." if told else ""
 
 
 def percent(share: float) -> str:

@@ -24,14 +24,14 @@ def test_the_advice_names_the_detector_its_faults_and_the_more_robust_one() -> N
     fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
     cells = {"first": cell(), "second": cell(exact=fewer, falsely_isolated=NONE)}
     assert advised(SETTINGS_HERE, cells, standings(first=1, second=2)) == (
-        "two-tanks: take first, which none exceeds in isolation; under a fault of 10 sigma it isolates "
+        "two-tanks: use first: no other detector isolates better; under a fault of 10 sigma it isolates "
         "exactly the faulty sensor in 44 % of the samples. "
-        "If the model errs (inflow), first isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one "
-        "in 31 %. A process fault (leak) is taken by first for a sensor's in 12 %."
+        "With a wrong model (inflow), first isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one "
+        "in 31 %. It attributes a process fault (leak) to a sensor in 12 % of the samples."
     )
     alone = advised(SETTINGS_HERE, {"second": cells["second"]}, {})
     assert alone == (
-        "two-tanks: take second, which none exceeds in isolation; under a fault of 10 sigma it isolates "
+        "two-tanks: use second: no other detector isolates better; under a fault of 10 sigma it isolates "
         "exactly the faulty sensor in 31 % of the samples."
     )
 
@@ -40,7 +40,7 @@ def test_only_what_nothing_beats_is_advised_and_its_equals_are_named() -> None:
     fewer = np.where(np.arange(12)[:, None] == 2, [[1, 1]], cell()["exact"])
     cells = {"most": cell(), "fewer": cell(exact=fewer), "equal": cell(exact=fewer)}
     assert advised(SETTINGS_HERE, cells, standings(most=2, fewer=1, equal=1)).startswith(
-        "two-tanks: take fewer, which none exceeds in isolation (nor equal); "
+        "two-tanks: use fewer: no other detector isolates better (as good: equal); "
     )
     many = {f"d{k}": cell() for k in range(6)}
     last = cell(exact=fewer)
@@ -56,7 +56,7 @@ def test_where_no_difference_is_significant_the_two_highest_are_stated() -> None
     assert found.startswith(
         "two-tanks: no detector isolates significantly better than another; first and second have the highest values: "
         "under a fault of 10 sigma they isolate exactly the faulty sensor in 44 % and 31 % of the samples. "
-        "If the model errs (inflow), first isolates"
+        "With a wrong model (inflow), first isolates"
     )
 
 
@@ -82,7 +82,7 @@ def test_where_nothing_isolates_nothing_is_advised() -> None:
 def test_ranks_count_the_pairs_that_differ() -> None:
     criteria = {"detection": standings(a=1, b=1, c=2), "isolation": standings(a=1, b=2, c=3)}
     assert decided({"tanks": criteria, EVERY: criteria}) == (
-        "Pairs of detectors that differ beyond chance, in detection and in isolation: tanks 1 and 3 of 3."
+        "Pairs of detectors that differ significantly, in detection and in isolation: tanks 1 and 3 of 3."
     )
     assert decided({}) == ""
 

@@ -115,9 +115,7 @@ def test_thresholds_are_the_order_statistic_of_the_scores() -> None:
     for bad, message in ((1.0, "false_alarm is 1.0; expected a probability"), (0.1, "warm_up is -1")):
         with pytest.raises(ValueError, match=message):
             detector.fit_thresholds((t, y, u), bad, -1)
-    with pytest.raises(
-        ValueError, match=r"exceeds 0, .* of CentralFilter has that false-alarm rate"
-    ):
+    with pytest.raises(ValueError, match=r"exceeds 0, .* of CentralFilter has that false-alarm rate"):
         detector.fit_thresholds((t, np.full_like(y, np.nan), u), 0.1)
     with pytest.raises(ValueError, match=r"the readings are None; expected t, y and u"):
         CentralFilter.fit(plant, None)
