@@ -26,7 +26,7 @@ def test_the_advice_names_the_detector_its_faults_and_the_more_robust_one() -> N
     assert advised(SETTINGS_HERE, cells, standings(first=1, second=2)) == (
         "two-tanks: use first: no other detector isolates better; under a fault of 10 sigma it isolates "
         "exactly the faulty sensor in 44 % of the samples. "
-        "With a wrong model (inflow), first isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one "
+        "With a wrong model (inflow) first isolates a healthy sensor in 62 % of the samples; second in 0 %, and the faulty one "
         "in 31 %. It attributes a process fault (leak) to a sensor in 12 % of the samples."
     )
     alone = advised(SETTINGS_HERE, {"second": cells["second"]}, {})
@@ -45,7 +45,7 @@ def test_only_what_nothing_beats_is_advised_and_its_equals_are_named() -> None:
     many = {f"d{k}": cell() for k in range(6)}
     last = cell(exact=fewer)
     assert advised(SETTINGS_HERE, {**many, "last": last}, standings(**dict.fromkeys(many, 1), last=2)).startswith(
-        "two-tanks: take d0, which none exceeds in isolation; "
+        "two-tanks: use d0: no other detector isolates better; "
     )
 
 
@@ -56,14 +56,16 @@ def test_where_no_difference_is_significant_the_two_highest_are_stated() -> None
     assert found.startswith(
         "two-tanks: no detector isolates significantly better than another; first and second have the highest values: "
         "under a fault of 10 sigma they isolate exactly the faulty sensor in 44 % and 31 % of the samples. "
-        "With a wrong model (inflow), first isolates"
+        "With a wrong model (inflow) first isolates"
     )
 
 
 def test_without_mismatch_cases_the_report_states_that_they_are_not_tried() -> None:
     kept = cell()["mismatch"] == ""
     nominal = cell(**{name: v[kept] for name, v in made_up().items() if v.ndim and len(v) == kept.size})
-    assert "of the samples. Model mismatch not tried. A process fault" in advised(SETTINGS_HERE, {"d": nominal}, {})
+    assert "of the samples. Model mismatch not tried. It attributes a process fault" in advised(
+        SETTINGS_HERE, {"d": nominal}, {}
+    )
     assert "not tried" not in advised(SETTINGS_HERE, {"d": cell()}, {})
     [row] = choices_table(SETTINGS_HERE, {("two-tanks", "d"): nominal}).rows
     assert row[1] == "most exact isolation; model mismatch not tried"
