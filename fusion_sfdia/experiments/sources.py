@@ -83,7 +83,7 @@ class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # it states no types
         self.modules: set[str] = set()
 
     def reducer_override(self, obj: Any) -> Any:
-        if isinstance(obj, type | FunctionType):
+        if isinstance(obj, type | FunctionType) and obj.__module__ in sys.modules:  # `namedtuple_X` of a NamedTuple is none
             self.modules.add(obj.__module__)
         reduced = super().reducer_override(obj)
         if isinstance(obj, type) and isinstance(reduced, tuple) and len(reduced[1]) > 2:

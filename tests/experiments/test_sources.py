@@ -16,7 +16,11 @@ from fusion_sfdia.experiments.sources import defining_sources, object_digest
 
 SCRIPT = '''
 from dataclasses import dataclass
+from typing import NamedTuple
 from fusion_sfdia.experiments.sources import object_digest
+
+class Memory(NamedTuple):
+    last: float
 
 @dataclass(frozen=True)
 class Rule:
@@ -24,7 +28,7 @@ class Rule:
     limit: float = {limit}
 
     def exceeded(self, y):
-        return abs(y) > self.limit * FACTOR
+        return Memory(abs(y) > self.limit * FACTOR)
 
 FACTOR = {factor}
 print(object_digest(lambda plant: Rule()))
