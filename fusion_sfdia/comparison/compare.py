@@ -7,7 +7,6 @@ What is compared: `subjects`. What is done: `protocol`, with the cases that stan
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Set
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -203,8 +202,7 @@ def compare(
         page = outcome.report.read_text(encoding="utf-8")
     kept = None if out is None else Path(out)
     notes = [*(p.note for p in found if p.note), *outcome.notes]
-    failures = [re.sub(r", sources [0-9a-f]+-[0-9a-f]+", "", line) for line in outcome.failures]
-    return ComparisonResult(outcome.rows, outcome.highlights, failures, notes, kept, page)
+    return ComparisonResult(outcome.rows, outcome.highlights, outcome.failures, notes, kept, page)
 
 
 def _fault_names(faults: Any) -> str | tuple[str, ...]:

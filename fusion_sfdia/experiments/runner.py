@@ -235,8 +235,9 @@ _USUAL = (("plant", ""), ("detector", ""), ("fault", "none"), ("quantity", "all"
 
 
 def _label(task: Task) -> str:
-    """A task in a few words."""
-    shown = {k: f"{v[0]}..{v[-1]}" if isinstance(v, list) and len(v) > 3 else v for k, v in task.items()}
+    """A task in a few words: without its `sources`, the digests of objects that are not of this package."""
+    named = {k: v for k, v in task.items() if k != "sources"}
+    shown = {k: f"{v[0]}..{v[-1]}" if isinstance(v, list) and len(v) > 3 else v for k, v in named.items()}
     return ", ".join(f"{k} {v}" for k, v in shown.items()) or "the only task"
 
 
