@@ -17,7 +17,7 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test test-kernels check lint format notebooks bench wheel clean
+.PHONY: env demo test test-long test-kernels check lint format notebooks bench wheel clean
 
 env: $(DEV)
 
@@ -36,7 +36,11 @@ demo: $(RUN)
 	$(BIN)/fusion-sfdia compare --out '$(DEMO_OUT)' --force $(DEMO_ARGS)
 
 test: $(DEV)
-	$(BIN)/python -m pytest -n $(WORKERS) -m 'slow or not slow'
+	$(BIN)/python -m pytest -n $(WORKERS) -m 'not long'
+
+# what takes long and decides little: the notebooks' outputs
+test-long: $(DEV)
+	$(BIN)/python -m pytest -n $(WORKERS) -m long
 
 # the quick numerical tests with the linear algebra of other processors
 test-kernels: $(DEV)

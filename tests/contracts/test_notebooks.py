@@ -70,7 +70,7 @@ def test_a_committed_notebook_is_small_and_portable(path: Path) -> None:
     assert any(pictures(cell) for cell in cells)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @each
 def test_a_fresh_kernel_gives_the_committed_outputs(path: Path) -> None:
     committed = nbformat.read(path, as_version=4)
