@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.comparison.calibration import silent_score
+from fusion_sfdia.comparison.calibration import as_scores
 from fusion_sfdia.comparison.protocol import PROCESS, FaultCondition, faults_of
 from fusion_sfdia.comparison.recordings import failing
 from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, kept
 from fusion_sfdia.comparison.subjects import ComparedPlant, plant_of
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.silent import silent_score
 from fusion_sfdia.core.state import State, chosen_runs, joined_runs
 from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.evaluation.fault_effects import apply_faults
@@ -158,7 +159,7 @@ def silent_walk(detector: Detector, recording: Recording, found: Branches, kept:
     for k, state, rows, decision in walk(detector, recording, found):
         if k in kept:
             seen.states[k] = chosen_runs(state, np.arange(count))
-        score = silent_score(decision)
+        score = as_scores(silent_score(decision))
         seen.trunk[k], seen.runs[rows] = score[:count], score[count:]
     return seen
 

@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from fusion_sfdia import registry
 from fusion_sfdia.comparison.recordings import healthy
 from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, plant_of
-from fusion_sfdia.core.detector import Decision, Detector, NotApplicableError
+from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.evaluation.simulate import Recording
+from fusion_sfdia.core.silent import silent, silent_scores
 
 Array = NDArray[Any]
 
-SILENT = 1e6  # thresholds are so many times as high
 RESAMPLES = 200  # of runs: a standard error within 5 %
 CALIBRATION_SEEDS = 910_000  # the first: apart from those of any run and from those that detectors are fitted on
 CLAIMS = {  # alarms a step over all sensors, of those that have no setting false_alarm
@@ -61,7 +60,8 @@ def calibrated(
     detector: Any = registry.detector(by.entry, plant_of(plant))
     require_scale(by.name, detector)
     recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + runs)))
-    scores = silent_scores(silent(detector), recording)[settle:]
+    _, found = silent_scores(silent(detector), recording.t, recording.y, recording.u_of_runs)
+    scores = as_scores(found)[settle:]
     scale = float(order_statistic(scores.ravel(), false_alarm))
     if not 0 < scale < np.inf:
         raise NotApplicableError(
@@ -99,27 +99,12 @@ def claim(name: str, detector: Any) -> float:
     return found if found > 0 or stated else np.nan  # from bounds that are taken from standard deviations nothing follows
 
 
-def silent(detector: Any) -> Any:
-    """The detector with thresholds beyond reach."""
-    return replace(detector, threshold_scale=SILENT * detector.threshold_scale)
-
-
 def deployed(calibration: Calibrated, scale: float | None = None) -> Any:
     """The detector with thresholds at the common rate of false alarms, or at another scale."""
     by = calibration.scale if scale is None else scale
     return replace(calibration.detector, threshold_scale=by * calibration.detector.threshold_scale)
 
 
-def silent_score(decision: Decision) -> Array:
-    """Scores of a silent detector over its own thresholds; what diverged scores nothing."""
-    return np.nan_to_num(decision.score * SILENT, nan=0.0)
-
-
-def silent_scores(detector: Detector, recording: Recording) -> Array:
-    """Scores (K, B) of a silent detector on a recording, from the start."""
-    state = detector.init((recording.y.shape[1],), float(recording.t[0]) - detector.plant.dt)
-    u, found = recording.u_of_runs, []
-    for k, t in enumerate(recording.t):  # one decision at a time is kept
-        state, decision = detector.step(state, float(t), recording.y[k], u[k])
-        found.append(silent_score(decision))
-    return np.stack(found)
+def as_scores(found: Array) -> Array:
+    """Scores of a silent detector, 0 where they are not numbers because it diverged."""
+    return np.nan_to_num(found, nan=0.0)

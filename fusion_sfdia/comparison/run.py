@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, silent_walk
-from fusion_sfdia.comparison.calibration import Calibrated, calibrated, deployed, silent
+from fusion_sfdia.comparison.calibration import Calibrated, calibrated, deployed
 from fusion_sfdia.comparison.example import example
 from fusion_sfdia.comparison.protocol import (
     GRADED,
@@ -42,6 +42,7 @@ from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, join,
 from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, cases_of, plant_of
 from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.silent import silent
 from fusion_sfdia.core.state import State, chosen_runs, leaves
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.scenario import Arrays, Task

@@ -17,12 +17,11 @@ from fusion_sfdia.core.arguments import Array, batch_shape, floats, number, prob
 from fusion_sfdia.core.border import InputLimits
 from fusion_sfdia.core.detector import Decision, check_reading
 from fusion_sfdia.core.health import keep_broken_out, without_broken
-from fusion_sfdia.core.log import as_log
+from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.silent import silent, silent_scores
 from fusion_sfdia.core.state import State, leaves, mapped
-
-SILENT = 1e6  # a scale of thresholds that no residual reaches: nothing is isolated
 
 
 class TimeStep(NamedTuple):
@@ -81,17 +80,9 @@ class BatchDetector(ABC):
         while nothing is isolated; runs in which the estimate diverges are left out. ValueError where they are too few for the
         rate (less than one sample expected above the thresholds), and where no scale of the thresholds has that rate.
         """
-        probability("false_alarm", false_alarm)
-        whole("warm_up", warm_up, least=0)
-        t, y, u = as_log(self.plant, healthy)
-        silent = replace(self, threshold_scale=SILENT)
-        state, scores = silent.init(y.shape[1:-1], float(t[0]) - self.plant.dt), []
-        diverged = np.zeros(y.shape[1:-1], bool)
-        for time, reading, applied in zip(t, y, u, strict=True):
-            state, decision = silent.step(state, float(time), reading, applied)
-            scores.append(decision.score * SILENT)
-            diverged = diverged | decision.diverged
-        found = np.stack(scores)[warm_up:, ~diverged].ravel()
+        log = self._healthy(healthy, false_alarm, warm_up)
+        state, scores = silent_scores(silent(replace(self, threshold_scale=1.0)), *log)
+        found = scores[warm_up:, ~state.diverged].ravel()
         if found.size * false_alarm < 1:
             raise ValueError(
                 f"{found.size} healthy samples cannot set thresholds that one in {1 / false_alarm:.0f} exceeds; give at least "
@@ -103,6 +94,12 @@ class BatchDetector(ABC):
                 f"thresholds of {type(self).__name__} has that false-alarm rate; use the detector unchanged"
             )
         return replace(self, threshold_scale=scale)
+
+    def _healthy(self, healthy: Any, false_alarm: float, warm_up: int) -> Log:
+        """The healthy readings as a Log; ValueError where they or the numbers do not fit."""
+        probability("false_alarm", false_alarm)
+        whole("warm_up", warm_up, least=0)
+        return as_log(self.plant, healthy)
 
     @property
     def hypotheses(self) -> tuple[str, ...]:

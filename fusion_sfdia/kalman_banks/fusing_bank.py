@@ -14,11 +14,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats, probability, whole
+from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, NotApplicableError, run
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.state import State, mapped
 from fusion_sfdia.filters.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
@@ -106,9 +105,7 @@ class FusingBank(BatchDetector):
         `warm_up` samples, in which the filter settles. The quantities share the rate equally. Runs in which the bank diverges
         are left out. Raises ValueError for too few data: less than one sample expected above a threshold.
         """
-        probability("false_alarm", false_alarm)
-        whole("warm_up", warm_up, least=0)
-        t, y, u = as_log(self.plant, healthy)
+        t, y, u = self._healthy(healthy, false_alarm, warm_up)
         groups = self.plant.quantities
         silent = replace(self, thresholds=(np.inf,) * len(self.plant.sensors))
         _, decisions = run(silent, silent.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)

@@ -17,11 +17,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats, number, probability, shown, whole
+from fusion_sfdia.core.arguments import floats, number, shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, readmit
-from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
@@ -118,9 +117,7 @@ class Chebyshev(BatchDetector):
         healthy: as in `fit`. false_alarm: rate per step of a diagnoser, shared equally by its sensors. The first `warm_up`
         samples are left out. Raises ValueError where there are too few samples.
         """
-        whole("warm_up", warm_up, least=0)
-        probability("false_alarm", false_alarm)
-        t, y, u = as_log(self.plant, healthy)
+        t, y, u = self._healthy(healthy, false_alarm, warm_up)
         plain = replace(self, rule="gaussian", alpha=1.0, false_alarm=None, accommodate=False, threshold_scale=1.0)
         _, decisions = run(plain, plain.init(y.shape[1:-1], float(t[0]) - self.plant.dt), t, y, u)
         scores = np.where(np.isfinite(decisions.residual), decisions.scores, np.nan)[warm_up:].reshape(-1, y.shape[-1])

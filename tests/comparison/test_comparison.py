@@ -19,11 +19,9 @@ from fusion_sfdia.comparison import recordings as comparison_recordings
 from fusion_sfdia.comparison import run as comparison_run
 from fusion_sfdia.comparison.branches import deployed_walk, silent_walk
 from fusion_sfdia.comparison.calibration import (
+    as_scores,
     calibrated,
     deployed,
-    silent,
-    silent_score,
-    silent_scores,
     standard_ends,
 )
 from fusion_sfdia.comparison.cell import ComparisonCell, widened
@@ -45,6 +43,7 @@ from fusion_sfdia.comparison.summary import gather
 from fusion_sfdia.comparison.text import broken_claims, distinct
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.silent import silent, silent_score, silent_scores
 from fusion_sfdia.evaluation.cases import ComparisonCases
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.evaluation.simulate import Recording
@@ -80,6 +79,10 @@ def results(settings: dict[str, Any], seeds: int = 3, subjects: Subjects = Subje
 
 def summarise(settings: dict[str, Any], found: list[tuple[Any, Any]], subjects: Subjects = Subjects()) -> Any:  # noqa: B008
     return Comparison(subjects).summarise(settings, found)
+
+
+def scores_of(detector: Any, recording: Recording) -> Any:
+    return as_scores(silent_scores(detector, recording.t, recording.y, recording.u_of_runs)[1])
 
 
 def cells_of(settings: dict[str, Any], found: list[tuple[Any, Any]]) -> dict[tuple[str, str], ComparisonCell]:
@@ -200,7 +203,7 @@ def test_scores_of_a_silent_detector_are_those_over_its_own_thresholds() -> None
     found = calibrated(TANKS, compared_detector("kf-chi2"), 20, 50, 10, 0.02)  # it accuses and latches nothing
     recording = healthy(TANKS, 30, (0, 1))
     nominal = scores(found.detector, recording)
-    np.testing.assert_allclose(silent_scores(silent(found.detector), recording), nominal)
+    np.testing.assert_allclose(scores_of(silent(found.detector), recording), nominal)
     np.testing.assert_allclose(scores(deployed(found), recording) * found.scale, nominal)
 
 
@@ -289,13 +292,13 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
         y, u = found.readings.y[rows, None], found.readings.u[rows, None]
         as_silent, as_deployed = run(quiet, state, t, y, u)[1], run(loud, state, t, y, u)[1]
         # products of matrices of a batch may round differently: 1e-9 of a threshold is far below any distance to it
-        np.testing.assert_allclose(seen.runs[rows], silent_score(as_silent)[:, 0], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(seen.runs[rows], as_scores(silent_score(as_silent))[:, 0], rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(outcomes.alarm[rows], as_deployed.alarm[:, 0])
         np.testing.assert_array_equal(outcomes.isolated[rows], as_deployed.isolated[:, 0, : len(plant.sensors)])
         np.testing.assert_allclose(outcomes.reconstruction[rows], as_deployed.reconstruction[:, 0], rtol=1e-9)
         np.testing.assert_allclose(outcomes.scores[rows], as_deployed.scores[:, 0], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(outcomes.fault_size[rows], as_deployed.fault_size[:, 0, : len(plant.sensors)], rtol=1e-9)
-    np.testing.assert_allclose(seen.trunk, silent_scores(quiet, recording), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(seen.trunk, scores_of(quiet, recording), rtol=1e-9, atol=1e-9)
     state = seen.states[settle]
     on_trunk = run(loud, state, recording.t[settle:], recording.y[settle:], recording.u_of_runs[settle:])[1]
     np.testing.assert_array_equal(alarms[settle:], on_trunk.alarm)
