@@ -27,7 +27,7 @@ from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
 from fusion_sfdia.core.entries import deferred, enter, itself, package_of, take_up
-from fusion_sfdia.core.references import first_line, is_reference, load, name_of, require_call, source_of
+from fusion_sfdia.core.references import did_you_mean, first_line, is_reference, load, name_of, require_call, source_of
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.detector import Detector
@@ -144,10 +144,7 @@ def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPla
     """
     from fusion_sfdia.core.plant import Plant
 
-    found: Any = what
-    if isinstance(what, str):
-        known = _own_plants()
-        found = known[what] if what in known else _meant("plant", what, plants())
+    found = _meant("plant", what, _own_plants, plants)
     if isinstance(found, NamedPlant):
         return found
     if isinstance(found, Plant):
@@ -163,10 +160,7 @@ def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> Na
     The name of one that is not registered is the reference, or that of the object. ValueError for an unknown name, a reference
     without an object, and anything that builds no detector.
     """
-    found: Any = what
-    if isinstance(what, str):
-        known = _own_detectors()
-        found = known[what] if what in known else _meant("detector", what, detectors())
+    found = _meant("detector", what, _own_detectors, detectors)
     if isinstance(found, NamedDetector):
         return found
     require_call(f"detector {name_of(what)}", found, "a class or function that takes a Plant and returns a Detector", 1)
@@ -205,9 +199,7 @@ def require_known(what: str, name: str, known: Iterable[str]) -> str:
     """Return the name; ValueError with the nearest known one where it is unknown."""
     names = list(known)
     if name not in names:
-        near = get_close_matches(name, names, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ValueError(f"unknown {what} {name!r}; {hint}known: {', '.join(names) or 'none'}")
+        raise ValueError(f"unknown {what} {name!r}; {did_you_mean(name, names)}known: {', '.join(names) or 'none'}")
     return name
 
 
@@ -231,8 +223,16 @@ def _with_entry_points(kind: str, known: dict[str, Any], entry: Callable[..., An
     return known
 
 
-def _meant(kind: str, text: str, known: dict[str, Any]) -> Any:
-    """The registered entry of that name, or else the object of the reference."""
+def _meant(kind: str, what: Any, own: Callable[[], dict[str, Any]], every: Callable[[], dict[str, Any]]) -> Any:
+    """The registered entry of a name, or else the object of a reference; anything but a text unchanged.
+
+    Entry points of other packages are read only for names that are not among `own`.
+    """
+    if not isinstance(what, str):
+        return what
+    if what in (registered := own()):
+        return registered[what]
+    text, known = what, every()
     if text.endswith(".py"):
         raise ValueError(f"{kind} {text!r} is a file; name the {kind} in it, {text}:NAME")
     if text in known or not is_reference(text):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from hashlib import sha256
 from importlib import import_module
@@ -33,12 +33,16 @@ def load(reference: str) -> Any:
     for attribute in attributes.split("."):
         if not hasattr(found, attribute):
             members = getattr(found, "__dict__", {})
-            near = get_close_matches(attribute, members, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            there = ", ".join(_offered(members)) or "none"
-            raise ValueError(f"{reference}: {place} has no attribute {attribute!r}; {hint}it has {there}")
+            there = f"{did_you_mean(attribute, members)}it has {', '.join(_offered(members)) or 'none'}"
+            raise ValueError(f"{reference}: {place} has no attribute {attribute!r}; {there}")
         found = getattr(found, attribute)
     return found
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """A question for the nearest of the known names, with a space after it; empty where none is near."""
+    near = get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}? " if near else ""
 
 
 def call(reference: str, whose: str, *arguments: Any, **settings: Any) -> Any:
