@@ -68,8 +68,9 @@ def gather(
         else:
             parts.setdefault(key, []).append(arrays)
             seeds.setdefault(key, []).extend(task["seeds"])
+    plants = {name: subjects.plant(name) for name in dict.fromkeys(plant for plant, _ in parts)}
     cells = {
-        (plant, detector): ComparisonCell(subjects.plant(plant), detector, settings, found, seeds[plant, detector])
+        (plant, detector): ComparisonCell(plants[plant], detector, settings, found, seeds[plant, detector])
         for (plant, detector), found in parts.items()
     }
     return cells, reasons

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES
 from fusion_sfdia.evaluation.diagnosis_metrics import Response
+from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
 from fusion_sfdia.models.marine_engine.plant import SENSORS
 from fusion_sfdia.models.marine_engine.published import DELAYS, DELAYS_SOURCE, K24
@@ -63,9 +66,7 @@ def missed_figure(levels: list[float], found: Found) -> Figure:
         for panel, sensor in zip(axes, FAULTS, strict=True):
             for i, group in enumerate((OWN, AGENTS)):
                 rates = [found[sensor, group, level].missed for level in levels]
-                percent = [100 * level for level in levels]
-                panel.plot(percent, [r.value for r in rates], f"{'os'[i]}{('-', '-.')[i]}", color=COLOURS[i], ms=4, label=group)
-                panel.fill_between(percent, [r.low for r in rates], [r.high for r in rates], color=COLOURS[i], alpha=0.15)
+                _line(panel, i, [100 * level for level in levels], rates, group)
             stated = {level: p.value for level in levels if (p := published(sensor, OWN, level, "missed_detection_rate"))}
             _diamonds(panel, stated, "published, own module")
             panel.set(xlabel="noise (% of the nominal values)", ylabel="missed-detection rate", ylim=(-0.05, 1.05))
@@ -120,9 +121,7 @@ def isolation_figure(levels: list[float], rows: list[Row]) -> Figure:
             for i, (metric, label) in enumerate(ISOLATION.items()):
                 of = {r.condition: r for r in pick(rows, fault=f"{sensor} +{size:.0%}", metric=metric)}
                 found = [of[condition(level)] for level in levels if condition(level) in of]
-                x = [100 * level for level in levels if condition(level) in of]
-                panel.plot(x, [r.value for r in found], f"{'os'[i]}{('-', '-.')[i]}", color=COLOURS[i], ms=4, label=label)
-                panel.fill_between(x, [r.low for r in found], [r.high for r in found], color=COLOURS[i], alpha=0.15)
+                _line(panel, i, [100 * level for level in levels if condition(level) in of], found, label)
             panel.set(xlabel="noise (% of the nominal values)", ylabel="performance (%)", ylim=(-5, 105))
         legend_above(figure)
         return figure
@@ -135,6 +134,12 @@ def isolation_figure(levels: list[float], rows: list[Row]) -> Figure:
         draw,
         "Curves of isolation and exoneration performance over the noise level for two faults",
     )
+
+
+def _line(axes: Axes, i: int, x: Sequence[float], values: Sequence[Estimate | Row], label: str) -> None:
+    """The i-th of two lines with its 95 % intervals shaded."""
+    axes.plot(x, [v.value for v in values], f"{'os'[i]}{('-', '-.')[i]}", color=COLOURS[i], ms=4, label=label)
+    axes.fill_between(x, [v.low for v in values], [v.high for v in values], color=COLOURS[i], alpha=0.15)
 
 
 def _diamonds(axes: Axes, stated: dict[float, float], label: str) -> None:
