@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,19 @@ class MissingPackageError(NotApplicableError, ModuleNotFoundError):
     """A detector that needs a package which is not installed; the message names the extra to install."""
 
 
+class ProcessHypothesis(NamedTuple):
+    """Something of the plant that may differ from the model.
+
+    kind: "parameter", "input" (a constant error of it), "state" (its equation errs) or "disturbance". nominal: the value of the
+    model, in the unit; NaN where there is none.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    nominal: float
+
+
 @dataclass(frozen=True)
 class Decision:
     """The result of one step; leading axes are the batch (and time, in a run).
@@ -40,6 +53,11 @@ class Decision:
     points, left the limits of the model and was moved back. capped: (...) bool, another sensor would be isolated, but as many
     are left out already as the method allows. absurd: (..., N) bool, readings taken as missing, absurd_input: (..., m) bool,
     inputs replaced (see `border`). The last three may be a single False, where a method has no such limits.
+
+    Of a detector that tests the process, too, else None: process (..., P) bool, the accepted `process_hypotheses`; process_size,
+    process_sd (..., P), how far the process is above the model and its standard deviation, in the unit of the hypothesis, NaN
+    where not accepted; suspect (..., hypotheses + P) bool, the hypotheses that explain an alarm without a decision between
+    them; probability (..., hypotheses + P), of each hypothesis at present, what is missing to 1 is that of none.
     """
 
     estimate: Array
@@ -55,6 +73,11 @@ class Decision:
     capped: Array = field(default_factory=lambda: np.zeros((), bool))
     absurd: Array = field(default_factory=lambda: np.zeros((), bool))
     absurd_input: Array = field(default_factory=lambda: np.zeros((), bool))
+    process: Array | None = None
+    process_size: Array | None = None
+    process_sd: Array | None = None
+    suspect: Array | None = None
+    probability: Array | None = None
 
     @property
     def scores(self) -> Array:
@@ -145,6 +168,6 @@ def stack(decisions: list[Decision], *, covariance: bool = False) -> Decision:
     stacked = {
         f.name: np.stack([getattr(d, f.name) for d in decisions])
         for f in fields(Decision)
-        if f.name != "covariance" or (covariance and decisions[0].covariance is not None)
+        if getattr(decisions[0], f.name) is not None and (f.name != "covariance" or covariance)
     }
     return Decision(**stacked)

@@ -19,6 +19,7 @@ from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian
 from fusion_sfdia.core.plant_checks import require_kinds, require_shapes
 from fusion_sfdia.core.plant_groups import Finer, Numerics, OutputFunction, StepFunction, Structure, Truth, fed_back, scaled
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.uncertainty import Uncertainty
 
 Array = NDArray[Any]
 FROM_STATES: Any = None  # the values that the signals of the states give
@@ -41,7 +42,8 @@ class Plant:
     noise. process_bound (n,): largest |w| over one nominal dt, None where not stated.
 
     numerics: Jacobians and admissible steps. truth: operation, controllers and high-fidelity model of simulations. structure:
-    scalar equations and areas. Raises ValueError for what does not fit together.
+    scalar equations and areas. uncertainty: parameters, errors of inputs and disturbances that the model does not know, see
+    `augment`. Raises ValueError for what does not fit together.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Plant:
     numerics: Numerics = field(default_factory=Numerics)
     truth: Truth = field(default_factory=Truth)
     structure: Structure = field(default_factory=Structure)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     def __post_init__(self) -> None:
         require_kinds(self)

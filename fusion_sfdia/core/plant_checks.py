@@ -9,6 +9,7 @@ import numpy as np
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant_groups import Numerics, Structure, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.uncertainty import Uncertainty
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
@@ -23,7 +24,7 @@ def require_kinds(plant: Plant) -> None:
     for what in ("step", "output"):
         if not callable(function := getattr(plant, what)):
             raise ValueError(f"plant {plant.name!r}: {what} is {shown(function)}; expected a function")
-    for what, group in (("numerics", Numerics), ("truth", Truth), ("structure", Structure)):
+    for what, group in (("numerics", Numerics), ("truth", Truth), ("structure", Structure), ("uncertainty", Uncertainty)):
         if not isinstance(value := getattr(plant, what), group):
             raise ValueError(f"plant {plant.name!r}: {what} is {shown(value)}; expected a {group.__name__} object")
 
