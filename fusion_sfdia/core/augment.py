@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from fusion_sfdia.core.covariance import dense
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Structure
@@ -68,7 +69,7 @@ def augment(plant: Plant) -> Plant:
         step=model.step,
         output=model.output,
         x0=np.concatenate([plant.x0, [s.nominal for s in added]]),
-        initial_cov=_joined(plant.initial_cov, np.array(start)),
+        initial_cov=_initial(plant, np.array(start)),
         process_cov=_joined(plant.process_cov, np.array(walk)),
         process_bound=None if bound is None else np.concatenate([np.broadcast_to(bound, plant.x0.shape), np.zeros(len(added))]),
         numerics=jacobians,
@@ -226,6 +227,20 @@ def _points(size: int) -> Array:
 
 def _joined(cov: Array, variances: Array) -> Array:
     return np.concatenate([cov, variances]) if cov.ndim == 1 else block_diag(cov, np.diag(variances))
+
+
+def _initial(plant: Plant, variances: Array) -> Array:
+    """Covariance of the initial augmented state: x0 follows the parameters where their sensitivity is stated."""
+    sensitivity = plant.uncertainty.initial_sensitivity
+    if sensitivity is None:
+        return _joined(plant.initial_cov, variances)
+    n, p = sensitivity.shape
+    found = block_diag(dense(plant.initial_cov), np.diag(variances))
+    by_theta = np.concatenate([sensitivity * variances[:p], np.diag(variances)[:, :p]])
+    found[:, n : n + p] = by_theta
+    found[n : n + p, :] = by_theta.T
+    found[:n, :n] += (sensitivity * variances[:p]) @ sensitivity.T
+    return found
 
 
 def _finer(finer: Any, nominal: Array) -> tuple[Plant, Any]:

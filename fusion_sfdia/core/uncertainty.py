@@ -91,7 +91,8 @@ class Uncertainty:
     parameters, see `secants`. step_sensitivity(t_start, x, u, dt, theta), (..., n, p), and output_sensitivity(t, x, u, theta),
     (..., N, p): their derivatives with respect to theta; None for the complex step, or differences where that fails.
     inputs: standard deviation of the constant error of an input, by its name, in its unit.
-    disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts
+    disturbances: unknown signals. initial_sensitivity (n, p): change of x0 with theta, where the initial state follows from the
+    parameters (a plant that starts in a steady state). considered: names of states that a filter does not update, but whose uncertainty counts
     (`augment` states them). Raises ValueError for what does not fit together.
     """
 
@@ -102,6 +103,7 @@ class Uncertainty:
     output_sensitivity: ParametricOutput | None = None
     inputs: Mapping[str, float] = field(default_factory=dict)
     disturbances: tuple[Disturbance, ...] = ()
+    initial_sensitivity: Array | None = None
     considered: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -189,4 +191,7 @@ def secants(plant: Plant, parameters: tuple[Parameter, ...], rebuild: Callable[.
     at = Secants(plant, tuple(pairs), np.array([p.nominal for p in parameters]), np.array([p.sd for p in parameters]))
     if not parameters:
         return Uncertainty(**stated)
-    return Uncertainty(tuple(parameters), at.step, at.output, at.step_sensitivity, at.output_sensitivity, **stated)
+    start = np.stack([(above.x0 - below.x0) / (2 * p.sd) for (below, above), p in zip(pairs, parameters, strict=True)], axis=-1)
+    return Uncertainty(
+        tuple(parameters), at.step, at.output, at.step_sensitivity, at.output_sensitivity, initial_sensitivity=start, **stated
+    )
