@@ -153,7 +153,7 @@ class _Augmented:
                     0,  # type: ignore[misc]
                 )
         if m:
-            by_input = self._by_input(lambda w: self.plant.step(t_start, x[..., None, :], w, dt), acting, 0)
+            by_input = self._by_input(lambda w: self.plant.step(t_start, _over(x, w), w, dt), acting, 0)
             found[..., :n, n + p : n + p + m] = by_input @ self.erring.T
         found[..., :n, n + p + m :] = v * (dt / self.plant.dt)
         decay = np.concatenate([np.ones(p + m), np.exp(-dt / tau)])
@@ -177,7 +177,7 @@ class _Augmented:
                     1,  # type: ignore[misc]
                 )
         if m:
-            by_input = self._by_input(lambda w: self.plant.output(t, x[..., None, :], w), acting, 1)
+            by_input = self._by_input(lambda w: self.plant.output(t, _over(x, w), w), acting, 1)
             found[..., n + p : n + p + m] = by_input @ self.erring.T
         found[..., n + p + m :] = self.directions[1]
         return found
@@ -219,6 +219,10 @@ class _Augmented:
             complex_step_holds(lambda u: plant.step(0.0, x, u, plant.dt), points, self._input_scale),
             complex_step_holds(lambda u: plant.output(0.0, x, u), points, self._input_scale),
         )
+
+
+def _over(x: Array, perturbed: Array) -> Array:
+    return np.broadcast_to(x[..., None, :], (*perturbed.shape[:-1], x.shape[-1]))
 
 
 def _points(size: int) -> Array:

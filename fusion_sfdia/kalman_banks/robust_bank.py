@@ -52,6 +52,7 @@ class RobustBank(BatchDetector):
     memory: int = 256
     false_alarm: float = 1e-3
     margin: float = 6.0
+    process_margin: float = 10.0
     max_faults: int | None = None
     accommodate: bool = True
     sensor_size: float = 20.0
@@ -257,7 +258,7 @@ class RobustBank(BatchDetector):
         # --- process verdict
         which = np.argmax(Lp, -1) if Lp.shape[-1] else np.zeros(y.shape[:-1], int)
         T_pb = np.take_along_axis(Tp, which[..., None], -1)[..., 0]
-        proc = ~any_one & ~sensor & (T_pb > process_limit) & (best_p - best_s > self.margin)
+        proc = ~any_one & ~sensor & (T_pb > process_limit) & (best_p - best_s > self.process_margin)
         p = self.prior_sd.size
         x_shift = np.zeros_like(prior.core.x)
         P_add = None
