@@ -36,7 +36,8 @@ def augment(plant: Plant) -> Plant:
     """Return the plant with its parameters, errors of inputs and disturbances as states; itself where it states none.
 
     The states of the plant come first, then parameters, errors of inputs (in the order of the inputs) and disturbances. A
-    frozen one has no variance. ValueError for an input, a direction or a considered state that does not fit the plant.
+    frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input, a direction
+    or a considered state that does not fit the plant.
     """
     known = plant.uncertainty
     if not known.stated:
@@ -64,15 +65,14 @@ def augment(plant: Plant) -> Plant:
 
 def _added(p: Parameter, dt: float) -> tuple[Signal, float, float]:
     """The state of a parameter: its signal, initial variance and variance of its change in dt."""
-    signal = Signal(
-        p.name, p.unit, p.nominal, max(p.low, p.nominal - FARTHEST * p.sd), min(p.high, p.nominal + FARTHEST * p.sd)
-    )
+    low, high = max(p.low, p.nominal - FARTHEST * p.sd), min(p.high, p.nominal + FARTHEST * p.sd)
+    signal = Signal(p.name, p.unit, p.nominal, low, high, initial_sigma=p.sd)
     return (signal, 0.0, 0.0) if p.treatment == "frozen" else (signal, p.sd**2, p.rate**2 * dt / HOUR)
 
 
 def _shaped(d: Disturbance, dt: float) -> tuple[Signal, float, float]:
     """The state of a disturbance: xi+ = exp(-dt / tau) xi + eta keeps its variance."""
-    signal = Signal(d.name, "1", 0.0, -FARTHEST * d.sd, FARTHEST * d.sd)
+    signal = Signal(d.name, "1", 0.0, -FARTHEST * d.sd, FARTHEST * d.sd, initial_sigma=d.sd)
     return (
         (signal, 0.0, 0.0) if d.treatment == "frozen" else (signal, d.sd**2, -(d.sd**2) * np.expm1(-2 * dt / d.time_constant))
     )
@@ -85,25 +85,30 @@ class _Unknown:
     plant: Plant
 
     @cached_property
+    def counts(self) -> tuple[int, int]:
+        """States and parameters of the plant."""
+        return len(self.plant.states), len(self.plant.uncertainty.parameters)
+
+    @cached_property
     def erring(self) -> Array:
         """Positions (e,) of the inputs with an error."""
         return np.array([i for i, s in enumerate(self.plant.inputs) if s.name in self.plant.uncertainty.inputs], dtype=int)
 
     @cached_property
+    def selection(self) -> Array:
+        """The inputs with an error as rows of a selection (e, m)."""
+        return np.eye(len(self.plant.inputs))[self.erring]
+
+    @cached_property
     def columns(self) -> Array:
         """Where the derivatives with respect to (x, theta, delta) are among those with respect to (x, u, theta)."""
-        n, m = len(self.plant.states), len(self.plant.inputs)
-        return np.concatenate([np.arange(n), n + m + np.arange(len(self.plant.uncertainty.parameters)), n + self.erring])
+        n, p = self.counts
+        return np.concatenate([np.arange(n), n + len(self.plant.inputs) + np.arange(p), n + self.erring])
 
     def split(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
         """The state x (..., n), the input that acts (..., m) and theta (..., p)."""
-        n, p = len(self.plant.states), len(self.plant.uncertainty.parameters)
-        if self.erring.size:
-            acting = np.zeros((*np.broadcast_shapes(z.shape[:-1], u.shape[:-1]), u.shape[-1]), np.result_type(z, u))
-            acting[...] = u
-            acting[..., self.erring] += z[..., n + p :]
-            u = acting
-        return z[..., :n], u, z[..., n : n + p]
+        n, p = self.counts
+        return z[..., :n], u + z[..., n + p :] @ self.selection if self.erring.size else u, z[..., n : n + p]
 
     def step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
         x, acting, theta = self.split(z, u)
@@ -180,6 +185,8 @@ class _Disturbed:
 
 def joined(a: Array, b: Array) -> Array:
     """Return a (..., i) and b (..., j) side by side, their batches broadcast."""
+    if a.shape[:-1] == b.shape[:-1]:
+        return np.concatenate([a, b], axis=-1)
     batch = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
     return np.concatenate([np.broadcast_to(v, (*batch, v.shape[-1])) for v in (a, b)], axis=-1)
 

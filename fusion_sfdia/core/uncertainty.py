@@ -7,14 +7,15 @@ A parameter theta enters the model by functions that take its value, `step(t_sta
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number, require_unique, shown
+from fusion_sfdia.core.plant_groups import scaled
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
@@ -140,6 +141,16 @@ class Uncertainty:
         """Whether anything is stated that `augment` adds as a state."""
         return bool(self.parameters or self.inputs or self.disturbances)
 
+    def in_units(self, factor: Array) -> Uncertainty:
+        """The same of readings that are `factor` (N,) times as large."""
+        output, jacobian = self.output, self.output_jacobian
+        return replace(
+            self,
+            output=None if output is None else partial(scaled, output, factor),
+            output_jacobian=None if jacobian is None else partial(scaled, jacobian, factor[:, None]),
+            disturbances=tuple(replace(d, reading=d.reading * factor) for d in self.disturbances),
+        )
+
     @property
     def nominal(self) -> Array:
         """Nominal values of the parameters (p,)."""
@@ -149,6 +160,14 @@ class Uncertainty:
     def sd(self) -> Array:
         """Standard deviations of the parameters (p,)."""
         return np.array([p.sd for p in self.parameters])
+
+
+def by_states_alone(readout: Array, u: Array, theta: Array) -> Array:
+    """Return the `output_jacobian` (N, n + m + p) of readings that depend on the states alone, by H (N, n)."""
+    n = readout.shape[1]
+    found = np.zeros((readout.shape[0], n + u.shape[-1] + theta.shape[-1]))
+    found[:, :n] = readout
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
+from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
@@ -205,7 +205,7 @@ class _Pipe:
         return self._advance(equations.advance_sensitivity, x, u, dt, theta, self.unknown)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
-        return np.pad(self._readout, ((0, 0), (0, u.shape[-1] + theta.shape[-1])))
+        return by_states_alone(self._readout, u, theta)
 
     def output(self, t: float, x: Array, u: Array) -> Array:
         return x[..., self.picks]

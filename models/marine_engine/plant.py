@@ -187,4 +187,5 @@ def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
 def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:
     """Return a (..., n), broadcast to the batch, as a contiguous matrix (B, n) of floats or complex numbers."""
     kind = np.result_type(a, other, float)
-    return np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1])
+    whole = a if a.shape[:-1] == batch else np.broadcast_to(a, (*batch, a.shape[-1]))
+    return np.ascontiguousarray(whole, dtype=kind).reshape(-1, a.shape[-1])

@@ -123,7 +123,7 @@ def power_network(
             power_network, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, switches=switches
         )
         return replace(plant, uncertainty=rebuilt_uncertainty(plant, c, again))
-    return replace(plant, uncertainty=network_uncertainty(plant, c, running.condition))
+    return replace(plant, uncertainty=network_uncertainty(c, running.condition, readout))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.equation import COMPLEX_STEP
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, secants
+from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone, secants
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.model import NetworkModel
 from fusion_sfdia.models.power_network.operation import NetworkCondition
@@ -61,11 +61,11 @@ def altered(c: NetworkParameters, **values: float) -> NetworkParameters:
     return replace(c, slope=theta[:e], constants=constants)
 
 
-def network_uncertainty(plant: Plant, c: NetworkParameters, condition: Callable[[float], NetworkCondition]) -> Uncertainty:
-    """What a plant of the healthy network, discretised area by area, does not know."""
+def network_uncertainty(c: NetworkParameters, condition: Callable[[float], NetworkCondition], readout: Array) -> Uncertainty:
+    """What a plant of the healthy network, discretised area by area, does not know; readout (N, n): H of its sensors."""
     at = _Areas(c, condition)
     return Uncertainty(
-        unknown_parameters(c), at.step, None, at.step_jacobian, partial(_readout, plant), inputs=_input_errors(c)
+        unknown_parameters(c), at.step, None, at.step_jacobian, partial(_readout, readout), inputs=_input_errors(c)
     )
 
 
@@ -82,8 +82,8 @@ def _input_errors(c: NetworkParameters) -> dict[str, float]:
     return {f"reference_{i}": REFERENCE for i in c.topology.names} | {f"load_{i}": LOAD for i in c.topology.names}
 
 
-def _readout(plant: Plant, t: float, x: Array, u: Array, theta: Array) -> Array:
-    return np.pad(plant.output_jacobian_at(t, x, u), ((0, 0), (0, u.shape[-1] + theta.shape[-1])))
+def _readout(readout: Array, t: float, x: Array, u: Array, theta: Array) -> Array:
+    return by_states_alone(readout, u, theta)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,26 +131,25 @@ class _Areas:
         side, stiffness, constants = self.split(model, theta)
         v = self.known(side, x, u)
         rows = _rows(stiffness, constants, model.dt)
+        gain = rows[..., 5]  # of the power from outside
         # complex steps of the stiffness, the inertia and the droop of all areas at once
-        apart = 1j * COMPLEX_STEP * np.eye(3)
-        stiff, moved = stiffness[..., None, :] + apart[0][:, None], np.repeat(constants[..., None, :, :], 3, -3).astype(complex)
-        moved[..., INERTIA] += apart[1][:, None]
-        moved[..., DROOP] += apart[2][:, None]
-        by_stiffness, by_inertia, by_droop = np.moveaxis(
-            (_rows(stiff, moved, model.dt).imag / COMPLEX_STEP @ v[..., None, :, :, None])[..., 0], -3, 0
-        )
-        found = np.zeros((*v.shape[:-2], n, 4, 4 * n + 2 * n + e + 2 * n))
-        angle = x[..., 4 * at.neighbour, None]
-        by_side = by_stiffness[..., at.node, :] + rows[..., 5][..., at.node, :] * angle
+        stiff, moved = np.repeat(stiffness[None], 3, 0).astype(complex), np.repeat(constants[None], 3, 0).astype(complex)
+        for change in (stiff[0], moved[1, ..., INERTIA], moved[2, ..., DROOP]):
+            change += 1j * COMPLEX_STEP
+        slopes = _rows(stiff, moved, model.dt).imag / COMPLEX_STEP
+        by_stiffness, by_inertia, by_droop = (slopes @ v[..., None])[..., 0]
+        by_side = by_stiffness[..., at.node, :] + gain[..., at.node, :] * x[..., 4 * at.neighbour, None]
+        # columns: 4 n states, n references, n loads, e slopes, n inertias, n droops; each with the 4 states of its areas
+        found = np.zeros((*v.shape[:-2], n, 8 * n + e, 4))
         for k in range(4):
-            found[..., every, :, 4 * every + k] = np.moveaxis(rows[..., k], -2, 0)
-        found[..., at.node, :, 4 * at.neighbour] = np.moveaxis(side[..., None] * rows[..., 5][..., at.node, :], -2, 0)
-        found[..., every, :, 4 * n + every] = np.moveaxis(rows[..., 4], -2, 0)
-        found[..., every, :, 5 * n + every] = -np.moveaxis(rows[..., 5], -2, 0)
-        found[..., at.node, :, 6 * n + at.link] = np.moveaxis(by_side * model.network.closed[:, None], -2, 0)
-        found[..., every, :, 6 * n + e + every] = np.moveaxis(by_inertia, -2, 0)
-        found[..., every, :, 7 * n + e + every] = np.moveaxis(by_droop, -2, 0)
-        return found.reshape(*found.shape[:-3], 4 * n, -1)
+            found[..., every, 4 * every + k, :] = rows[..., k]
+        found[..., at.node, 4 * at.neighbour, :] = side[..., None] * gain[..., at.node, :]
+        found[..., every, 4 * n + every, :] = rows[..., 4]
+        found[..., every, 5 * n + every, :] = -gain
+        found[..., at.node, 6 * n + at.link, :] = by_side * model.network.closed[:, None]
+        found[..., every, 6 * n + e + every, :] = by_inertia
+        found[..., every, 7 * n + e + every, :] = by_droop
+        return np.swapaxes(found, -1, -2).reshape(*v.shape[:-2], 4 * n, -1)
 
 
 def _rows(stiffness: Array, constants: Array, dt: float) -> Array:
