@@ -77,13 +77,14 @@ def one_sample_evidence(found: LeaveOneOut, size: Array) -> Array:
     return np.where(found.used, evidence, -np.inf)
 
 
-def gathered(recent: Best, slow: Best, one_sample: Array, added: int) -> Evidence:
-    """The evidence of all hypotheses from the two windows; added: number of augmented states."""
-    count = one_sample.shape[-1]
-    far = slow.evidence > recent.evidence[..., : count + added]
-    merged = [np.where(far, s, r[..., : count + added]) for s, r in zip(slow[:4], recent[:4], strict=True)]
-    whole = [np.concatenate([m, r[..., count + added :]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
+def gathered(recent: Best, slow: Best, one_sample: Array, handicap: Array) -> Evidence:
+    """The evidence of all hypotheses from the two windows, less a handicap of those of the process (P,)."""
+    count, both = one_sample.shape[-1], slow.evidence.shape[-1]
+    far = slow.evidence > recent.evidence[..., :both]
+    merged = [np.where(far, s, r[..., :both]) for s, r in zip(slow[:4], recent[:4], strict=True)]
+    whole = [np.concatenate([m, r[..., both:]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
     statistic, size, information, evidence = whole
+    evidence[..., count:] -= handicap
     return Evidence(
         far[..., :count], statistic[..., :count], size[..., :count], information[..., :count], evidence[..., :count],
         one_sample,
@@ -92,10 +93,11 @@ def gathered(recent: Best, slow: Best, one_sample: Array, added: int) -> Evidenc
 
 
 class Present(NamedTuple):
-    """Process hypotheses that begin now: M (..., N, P); sizes (N + P,) of sensors and process before any reading."""
+    """Process hypotheses that begin now: M (..., N, P); sizes (N + P,) of sensors and process before any reading; handicap (P,)."""
 
     M: Array
     sizes: Array
+    handicap: Array
 
 
 def eliminated(
@@ -122,15 +124,17 @@ def eliminated(
         isolated = isolated | (where[..., None] & (np.arange(count) == worst[..., None]))
         found = eliminate(found, worst, where)
         of_sensors = np.where(where[..., None], one_sample_evidence(found, present.sizes[:count]), of_sensors)
-        of_process = np.where(where, _beginning_now(found, present.M, present.sizes[count:]), of_process)
+        of_process = np.where(where, _beginning_now(found, present), of_process)
 
 
-def _beginning_now(found: LeaveOneOut, M: Array, size: Array) -> Array:
+def _beginning_now(found: LeaveOneOut, present: Present) -> Array:
     """Evidence of the best process hypothesis that begins with the present sample (...)."""
+    M, size = present.M, present.sizes[found.used.shape[-1] :]
     a = (np.swapaxes(M, -1, -2) @ found.whitened[..., None])[..., 0]
     b = np.einsum("...ij,...ij->...j", M, found.inverse @ M)
     known = b * size**2
-    return np.asarray(np.max(a**2 * size**2 / (1 + known) - np.log1p(known), axis=-1, initial=-np.inf))
+    evidence = a**2 * size**2 / (1 + known) - np.log1p(known) - present.handicap
+    return np.asarray(np.max(evidence, axis=-1, initial=-np.inf))
 
 
 def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array:

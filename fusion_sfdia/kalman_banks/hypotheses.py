@@ -7,7 +7,7 @@ On the augmented state z = (x, theta, delta, xi) of `augment`, with transition m
     error of state equation j       C = phi_1(F) e_j / phi_1(F)_jj in each step
 
 An error of a state equation is a rate that acts within dt: phi_1(F) = int_0^1 F^s ds. Errors at the end of a step, C = e_j, would
-be the same as biases where a state is read and forgets within dt. Biases, jumps and errors of equations are sought in the
+be the same as biases where a state is read and is forgotten within dt. Biases, jumps and errors of equations are sought in the
 recent past at all onsets, ramps and drifts in the far past at onsets `SLOW_STEP` samples apart.
 """
 
@@ -30,8 +30,9 @@ Array = NDArray[Any]
 
 SLOW_STEP = 4  # samples between the onsets of ramps and drifts
 SENSOR_SIZE = 20.0  # standard deviation of a bias, and of a ramp by now, before any reading, over the noise of the sensor
-PARAMETER_SIZE = 2.0  # of a jump or drift, over the prior standard deviation
+PARAMETER_SIZE = 10.0  # of a jump or drift, over the prior standard deviation: a fault is larger than what is usual
 EQUATION_SIZE = 10.0  # of an error of an equation, over the standard deviation of its process noise
+UNNAMED = 6.0  # evidence that an error of an equation needs beyond that of a cause with a name: odds of 1 to 20
 NODES = 16  # of the quadrature of phi_1
 
 
@@ -81,15 +82,18 @@ class Hypotheses:
     @cached_property
     def sd(self) -> Array:
         """Prior standard deviation of the augmented states (p,)."""
-        known = self.plant.uncertainty
-        errors = [known.inputs[s.name] for s in self.plant.inputs if s.name in known.inputs]
-        return np.array([*(p.sd for p in known.parameters), *errors, *(d.sd for d in known.disturbances)])
+        return np.array([s.initial_sigma for s in self.model.states[len(self.plant.states) :]])
 
     @cached_property
     def equation_sd(self) -> Array:
         """Standard deviation of the process noise of each state in one nominal dt (n,), a tenth of its scale where it is 0."""
         variance = np.broadcast_to(diagonal(self.plant.process_cov), (len(self.plant.states),))
         return np.where(variance > 0, np.sqrt(variance), 0.1 * self.plant.state_scale)
+
+    @cached_property
+    def handicap(self) -> Array:
+        """Evidence that each process hypothesis needs beyond that of others (P,)."""
+        return np.repeat([0.0, UNNAMED], [self.added, len(self.plant.states)])
 
     @cached_property
     def rates(self) -> Array:

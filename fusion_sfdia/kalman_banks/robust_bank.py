@@ -28,6 +28,7 @@ from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded, restored
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.competition import (
     Accepted,
     Evidence,
@@ -162,10 +163,10 @@ class RobustBank(ExcludingBank):
         everything = statistics(joint, y, usable)
         tested = self._test(windows, prior, now, u, everything)
         evidence = gathered(
-            tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), of.added
+            tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), of.handicap
         )
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
-        present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes)
+        present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, of.handicap)
         found, isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
@@ -181,8 +182,8 @@ class RobustBank(ExcludingBank):
             found = everything
         x, p = posterior(joint, found)
         restart = (np.any(isolated, axis=-1) | process) & self.accommodate
-        gain = joint.C @ found.inverse
-        recent, slow = (updated(w, gain, restart) for w in (tested.recent, tested.slow))
+        K = gain(joint, found.inverse)
+        recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)
         quiet = too_quiet(pairs, self.false_alarm / 2 / count) & (exclusion.out | (room > 0)[..., None])
