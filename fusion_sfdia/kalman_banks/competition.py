@@ -22,12 +22,12 @@ PRIOR = 1e-3  # probability of each hypothesis before any reading
 
 
 class Limits(NamedTuple):
-    """Chi-square limits of one sample, of the windows for sensors and for the process, and margins of evidence."""
+    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence, that of sensors (...)."""
 
     one: float
     window: float
     process: float
-    sensor_margin: float
+    sensor_margin: Array
     process_margin: float
 
 
@@ -93,7 +93,7 @@ def gathered(recent: Best, slow: Best, one_sample: Array, handicap: Array) -> Ev
 
 
 class Present(NamedTuple):
-    """Process hypotheses that begin now: M (..., N, P); sizes (N + P,) of sensors and process before any reading; handicap (P,)."""
+    """Process hypotheses that begin now: M (..., N, P). sizes (N + P,): of sensors and process before any reading; handicap (..., P)."""
 
     M: Array
     sizes: Array
@@ -169,8 +169,8 @@ def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
     return Accepted(sensor, is_sensor, process, is_process)
 
 
-def suspects(evidence: Evidence, undecided: Array, limits: Limits) -> Array:
+def suspects(evidence: Evidence, undecided: Array, margin: float) -> Array:
     """The hypotheses (..., N + P) within the margin of the best, where an alarm is undecided (...)."""
     every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
     top = np.max(every, axis=-1, keepdims=True)
-    return np.asarray(undecided[..., None] & (every > top - max(limits.sensor_margin, limits.process_margin)))
+    return np.asarray(undecided[..., None] & (every > top - margin))

@@ -156,17 +156,20 @@ class RobustBank(ExcludingBank):
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
         estimate, exclusion, out_for, *windows, standing, pairs = memory
-        of, est, limits, count = self._hypotheses, self.estimator, self._limits, y.shape[-1]
+        of, est, count = self._hypotheses, self.estimator, y.shape[-1]
+        changing = standing.since <= self.window
+        limits = self._limits._replace(sensor_margin=np.where(changing, self.process_margin, self.sensor_margin))
+        handicap = np.where(changing[..., None], 0.0, of.handicap)
         prior = self._predict(estimate, standing, now, u)
         joint = est.joint(of.model, prior, now.t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
         tested = self._test(windows, prior, now, u, everything)
         evidence = gathered(
-            tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), of.handicap
+            tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), handicap
         )
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
-        present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, of.handicap)
+        present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, handicap)
         found, isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
@@ -206,12 +209,10 @@ class RobustBank(ExcludingBank):
         """The prediction of the augmented state, with process noise by errors of equations."""
         of = self._hypotheses
         prior = self.estimator.predict(of.model, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # draws nothing
-        if (noise := added_noise(standing, of.rates)) is None:
-            return prior
         x, p = prior.core
-        n, wider = noise.shape[-1], p.copy()
-        wider[..., :n, :n] += noise
-        return prior._replace(core=GaussianState(x, wider))
+        if (noise := added_noise(standing, of.rates, x[..., len(self.plant.states) :])) is None:
+            return prior
+        return prior._replace(core=GaussianState(x, p + noise))
 
     def _test(self, windows: Sequence[Window], prior: Prior, now: TimeStep, u: Array, found: LeaveOneOut) -> Tested:
         """Add the present readings to both windows."""
@@ -254,7 +255,7 @@ class RobustBank(ExcludingBank):
             process=standing.accepted,
             process_size=size,
             process_sd=sd,
-            suspect=suspects(evidence, undecided, self._limits),
+            suspect=suspects(evidence, undecided, self.process_margin),
             probability=evidence.probability,
         )
 

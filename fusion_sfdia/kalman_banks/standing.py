@@ -1,7 +1,7 @@
 """Process hypotheses that have been accepted: how large they are now, and until when they stand.
 
 An augmented state that has jumped or drifted is estimated from then on; it stands while its estimate differs from what it was
-before by two standard deviations. The error of a state equation is a rate that may go on: process noise of its size is added,
+before by two standard deviations. It may change further: process noise of a share of its size is added. The error of a state equation is a rate that may go on: process noise of its size is added,
 which decays, and it stands until little of it is left.
 """
 
@@ -17,6 +17,8 @@ Array = NDArray[Any]
 DECAY = 0.97  # of the added process noise in a sample
 LEAST = 0.1  # of it, with which the error of an equation still stands
 DOUBT = 0.1  # share of the squared size that is added to its variance: the size may change further
+WALK = 0.02  # change of an accepted augmented state in a sample, over its size
+LONG_AGO = 1e6  # samples
 RELEASE = 2.0  # standard deviations
 
 
@@ -24,7 +26,8 @@ class Standing(NamedTuple):
     """Of P process hypotheses, the first p of augmented states, the last n of equations.
 
     accepted (..., P): bool. before (..., p): estimates of the augmented states before they changed. size, sd (..., n): of the
-    errors of equations when they were accepted. left (..., n): share of the added process noise.
+    errors of equations when they were accepted. left (..., n): share of the added process noise. since (...): samples since the
+    last hypothesis was accepted.
     """
 
     accepted: Array
@@ -32,20 +35,27 @@ class Standing(NamedTuple):
     size: Array
     sd: Array
     left: Array
+    since: Array
 
 
 def nothing(batch: tuple[int, ...], added: int, states: int) -> Standing:
     """Return the state in which the model holds."""
     rest = [np.zeros((*batch, states)) for _ in range(3)]
-    return Standing(np.zeros((*batch, added + states), bool), np.zeros((*batch, added)), *rest)
+    return Standing(np.zeros((*batch, added + states), bool), np.zeros((*batch, added)), *rest, np.full(batch, LONG_AGO))
 
 
-def added_noise(now: Standing, rates: Array) -> Array | None:
-    """Process noise (..., n, n) by the errors of equations, with their effects on the states as columns of rates (n, n)."""
-    if not np.any(now.left):
+def added_noise(now: Standing, rates: Array, z: Array) -> Array | None:
+    """Process noise (..., n + p, n + p) by what stands; rates (n, n): effects of errors of equations on the states, as columns;
+    z (..., p): augmented states.
+    """
+    if not np.any(now.accepted):
         return None
+    n, p = now.left.shape[-1], z.shape[-1]
+    noise = np.zeros((*z.shape[:-1], n + p, n + p))
     scaled = rates * (now.size * np.sqrt(now.left))[..., None, :]
-    return np.asarray(scaled @ np.swapaxes(scaled, -1, -2))
+    noise[..., :n, :n] = scaled @ np.swapaxes(scaled, -1, -2)
+    np.einsum("...ii->...i", noise)[..., n:] = np.where(now.accepted[..., :p], (WALK * (z - now.before)) ** 2, 0.0)
+    return noise
 
 
 def with_accepted(now: Standing, which: Array, z: Array, size: Array, sd: Array) -> Standing:
@@ -58,16 +68,16 @@ def with_accepted(now: Standing, which: Array, z: Array, size: Array, sd: Array)
         np.where(rates, size[..., p:], now.size),
         np.where(rates, sd[..., p:], now.sd),
         np.where(rates, 1.0, now.left),
+        np.where(np.any(which, axis=-1), 0.0, now.since),
     )
 
 
 def followed(now: Standing, z: Array, variance: Array) -> Standing:
     """Release what no longer differs: augmented states z (..., p) with their variances, after an update."""
-    p = now.before.shape[-1]
     left = np.where(now.left * DECAY >= LEAST, now.left * DECAY, 0.0)
     differs = np.abs(z - now.before) > RELEASE * np.sqrt(variance)
     stands = np.concatenate([differs, left > 0], axis=-1) & now.accepted
-    return now._replace(accepted=stands, left=left)
+    return now._replace(accepted=stands, left=left, since=now.since + 1)
 
 
 def sizes(now: Standing, above: Array, variance: Array) -> tuple[Array, Array]:
