@@ -138,10 +138,17 @@ def _beginning_now(found: LeaveOneOut, present: Present) -> Array:
 
 
 def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array:
-    """Whether a sensor (...) that the present sample isolates has more evidence by the windows: the filter has absorbed it."""
+    """Whether a sensor (...) that is isolated has more evidence by the windows than by the present sample: it has been absorbed."""
     at = sensor[..., None]
-    more = np.take_along_axis(evidence.sensor - evidence.one_sample, at, axis=-1)[..., 0] > ABSORBED
+    with np.errstate(invalid="ignore"):  # -inf - -inf of a sensor that is not used
+        more = np.take_along_axis(evidence.sensor - evidence.one_sample, at, axis=-1)[..., 0] > ABSORBED
     return np.asarray(np.take_along_axis(isolated, at, axis=-1)[..., 0] & more)
+
+
+def led_by(led: Array, leads: Array, fault: Array) -> Array:
+    """Samples in a row in which a sensor leads (..., N), with the sign of its fault, so far `led`."""
+    sign = np.where(fault < 0, -1.0, 1.0)
+    return np.where(leads, np.where(led * sign > 0, led + sign, sign), 0.0)
 
 
 class Accepted(NamedTuple):

@@ -38,6 +38,7 @@ from fusion_sfdia.kalman_banks.competition import (
     accepted,
     eliminated,
     gathered,
+    led_by,
     one_sample_evidence,
     suspects,
 )
@@ -61,13 +62,19 @@ from fusion_sfdia.kalman_banks.standing import DOUBT, Standing, added_noise, fol
 
 Array = NDArray[Any]
 
+PERSISTENT = 3  # samples in a row that isolate a sensor soon after the process has changed
+
 
 class RobustMemory(NamedTuple):
-    """Estimate of the augmented state, sensors left out and for how many samples (..., N), windows, accepted hypotheses."""
+    """Estimate of the augmented state, sensors left out and for how many samples (..., N), windows, accepted hypotheses.
+
+    led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
+    """
 
     estimate: GaussianState
     exclusion: Exclusion
     out_for: Array
+    led: Array
     recent: Window
     slow: Window
     standing: Standing
@@ -148,6 +155,7 @@ class RobustBank(ExcludingBank):
             self.estimator.start(of.model, batch, step_stream(seed, 0)),
             none_excluded(batch, count),
             np.zeros((*batch, count)),
+            np.zeros((*batch, count)),
             empty(batch, near, states, count + p + n),
             empty(batch, far, states, count + p),
             nothing(batch, p, n),
@@ -155,9 +163,9 @@ class RobustBank(ExcludingBank):
         )
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, *windows, standing, pairs = memory
+        estimate, exclusion, out_for, led, *windows, standing, pairs = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
-        changing = standing.since <= self.window
+        changing = np.any(standing.accepted, axis=-1) | (standing.since <= self.window)
         limits = self._limits._replace(sensor_margin=np.where(changing, self.process_margin, self.sensor_margin))
         handicap = np.where(changing[..., None], 0.0, of.handicap)
         prior = self._predict(estimate, standing, now, u)
@@ -174,12 +182,15 @@ class RobustBank(ExcludingBank):
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
-        freed = sensor | absorbed_before(evidence, isolated, by_windows.sensor)
         isolated = isolated | (sensor[..., None] & _only(by_windows.sensor, count))
+        led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
+        isolated = isolated & (np.abs(led) >= np.where(standing.since <= self.window, PERSISTENT, 1)[..., None])
+        freed = absorbed_before(evidence, isolated, by_windows.sensor)
         if self.accommodate and np.any(freed | process):
             standing = self._stand(standing, by_windows, evidence, prior)
             prior = _moved(prior, tested, evidence, by_windows, freed)
             joint = est.joint(of.model, prior, now.t, u)
+        if np.any(changing) or np.any(freed | process):
             found = statistics(joint, y, usable & ~isolated)
         if not self.accommodate:
             found = everything
@@ -200,7 +211,7 @@ class RobustBank(ExcludingBank):
         variance = np.diagonal(p, axis1=-2, axis2=-1)[..., added]
         standing = followed(standing, x[..., added], variance)
         memory = RobustMemory(
-            GaussianState(x, p), exclusion, np.where(exclusion.out, out_for + 1, 0.0), recent, slow, standing, pairs
+            GaussianState(x, p), exclusion, np.where(exclusion.out, out_for + 1, 0.0), led, recent, slow, standing, pairs
         )
         undecided = decision.alarm & ~np.any(decision.isolated, axis=-1) & ~process
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))
