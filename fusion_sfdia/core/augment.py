@@ -20,24 +20,19 @@ from scipy.linalg import block_diag
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Finer, Structure
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertainty
+from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertainty, error_of
 
 Array = NDArray[Any]
 
 FARTHEST = 6.0  # standard deviations from the nominal value: limits of the added states
 
 
-def error_of(name: str) -> str:
-    """The name of the added state for the error of an input."""
-    return f"error of {name}"
-
-
 def augment(plant: Plant) -> Plant:
     """Return the plant with its parameters, errors of inputs and disturbances as states; itself where it states none.
 
     The states of the plant come first, then parameters, errors of inputs (in the order of the inputs) and disturbances. A
-    frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input, a direction
-    or a considered state that does not fit the plant.
+    frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input or a
+    direction that does not fit the plant.
     """
     known = plant.uncertainty
     if not known.stated:
@@ -46,9 +41,6 @@ def augment(plant: Plant) -> Plant:
     unknown: list[Parameter | Disturbance] = [*known.parameters, *known.disturbances]
     considered = {*known.considered, *(v.name for v in unknown if v.treatment == "considered")}
     erring = [s for s in plant.inputs if s.name in known.inputs]
-    states = [*(s.name for s in plant.states), *(error_of(s.name) for s in erring), *(v.name for v in unknown)]
-    if strange := [name for name in known.considered if name not in states]:
-        raise ValueError(f"plant {plant.name!r} has no states {', '.join(strange)} to consider; states: {', '.join(states)}")
     larger = replace(plant, uncertainty=Uncertainty(), structure=Structure())
     if known.parameters or erring:
         model = _Unknown(plant)
