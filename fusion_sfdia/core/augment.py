@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Finer, Structure
+from fusion_sfdia.core.plant_groups import Finer, Numerics, Structure
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertainty, error_of
 
@@ -43,13 +43,8 @@ def augment(plant: Plant) -> Plant:
     erring = [s for s in plant.inputs if s.name in known.inputs]
     larger = replace(plant, uncertainty=Uncertainty(), structure=Structure())
     if known.parameters or erring:
-        model = _Unknown(plant)
         errors = [Parameter(error_of(s.name), s.unit, sd=known.inputs[s.name]) for s in erring]
-        larger = _enlarged(larger, model, [_added(p, plant.dt) for p in (*known.parameters, *errors)])
-        if known.step_jacobian is None:
-            larger = replace(larger, numerics=replace(larger.numerics, step_jacobian=None))
-        if known.output_jacobian is None:
-            larger = replace(larger, numerics=replace(larger.numerics, output_jacobian=None))
+        larger = _enlarged(larger, _Unknown(plant), [_added(p, plant.dt) for p in (*known.parameters, *errors)])
     if known.disturbances:
         larger = _enlarged(larger, _Disturbed(larger, known.disturbances), [_shaped(d, plant.dt) for d in known.disturbances])
     return replace(larger, uncertainty=Uncertainty(considered=tuple(s.name for s in larger.states if s.name in considered)))
@@ -96,6 +91,16 @@ class _Unknown:
         """Where the derivatives with respect to (x, theta, delta) are among those with respect to (x, u, theta)."""
         n, p = self.counts
         return np.concatenate([np.arange(n), n + len(self.plant.inputs) + np.arange(p), n + self.erring])
+
+    @property
+    def numerics(self) -> Numerics:
+        """With Jacobians where those with respect to x, u and theta are stated."""
+        known = self.plant.uncertainty
+        return replace(
+            self.plant.numerics,
+            step_jacobian=None if known.step_jacobian is None else self.step_jacobian,
+            output_jacobian=None if known.output_jacobian is None else self.output_jacobian,
+        )
 
     def split(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
         """The state x (..., n), the input that acts (..., m) and theta (..., p)."""
@@ -149,6 +154,10 @@ class _Disturbed:
             np.array([d.time_constant for d in self.disturbances]),
         )
 
+    @property
+    def numerics(self) -> Numerics:
+        return replace(self.plant.numerics, step_jacobian=self.step_jacobian, output_jacobian=self.output_jacobian)
+
     def step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
         v, _, tau = self.directions
         x, xi = z[..., : len(v)], z[..., len(v) :]
@@ -197,7 +206,7 @@ def _enlarged(plant: Plant, model: _Unknown | _Disturbed, added: Sequence[tuple[
         initial_cov=_with_variances(plant.initial_cov, np.array(start)),
         process_cov=_with_variances(plant.process_cov, np.array(walk)),
         process_bound=None if bound is None else np.concatenate([np.broadcast_to(bound, plant.x0.shape), np.zeros(len(added))]),
-        numerics=replace(plant.numerics, step_jacobian=model.step_jacobian, output_jacobian=model.output_jacobian),
+        numerics=model.numerics,
         truth=replace(plant.truth, finer=None if finer is None else partial(_finer, finer, nominal)),
     )
 

@@ -238,8 +238,8 @@ def _uncertainty(model: _Pipe) -> Uncertainty:
     """What is not known of pipe, ground, gas and inputs.
 
     The usual operation hardly tells some of them apart: after 50 minutes the estimates of roughness and gas constant have the
-    correlation -0.97, since both act by the loss of pressure, and those of ground temperature and heat transfer 0.89, since both
-    act by h (T - T_ground). The length and diameter of the pipe are known far better than all of these. What leaks just before
+    correlation -0.97, since both act by the loss of pressure, and those of ground temperature and heat transfer 0.89, since
+    both act by h (T - T_ground). The length and diameter of the pipe are known far better than all of these. What leaks just before
     the outlet is an error of m_outlet.
     """
     names = [equations.UNKNOWN[j] for j in model.unknown]
