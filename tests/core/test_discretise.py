@@ -285,9 +285,7 @@ def spring(c: Spring) -> Physics:
         ),
         f=lambda t, x, z, u, c: np.stack([x[..., 1], z[..., 0] / c.mass], axis=-1),
         algebraic=(Signal("force", nominal=-4.0),),
-        phi=lambda t, x, z, u, c: (
-            -c.stiffness * x[..., :1] if np.ndim(c.stiffness) == 0 else -(c.stiffness * x[..., 0])[..., None]
-        ),
+        phi=lambda t, x, z, u, c: -(c.stiffness * x[..., 0])[..., None],
         parameters=c,
     )
 
