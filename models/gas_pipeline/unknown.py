@@ -1,9 +1,9 @@
 """What is not known of the gas pipeline: of the pipe, the ground, the gas and the inputs.
 
-The usual operation hardly tells some of the parameters apart: after 50 minutes the estimates of roughness and gas constant
-have the correlation -0.97, since both act by the loss of pressure, and those of ground temperature and heat transfer 0.89, since both
-act by h (T - T_ground). The length and diameter of the pipe are known far better than all of these. What leaks just before the
-outlet is an error of m_outlet.
+The usual operation hardly tells some of the parameters apart. After 50 minutes the estimates of roughness and gas constant
+have the correlation -0.97, since both act by the loss of pressure, and those of ground temperature and heat transfer 0.89,
+since both act by h (T - T_ground). The length and diameter of the pipe are known far better than all of these. What leaks just
+before the outlet is an error of m_outlet.
 """
 
 from __future__ import annotations
