@@ -6,6 +6,7 @@ from fusion_sfdia.checks.detectors import check_detector as check_detector
 from fusion_sfdia.checks.plants import check_plant as check_plant
 from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
 from fusion_sfdia.comparison.compare import compare as compare
+from fusion_sfdia.core.augment import augment as augment
 from fusion_sfdia.core.batch_detector import BatchDetector as BatchDetector
 from fusion_sfdia.core.batch_detector import TimeStep as TimeStep
 from fusion_sfdia.core.detector import Decision as Decision
@@ -31,6 +32,10 @@ from fusion_sfdia.core.signals import Signal as Signal
 from fusion_sfdia.core.state import State as State
 from fusion_sfdia.core.storage import load_state as load_state
 from fusion_sfdia.core.storage import save_state as save_state
+from fusion_sfdia.core.uncertainty import Disturbance as Disturbance
+from fusion_sfdia.core.uncertainty import Parameter as Parameter
+from fusion_sfdia.core.uncertainty import Uncertainty as Uncertainty
+from fusion_sfdia.core.uncertainty import secants as secants
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits as EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass as OneClass

@@ -88,6 +88,11 @@ class Disturbance:
         _require_treatment(f"disturbance {self.name!r}", self.treatment)
 
 
+def error_of(name: str) -> str:
+    """The name of the error of an input, a state of the augmented plant."""
+    return f"error of {name}"
+
+
 def _require_treatment(whose: str, treatment: str) -> None:
     if treatment not in TREATMENTS:
         raise ValueError(f"{whose}: treatment is {shown(treatment)}; expected one of {', '.join(TREATMENTS)}")

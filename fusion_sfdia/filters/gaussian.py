@@ -164,7 +164,9 @@ def consider(joint: Joint, x: Array, P: Array) -> tuple[Array, Array]:
 
         P_xx - K_x C_x',    P_x,theta - K_x C_theta',    P_theta,theta
 
-    so that only the mean and the own covariance of theta differ from those of the optimal gain: they stay as they were.
+    so that only the mean and the own covariance of theta differ from those of the optimal gain: they stay as they were. Since
+    the gain is not the optimal one, innovations of successive steps are correlated: a test of one step keeps its rate of false
+    alarms, a test that accumulates steps exceeds it.
     """
     if joint.considered is None:
         return x, P

@@ -12,6 +12,7 @@ from toy_plants import Array, chain, changed
 
 from fusion_sfdia import BatchDetector, CentralFilter, Decision, Plant, State, TimeStep, check_detector, check_plant
 from fusion_sfdia.core.state import leaves
+from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 
 CHAIN = chain(3)
 LOW_STATES = tuple(replace(state, low=-0.5, high=0.5) for state in CHAIN.states)
@@ -31,6 +32,15 @@ def wrong_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
     return np.broadcast_to(-0.95 * np.eye(3) - 0.03 * np.eye(3, k=1), (*x.shape[:-1], 3, 3))
 
 
+def shifted(t: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+    """The step of CHAIN at theta = 1."""
+    return np.asarray(CHAIN.step(t, x, u, dt) + theta - 1.0)
+
+
+def wrong_at_other(t: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+    return np.broadcast_to(np.ones((3, 4)), (*x.shape[:-1], 3, 4))
+
+
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
@@ -39,6 +49,11 @@ def wrong_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
         (changed(CHAIN, step_jacobian=wrong_jacobian), "step_jacobian of plant 'chain' is not the derivative of step"),
         (changed(CHAIN, output=lambda t, x, u: x), "plant 'chain' cannot be pickled .* no closures or lambdas"),
         (replace(CHAIN, x0=np.ones(3), states=LOW_STATES), "x0 of plant 'chain' is outside"),
+        (replace(CHAIN, uncertainty=Uncertainty((Parameter("a"),), shifted)), "at the nominal parameters is not the plant's"),
+        (
+            replace(CHAIN, uncertainty=Uncertainty((Parameter("a", nominal=1.0),), shifted, step_jacobian=wrong_at_other)),
+            "step_jacobian of plant 'chain augmented' is not the derivative of step",
+        ),
     ],
 )  # fmt: skip
 def test_a_plant_that_breaks_the_contract_fails(plant: Plant, message: str) -> None:
