@@ -13,7 +13,7 @@ from toy_plants import changed, readings, tanks
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors
-from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.detector import Decision, run, stack
 from fusion_sfdia.core.state import State
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.intervals.interval import Interval
