@@ -40,7 +40,7 @@ from fusion_sfdia.evaluation.cases import MismatchCase as MismatchCase
 from fusion_sfdia.evaluation.cases import PaperFault as PaperFault
 from fusion_sfdia.evaluation.cases import ProcessFaultCase as ProcessFaultCase
 from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
-from fusion_sfdia.evaluation.diagnose import Event as Event
+from fusion_sfdia.evaluation.events import Event as Event
 from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
 from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
