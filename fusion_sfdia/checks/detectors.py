@@ -17,6 +17,7 @@ from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from fusion_sfdia import registry
+from fusion_sfdia.checks.process_verdicts import process_verdicts_have_numbers
 from fusion_sfdia.checks.readings import (
     Healthy,
     a_silent_sensor_is_used_again,
@@ -35,7 +36,7 @@ from fusion_sfdia.checks.require import (
     scaled,
 )
 from fusion_sfdia.core.arguments import shown
-from fusion_sfdia.core.detector import Decision, Detector, ProcessHypothesis, run
+from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.state import State, leaves, mapped, names
 from fusion_sfdia.core.storage import load_state, save_state
 
@@ -43,7 +44,6 @@ Array = NDArray[Any]
 
 FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input", "process", "suspect"}
 OF_PROCESS = ("process", "process_size", "process_sd", "suspect", "probability")
-KINDS = ("parameter", "input", "state", "disturbance")
 
 
 def check_detector(detector: Any, plant: Any = "two-tanks") -> None:
@@ -88,34 +88,6 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
         require(np.all(d.threshold > 0), "thresholds are positive", d.threshold)
         require(np.all(np.isfinite(d.estimate)), "the estimate is finite", d.estimate)
         assert_array_equal(np.isnan(d.fault_size), ~d.isolated, "a fault has a size where it is isolated, and NaN elsewhere")
-
-
-def process_verdicts_have_numbers(detector: Detector, healthy: Healthy) -> None:
-    """Of a detector with process_hypotheses: they are named apart from each other and from what it isolates; an accepted one
-    has a size and a standard deviation, another none; probabilities of exclusive hypotheses.
-    """
-    tested = getattr(detector, "process_hypotheses", ())
-    names_of_all = [*detector.hypotheses, *(h.name for h in tested)]
-    require(len(set(names_of_all)) == len(names_of_all), "names of all hypotheses differ", names_of_all)
-    for h in tested:
-        require(isinstance(h, ProcessHypothesis) and h.kind in KINDS, f"a ProcessHypothesis of a kind of {KINDS}", h)
-    if not tested:
-        return
-    t, y, u = healthy(30, 2)
-    y = y.copy()
-    y[10:, 0, 0] += 30 * detector.plant.sensor_sigma[0]
-    y[10:, 1] += 30 * detector.plant.sensor_sigma  # no single sensor explains it
-    _, d = run(detector, detector.init((2,)), t, y, u)
-    for what in ("process_size", "process_sd"):
-        assert_array_equal(np.isnan(getattr(d, what)), ~np.asarray(d.process), f"{what} is NaN just where nothing is accepted")
-    sd = np.asarray(d.process_sd)[np.asarray(d.process)]
-    require(np.all((sd >= 0) & np.isfinite(sd)), "standard deviations are finite and not negative", sd)
-    probability = np.asarray(d.probability)[~d.diverged]
-    require(np.all((probability >= 0) & (probability <= 1)), "probabilities are from 0 to 1", probability)
-    total, rounding = np.sum(probability, axis=-1), probability.shape[-1] * np.finfo(float).eps
-    require(np.all(total <= 1 + rounding), "probabilities of hypotheses add up to at most 1", np.max(total))
-    require(not np.any(np.asarray(d.process)[d.diverged]), "nothing is accepted once the estimate has diverged", d.process)
-    require(not np.any(np.asarray(d.suspect)[d.diverged]), "nothing is suspected once the estimate has diverged", d.suspect)
 
 
 def _require_state(detector: Detector, batch: tuple[int, ...], state: Any) -> None:

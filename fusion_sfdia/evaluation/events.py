@@ -122,7 +122,7 @@ def _undecided(names: Sequence[str], t: Array, decisions: Decision, gap: int) ->
         return []
     found: list[Event] = []
     for a, b in spans(np.any(decisions.suspect, axis=-1), gap):
-        sets = [tuple(np.flatnonzero(held)) for held in decisions.suspect[a : b + 1] if np.any(held)]
+        sets = [tuple(np.flatnonzero(held).tolist()) for held in decisions.suspect[a : b + 1] if np.any(held)]
         chosen = list(Counter(reversed(sets)).most_common(1)[0][0])  # the later one at a tie
         likely = np.zeros(len(names)) if decisions.probability is None else decisions.probability[a : b + 1].mean(axis=0)
         suspects = tuple(names[i] for i in sorted(chosen, key=lambda i: -likely[i]))
@@ -152,7 +152,7 @@ def verdict(events: Sequence[Event], t: Array) -> str:
 
 
 def _decided(open_question: UndecidedEvent, events: Sequence[Event], t: Array) -> bool:
-    after = t[min(np.searchsorted(t, open_question.end) + 1, len(t) - 1)]
+    after = t[min(int(np.searchsorted(t, open_question.end)) + 1, len(t) - 1)]
     return any(e.hypothesis in open_question.suspects and e.start <= after and e.end >= open_question.start for e in events)
 
 
