@@ -73,7 +73,7 @@ class Identifiability:
     @property
     def overlap(self) -> Array:
         """|rho| with that hypothesis (N,)."""
-        return np.max(np.abs(self.rho), axis=-1, initial=0.0)
+        return np.asarray(np.max(np.abs(self.rho), axis=-1, initial=0.0))
 
     @property
     def told_apart(self) -> Array:
@@ -132,15 +132,18 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
     whole_model = _limits(free, added, samples, settle)
     alone = _limits(replace(plant, uncertainty=Uncertainty()), 0, whole_model.samples, settle) if added else whole_model
     return Identifiability(
-        plant.name,
-        plant.sensor_names,
-        tuple(s.unit for s in plant.sensors),
-        sigma,
-        tuple(s.name for s in free.states[len(plant.states) :]),
-        *(size / sigma for size in (whole_model.bias, alone.bias, whole_model.drift, alone.drift)),
-        whole_model.rho,
-        whole_model.samples,
-        settle,
+        plant=plant.name,
+        sensors=plant.sensor_names,
+        units=tuple(s.unit for s in plant.sensors),
+        sigma=sigma,
+        hypotheses=tuple(s.name for s in free.states[len(plant.states) :]),
+        bias=whole_model.bias / sigma,
+        bias_known=alone.bias / sigma,
+        drift=whole_model.drift / sigma,
+        drift_known=alone.drift / sigma,
+        rho=whole_model.rho,
+        samples=whole_model.samples,
+        settle=settle,
     )
 
 
