@@ -232,7 +232,6 @@ class Plant:
                 finer=None if finer is None else partial(_finer_in_units, finer, dict(units)),
                 feedback=None if feedback is None else partial(fed_back, feedback, factor),
             ),
-            uncertainty=self.uncertainty.read_in(factor),
         )
 
 

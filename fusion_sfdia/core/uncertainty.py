@@ -7,8 +7,7 @@ A parameter theta enters the model by functions that take its value, `step(t_sta
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -125,20 +124,6 @@ class Uncertainty:
     def stated(self) -> bool:
         """Whether anything is stated."""
         return bool(self.parameters or self.inputs or self.disturbances)
-
-    def read_in(self, factor: Array) -> Uncertainty:
-        """The same with sensors read in other units, by factors (N,) on their readings."""
-        output, slope = self.output, self.output_sensitivity
-        return replace(
-            self,
-            output=None if output is None else partial(_scaled, output, factor),
-            output_sensitivity=None if slope is None else partial(_scaled, slope, factor[:, None]),
-            disturbances=tuple(replace(d, reading=d.reading * factor) for d in self.disturbances),
-        )
-
-
-def _scaled(output: ParametricOutput, factor: Array, t: float, x: Array, u: Array, theta: Array) -> Array:
-    return output(t, x, u, theta) * factor
 
 
 @dataclass(frozen=True, eq=False)
