@@ -14,7 +14,8 @@ have in common,
 
 The smallest detectable size is that with a mean of 5: at a threshold h it is detected with probability Phi(5 - h), .96 at the
 3.29 of a false-alarm probability of 1e-3, and one half at 5. A detector that searches many sensors and onsets has a higher
-threshold, and one with a window sees no more samples than that.
+threshold, and one with a window sees no more samples than that. With considered parameters the innovations are correlated in
+time, which the variance neglects.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.filters.estimators import Extended, step_stream
+from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 
 Array = NDArray[Any]
@@ -184,7 +186,7 @@ def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
         left = prior.tangent @ left
         effect = np.concatenate([np.eye(count), k * np.eye(count), np.zeros((count, added))], axis=1)
         effect -= plant.output_jacobian_at(t, prior.core.x, u) @ left
-        left = left + joint.C @ (found.inverse @ effect)
+        left = left + gain(joint, found.inverse) @ effect
         common += effect.T @ found.inverse @ effect
         if k == samples or (samples == np.inf and k >= FIRST and (k & (k - 1) == 0 or k == LAST)):
             limits = _of(common, count, k)

@@ -209,9 +209,17 @@ def test_a_disturbance_of_one_reading_is_its_bias() -> None:
     )
 
 
+def test_free_outlets_leave_no_static_information_about_levels() -> None:
+    """At rest flow = outlet sqrt(level): an outlet explains a wrong level as well, however long one waits."""
+    short, long = (identifiability(tanks(), samples) for samples in (60, 480))
+    assert np.all(long.bias_known < 0.45 * short.bias_known)  # as 1 / sqrt(samples), 0.35
+    assert np.all(long.told_apart[:2] > 0.9 * short.told_apart[:2]) and np.all(long.told_apart[:2] > 2)
+    assert long.rival[:2] == ("outlet_1", "outlet_2")
+
+
 def test_large_limits_are_marked() -> None:
     """Within one sample a bias is seen against the noise of that sample alone."""
-    found = identifiability(tanks(), 1)
+    found = identifiability(replace(tanks(), uncertainty=Uncertainty()), 1)
     assert np.all(found.bias > 5) and len(found.warnings) == 8
     assert found.warnings[0] == f"l1: only a bias of {found.bias[0]:.3g} sigma or more is detected and told apart"
     assert found.warnings[1] == f"l1: only a drift to {found.drift[0]:.3g} sigma or more in 1 samples is detected"
