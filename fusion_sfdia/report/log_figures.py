@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
@@ -29,7 +31,7 @@ def time_line(axes: Axes, found: Diagnosis) -> None:
         if (e.kind, e.hypothesis) in shown:
             bar = (e.start / 60, (e.end - e.start + step) / 60)
             axes.broken_barh([bar], (shown.index((e.kind, e.hypothesis)) - 0.35, 0.7), color=KINDS[e.kind][1])
-    labels = [named.get(name, name) for _, name in shown]
+    labels = [fill(named.get(name, name), 30) for _, name in shown]
     for row, (kind, _) in enumerate(shown):
         axes.text(1.01, row, KINDS[kind][0], transform=axes.get_yaxis_transform(), va="center", color="0.3", fontsize=8)
     if more := len(rows) - len(shown):
