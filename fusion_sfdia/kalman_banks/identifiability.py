@@ -20,7 +20,10 @@ time, which the variance neglects.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import count as count_from
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +33,7 @@ from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Uncertainty
-from fusion_sfdia.filters.estimators import Extended, step_stream
+from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 
@@ -161,16 +164,40 @@ class _Limits(NamedTuple):
 def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
     """The limits of a filter on the plant, with jumps of its last `added` states as hypotheses of the process."""
     count, n = len(plant.sensors), len(plant.states)
-    estimator, none = Extended(), step_stream(0, 0)
-    state, used = estimator.start(plant, (), none), np.ones(count, bool)
     left = np.zeros((n, 2 * count + added))  # E: of biases, ramps and jumps
+    left[n - added :, 2 * count :] = -np.eye(added)
     common = np.zeros((left.shape[1], left.shape[1]))  # sum M' S^-1 M
     before = np.full(count, np.inf)
-    for k in range(1 - settle, LAST + 1):
-        if k == 1:
-            left[n - added :, 2 * count :] = -np.eye(added)
-        t_start = (k - 1 + settle) * plant.dt
-        u, t = plant.input_at(t_start), t_start + plant.dt
+    for k, update in enumerate(islice(_healthy_updates(plant), settle, settle + LAST), start=1):
+        left = update.tangent @ left
+        effect = np.concatenate([np.eye(count), k * np.eye(count), np.zeros((count, added))], axis=1)
+        effect -= update.output_jacobian @ left
+        left = left + update.gain @ effect
+        common += effect.T @ update.inverse @ effect
+        if k == samples or (samples == np.inf and k >= FIRST and (k & (k - 1) == 0 or k == LAST)):
+            limits = _of(common, count, k)
+            if k in (samples, LAST) or np.all(limits.bias >= (1 - SETTLED) * before):
+                return limits
+            before = limits.bias
+    raise AssertionError("the last sample has limits")
+
+
+class _Update(NamedTuple):
+    """F of a step, H of its prediction, S^-1 and K of its update."""
+
+    tangent: Array
+    output_jacobian: Array
+    inverse: Array
+    gain: Array
+
+
+def _healthy_updates(plant: Plant) -> Iterator[_Update]:
+    """The updates of an extended Kalman filter along the usual operation, with readings as it expects them."""
+    estimator, none = Extended(), step_stream(0, 0)
+    state = estimator.start(plant, (), none)
+    for k in count_from(0):
+        t_start, t = k * plant.dt, (k + 1) * plant.dt
+        u = plant.input_at(t_start)
         prior = estimator.predict(plant, state, t_start, u, plant.dt, none)
         joint = estimator.joint(plant, prior, t, u)
         if not (np.all(np.isfinite(joint.y)) and np.all(np.isfinite(joint.S))):
@@ -178,22 +205,10 @@ def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
                 f"the model of plant {plant.name!r} has no finite readings at {t:g} s of its usual operation; give another "
                 "`operation` or x0, or fewer samples"
             )
-        found = statistics(joint, joint.y, used)
-        state = type(state)(*posterior(joint, found))
-        if k < 1:
-            continue
+        found = statistics(joint, joint.y, np.ones(joint.y.shape, bool))
+        state = GaussianState(*posterior(joint, found))
         assert prior.tangent is not None
-        left = prior.tangent @ left
-        effect = np.concatenate([np.eye(count), k * np.eye(count), np.zeros((count, added))], axis=1)
-        effect -= plant.output_jacobian_at(t, prior.core.x, u) @ left
-        left = left + gain(joint, found.inverse) @ effect
-        common += effect.T @ found.inverse @ effect
-        if k == samples or (samples == np.inf and k >= FIRST and (k & (k - 1) == 0 or k == LAST)):
-            limits = _of(common, count, k)
-            if k in (samples, LAST) or np.all(limits.bias >= (1 - SETTLED) * before):
-                return limits
-            before = limits.bias
-    raise AssertionError("the last sample has limits")
+        yield _Update(prior.tangent, plant.output_jacobian_at(t, prior.core.x, u), found.inverse, gain(joint, found.inverse))
 
 
 def _of(common: Array, count: int, samples: int) -> _Limits:
