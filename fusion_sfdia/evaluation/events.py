@@ -156,11 +156,11 @@ def _decided(open_question: UndecidedEvent, events: Sequence[Event], t: Array) -
     return any(e.hypothesis in open_question.suspects and e.start <= after and e.end >= open_question.start for e in events)
 
 
-def listed(names: Sequence[str], between: str = ", ") -> str:
+def listed(names: Sequence[str], between: str = ", ", most: int = MOST_NAMES) -> str:
     """Names in a sentence, each once, of many the first few."""
     once = list(dict.fromkeys(names))
-    more = len(once) - MOST_NAMES
-    return between.join(once) if more < 2 else f"{between.join(once[:MOST_NAMES])}{between}{more} more"
+    more = len(once) - most
+    return between.join(once) if more < 2 else f"{between.join(once[:most])}{between}{more} more"
 
 
 def with_spread(value: float, sd: float) -> tuple[str, str]:

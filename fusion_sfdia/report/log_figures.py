@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from textwrap import fill
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
@@ -24,14 +22,14 @@ KINDS = {  # of events: the word and the colour
 def time_line(axes: Axes, found: Diagnosis) -> None:
     """A bar for each event over time (min), a row for each hypothesis, the process first."""
     rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in found.events))
-    named = {e.hypothesis: listed(e.suspects, " or ") for e in found.events if isinstance(e, UndecidedEvent)}
+    named = {e.hypothesis: listed(e.suspects, " or ", most=2) for e in found.events if isinstance(e, UndecidedEvent)}
     shown = rows if len(rows) <= MOST_ROWS else rows[: MOST_ROWS - 1]
     step = float(np.min(np.diff(found.t))) if len(found.t) > 1 else 60.0  # s: the width of a single sample
     for e in found.events:
         if (e.kind, e.hypothesis) in shown:
             bar = (e.start / 60, (e.end - e.start + step) / 60)
             axes.broken_barh([bar], (shown.index((e.kind, e.hypothesis)) - 0.35, 0.7), color=KINDS[e.kind][1])
-    labels = [fill(named.get(name, name), 30) for _, name in shown]
+    labels = [named.get(name, name) for _, name in shown]
     for row, (kind, _) in enumerate(shown):
         axes.text(1.01, row, KINDS[kind][0], transform=axes.get_yaxis_transform(), va="center", color="0.3", fontsize=8)
     if more := len(rows) - len(shown):
