@@ -14,6 +14,7 @@ from scipy.special import ndtr
 from toy_plants import Array, chain, tanks
 
 from fusion_sfdia.core.augment import augment
+from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics
@@ -22,6 +23,7 @@ from fusion_sfdia.core.uncertainty import Disturbance, Parameter, Uncertainty, s
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.kalman_banks.identifiability import NEEDED, identifiability
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 
@@ -157,6 +159,25 @@ def test_the_smallest_detectable_faults_are_detected(stated: Callable[[], Plant]
     healthy, M = readings(plant, rng=np.random.default_rng(1), runs=RUNS), of_sensors(plant, kind)
     for i in sensors:
         require_mean_of_5(plant, M[i], healthy + sizes[i] * faults(plant, kind)[i])
+
+
+@pytest.mark.parametrize(
+    "stated", [uncertain_tanks, pytest.param(uncertain_engine, marks=pytest.mark.slow)], ids=["tanks", "engine"]
+)
+def test_a_bank_with_that_window_detects_them_at_least_as_often(stated: Callable[[], Plant]) -> None:
+    """loo-glr tests all onsets in its window, the true one among them: at the window's end at least Phi(5 - h) of the runs."""
+    plant = augment(stated())
+    bank = LeaveOneOutBank(plant, window=SAMPLES, accommodate=False)
+    sizes, h = identifiability(stated(), SAMPLES, SETTLE).bias, np.sqrt(bank.limits[1])
+    least, healthy = ndtr(NEEDED - h), readings(plant, rng=np.random.default_rng(3), runs=RUNS)
+    t = np.arange(1, SETTLE + SAMPLES + 1) * plant.dt
+    u = np.stack([np.broadcast_to(plant.input_at(now - plant.dt), (RUNS, len(plant.inputs))) for now in t])
+    for i in (0, len(sizes) - 1):
+        y = healthy + sizes[i] * faults(plant, "bias")[i]
+        _, decisions = run(bank, bank.init(RUNS), t, y, u)
+        share = np.mean(decisions.scores[-1, :, i] > 1)
+        error = np.sqrt(least * (1 - least) / RUNS)
+        assert least - 3.5 * error <= share <= least + 3.5 * error + 0.1  # other onsets add little
 
 
 def test_what_can_be_told_apart_is_detected_beside_its_rival() -> None:
