@@ -124,7 +124,7 @@ def _shift(v: Array, places: list[int], axis: int) -> Array:
     moved = np.empty_like(v)
     moved[0] = 0.0
     np.take(v, places, axis=0, out=moved[1:])
-    return np.moveaxis(moved, 0, axis)
+    return np.asarray(np.moveaxis(moved, 0, axis))
 
 
 def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut, effect: Effect) -> Weighed:
@@ -152,7 +152,7 @@ def measured(output_jacobian: Array, eta: Array) -> Array:
     picks = np.argmax(rows[0] != 0, axis=-1)
     if np.array_equal(rows, np.broadcast_to(np.arange(rows.shape[-1]) == picks[:, None], rows.shape)):
         return np.take(eta, picks, axis=-2)
-    return output_jacobian[..., None, :, :] @ eta
+    return np.asarray(output_jacobian[..., None, :, :] @ eta)
 
 
 def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> Best:
@@ -170,8 +170,10 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
     statistic = found**2 * information
     evidence = np.where(known, statistic * (b * spread / (1 + b * spread)) - np.log1p(b * spread), -np.inf)
     slot = np.argmax(statistic, axis=-2, keepdims=True)
-    at = [np.take_along_axis(v, slot, axis=-2)[..., 0, :] for v in (statistic, found, information, evidence)]
-    return Best(*at, slot[..., 0, :] + first)
+    best, size, information, evidence = (
+        np.take_along_axis(v, slot, axis=-2)[..., 0, :] for v in (statistic, found, information, evidence)
+    )
+    return Best(best, size, information, evidence, slot[..., 0, :] + first)
 
 
 def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:

@@ -145,7 +145,8 @@ class RobustBank(ExcludingBank):
         scale, onsets = self.threshold_scale, sum(grid.slots for grid in self._grids)
         half = self.false_alarm / 2 / len(self.plant.sensors)
         shares = (half, half / onsets, self.process_false_alarm / len(self.process_hypotheses) / onsets)
-        return Limits(*(float((scale * ndtri(s / 2)) ** 2) for s in shares), self.sensor_margin, self.process_margin)
+        one, window, process = (float((scale * ndtri(s / 2)) ** 2) for s in shares)
+        return Limits(one, window, process, np.array(self.sensor_margin), self.process_margin)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> RobustMemory:
         of, count = self._hypotheses, len(self.plant.sensors)

@@ -40,8 +40,9 @@ class Standing(NamedTuple):
 
 def nothing(batch: tuple[int, ...], added: int, states: int) -> Standing:
     """Return the state in which the model holds."""
-    rest = [np.zeros((*batch, states)) for _ in range(3)]
-    return Standing(np.zeros((*batch, added + states), bool), np.zeros((*batch, added)), *rest, np.full(batch, LONG_AGO))
+    size, sd, left = (np.zeros((*batch, states)) for _ in range(3))
+    accepted, before = np.zeros((*batch, added + states), bool), np.zeros((*batch, added))
+    return Standing(accepted, before, size, sd, left, np.full(batch, LONG_AGO))
 
 
 def added_noise(now: Standing, rates: Array, z: Array) -> Array | None:
