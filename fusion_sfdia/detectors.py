@@ -57,8 +57,8 @@ register_detector(
 )
 register_detector(
     "robust-glr",
-    "loo-glr on the plant augmented by what it does not know, where biases and ramps of sensors compete with jumps and drifts of "
-    "parameters and inputs and with errors of state equations; isolates a sensor where it explains more, else reports the process",
+    "loo-glr on the plant augmented by what it does not know: biases and ramps of sensors compete with jumps and drifts "
+    "of parameters and inputs and with errors of state equations; isolates sensors, or reports the process",
     "fusion_sfdia.kalman_banks.robust_bank:RobustBank",
     memory="32 and 256 samples",
     false_alarm=FALSE_ALARM,

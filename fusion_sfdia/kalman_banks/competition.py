@@ -22,7 +22,7 @@ PRIOR = 1e-3  # probability of each hypothesis before any reading
 
 
 class Limits(NamedTuple):
-    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence, that of sensors (...)."""
+    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence, for sensors (...)."""
 
     one: float
     window: float
@@ -93,7 +93,7 @@ def gathered(recent: Best, slow: Best, one_sample: Array, handicap: Array) -> Ev
 
 
 class Present(NamedTuple):
-    """Process hypotheses that begin now: M (..., N, P). sizes (N + P,): of sensors and process before any reading; handicap (..., P)."""
+    """Process hypotheses that begin now: M (..., N, P); sizes (N + P,) of sensors and process; handicap (..., P)."""
 
     M: Array
     sizes: Array
@@ -138,7 +138,7 @@ def _beginning_now(found: LeaveOneOut, present: Present) -> Array:
 
 
 def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array:
-    """Whether a sensor (...) that is isolated has more evidence by the windows than by the present sample: it has been absorbed."""
+    """Whether the isolated sensor (...) has more evidence by the windows than by the sample: the filter has absorbed it."""
     at = sensor[..., None]
     with np.errstate(invalid="ignore"):  # -inf - -inf of a sensor that is not used
         more = np.take_along_axis(evidence.sensor - evidence.one_sample, at, axis=-1)[..., 0] > ABSORBED

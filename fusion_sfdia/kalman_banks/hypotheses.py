@@ -6,9 +6,9 @@ On the augmented state z = (x, theta, delta, xi) of `augment`, with transition m
     jump of augmented state j       C = F e_j at the onset                   drift of it                C = F e_j in each step
     error of state equation j       C = phi_1(F) e_j / phi_1(F)_jj in each step
 
-An error of a state equation is a rate that acts within dt: phi_1(F) = int_0^1 F^s ds. Errors at the end of a step, C = e_j, would
-be the same as biases where a state is read and is forgotten within dt. Biases, jumps and errors of equations are sought in the
-recent past at all onsets, ramps and drifts in the far past at onsets `SLOW_STEP` samples apart.
+An error of a state equation is a rate that acts within dt: phi_1(F) = int_0^1 F^s ds. Errors at the end of a step, C = e_j,
+would be the same as biases where a state is read and is forgotten within dt. Biases, jumps and errors of equations are sought
+in the recent past, ramps and drifts in the far past, at onsets `SLOW_STEP` samples apart.
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ def measured(output_jacobian: Array, eta: Array) -> Array:
     rows = output_jacobian.reshape(-1, *output_jacobian.shape[-2:])
     picks = np.argmax(rows[0] != 0, axis=-1)
     if np.array_equal(rows, np.broadcast_to(np.arange(rows.shape[-1]) == picks[:, None], rows.shape)):
-        return np.take(eta, picks, axis=-2)
+        return np.asarray(np.take(eta, picks, axis=-2))
     return np.asarray(output_jacobian[..., None, :, :] @ eta)
 
 

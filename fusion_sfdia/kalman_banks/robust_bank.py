@@ -3,10 +3,11 @@
 The central filter estimates what the plant declares as unknown (`core.augment`). On its innovations the hypotheses of
 `hypotheses` compete; `competition` decides between sensor, process and "cannot tell".
 
-- A sensor is isolated by the present sample, or by the windows, where it explains the readings better than any difference of the
-  plant, by a margin. What it has done to the estimate is removed.
+- A sensor is isolated by the present sample, or by the windows, where it explains the readings better than any difference of
+  the plant, by a margin. What it has done to the estimate is removed.
 - A process hypothesis is accepted in the same way. The estimate is moved to it, with its uncertainty, the windows restart, and
-  sensors that were isolated in the recent past are used again: the diagnosis of sensors continues with full power.
+  sensors that were isolated in the recent past are used again: the diagnosis of sensors continues. While the hypothesis stands
+  a sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples in a row.
 - Otherwise an alarm is undecided, and its suspects are reported.
 - A sensor whose readings are too quiet is isolated, too (`quiet`).
 """
@@ -62,6 +63,7 @@ from fusion_sfdia.kalman_banks.standing import DOUBT, Standing, added_noise, fol
 
 Array = NDArray[Any]
 
+QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
 PERSISTENT = 3  # samples in a row that isolate a sensor soon after the process has changed
 
 
@@ -95,8 +97,9 @@ class RobustBank(ExcludingBank):
     """Leave-one-out bank with competing hypotheses about sensors and process.
 
     window, memory: samples in which the onset of a bias, jump or error of an equation, and that of a ramp or drift, is sought.
-    false_alarm: probability that an alarm of the sensors begins in one step, as of `LeaveOneOutBank`; process_false_alarm: the
-    same of the process hypotheses. By Bonferroni both are bounds, for a correct model. sensor_margin, process_margin: by how
+    false_alarm: probability that an alarm of the sensors begins in one step, as of `LeaveOneOutBank`: a tenth for readings that
+    are too quiet, the rest in equal parts for the sample and the windows; process_false_alarm: the same of the process
+    hypotheses. By Bonferroni both are bounds, for a correct model. sensor_margin, process_margin: by how
     much the evidence (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process, and the reverse.
     max_faults: sensors that may be left out at once (None: what the plant's redundancy allows).
     accommodate: leave out isolated sensors and follow the process; without it the statistics are those of one filter, for
@@ -143,7 +146,7 @@ class RobustBank(ExcludingBank):
     def _limits(self) -> Limits:
         """Quantiles of normal variables, shared by sensors or process hypotheses and by the onsets."""
         scale, onsets = self.threshold_scale, sum(grid.slots for grid in self._grids)
-        half = self.false_alarm / 2 / len(self.plant.sensors)
+        half = (1 - QUIET_SHARE) * self.false_alarm / 2 / len(self.plant.sensors)
         shares = (half, half / onsets, self.process_false_alarm / len(self.process_hypotheses) / onsets)
         one, window, process = (float((scale * ndtri(s / 2)) ** 2) for s in shares)
         return Limits(one, window, process, np.array(self.sensor_margin), self.process_margin)
@@ -201,7 +204,7 @@ class RobustBank(ExcludingBank):
         recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)
-        quiet = too_quiet(pairs, self.false_alarm / 2 / count) & (exclusion.out | (room > 0)[..., None])
+        quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count) & (exclusion.out | (room > 0)[..., None])
         if self.accommodate:
             exclusion = restored(exclusion, process[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, found)

@@ -1,8 +1,8 @@
 """Process hypotheses that have been accepted: how large they are now, and until when they stand.
 
 An augmented state that has jumped or drifted is estimated from then on; it stands while its estimate differs from what it was
-before by two standard deviations. It may change further: process noise of a share of its size is added. The error of a state equation is a rate that may go on: process noise of its size is added,
-which decays, and it stands until little of it is left.
+before by two standard deviations. It may change further: process noise of a share of its size is added. The error of a state
+equation is a rate that may go on: process noise of its size is added, which decays, and it stands until little of it is left.
 """
 
 from __future__ import annotations
