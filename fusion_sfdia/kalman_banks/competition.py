@@ -22,7 +22,7 @@ PRIOR = 1e-3  # probability of each hypothesis before any reading
 
 
 class Limits(NamedTuple):
-    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence, for sensors (...)."""
+    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence of both kinds."""
 
     one: float
     window: float
