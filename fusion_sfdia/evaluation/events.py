@@ -16,6 +16,7 @@ from fusion_sfdia.core.detector import Decision, Detector, ProcessHypothesis
 Array = NDArray[Any]
 
 MOST_NAMES = 4  # in a sentence
+LASTING = 3  # samples
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,9 @@ class Event:
     @property
     def period(self) -> str:
         """When, in words."""
-        return f"since {self.start:g} s" if self.open else f"from {self.start:g} s to {self.end:g} s"
+        if self.open:
+            return f"since {self.start:g} s"
+        return f"at {self.start:g} s" if self.start == self.end else f"from {self.start:g} s to {self.end:g} s"
 
 
 @dataclass(frozen=True)
@@ -136,24 +139,33 @@ def _when(t: Array, a: int, b: int) -> tuple[float, float]:
 
 
 def verdict(events: Sequence[Event], t: Array) -> str:
-    """What the events of readings at times t (K,) say together: process or model, no decision, sensors, or no fault.
-
-    What was undecided is left out where one of its suspects is isolated or accepted at that time or in the sample after.
-    """
+    """What the events of readings at times t (K,) say together: process or model, what cannot be told, sensors, or no fault."""
     parts = []
     if process := [e.hypothesis for e in events if e.kind == "process"]:
         parts.append(f"process or model: {listed(process)}")
-    open_questions = dict.fromkeys(e.suspects for e in events if isinstance(e, UndecidedEvent) and not _decided(e, events, t))
-    parts += [f"cannot tell: {listed(suspects, ' or ')}" for suspects in open_questions]
+    for suspects in dict.fromkeys(e.suspects for e in open_questions(events, t)):
+        parts.append(f"cannot tell: {listed(suspects, ' or ')}")
     for kind, word in (("sensor", "sensor"), ("other", "fault")):
         if named := [e.hypothesis for e in events if e.kind == kind]:
             parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
     return "; ".join(parts) or "no fault"
 
 
-def _decided(open_question: UndecidedEvent, events: Sequence[Event], t: Array) -> bool:
-    after = t[min(int(np.searchsorted(t, open_question.end)) + 1, len(t) - 1)]
-    return any(e.hypothesis in open_question.suspects and e.start <= after and e.end >= open_question.start for e in events)
+def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:
+    """What the readings at times t (K,) leave undecided.
+
+    Not an alarm that ends within LASTING samples, as noise may raise one; nor one of whose suspects one is isolated or accepted
+    while it lasts or in the sample after.
+    """
+    found = []
+    for e in events:
+        if isinstance(e, UndecidedEvent):
+            first, last = np.searchsorted(t, (e.start, e.end))
+            after = t[min(last + 1, len(t) - 1)]
+            decided = any(o.hypothesis in e.suspects and o.start <= after and o.end >= e.start for o in events)
+            if not decided and (e.open or last - first >= LASTING - 1):
+                found.append(e)
+    return found
 
 
 def listed(names: Sequence[str], between: str = ", ", most: int = MOST_NAMES) -> str:

@@ -35,7 +35,7 @@ def time_line(axes: Axes, found: Diagnosis) -> None:
     if more := len(rows) - len(shown):
         labels.append(f"and {more} more")
     axes.set_yticks(range(len(labels)), labels, fontsize=8)
-    axes.set(xlabel="time (min)", xlim=(found.t[0] / 60, (found.t[-1] + step) / 60), ylim=(len(labels) - 0.4, -0.6))
+    axes.set(xlabel="time (min)", xlim=(found.t[0] / 60, (found.t[-1] + step) / 60), ylim=(max(len(labels), 4) - 0.4, -0.6))
     axes.grid(visible=False, axis="y")
 
 

@@ -15,7 +15,7 @@ from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
-from fusion_sfdia.evaluation.events import Event, ProcessEvent, UndecidedEvent
+from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
 from fusion_sfdia.evaluation.logs import read_log, write_log
 from fusion_sfdia.report.log_figures import process_size, time_line
 from fusion_sfdia.report.plots import panels, time_series, write_figure
@@ -84,7 +84,7 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
     """
     process = list(dict.fromkeys(e.hypothesis for e in found.events if isinstance(e, ProcessEvent)))[:MOST_PANELS]
     verdict = [fill(found.verdict, 80)] if found.process_hypotheses and found.events else []
-    names = _sensors(plant, found.events)[:MOST_PANELS] or [plant.sensor_names[0]]
+    names = _sensors(plant, found)[:MOST_PANELS] or [plant.sensor_names[0]]
     titles = [*verdict, *(f"{name}: process or model" for name in process), *(_title(name, found) for name in names)]
     figure, axes = panels(titles, columns=1, width=9.5, height=2.6)
     for axis, name in zip(axes[-len(names) :], names, strict=True):
@@ -110,12 +110,12 @@ def _title(name: str, found: Diagnosis) -> str:
     return f"{name}: {count} event(s)" if count or not found.process_hypotheses else f"{name}: not isolated"
 
 
-def _sensors(plant: Plant, events: tuple[Event, ...]) -> list[str]:
-    """Sensors with events, the largest in units of its noise first, and then those that are suspected."""
+def _sensors(plant: Plant, found: Diagnosis) -> list[str]:
+    """Sensors with events, the largest in units of its noise first, and then those that are suspected in the end."""
     sigma = dict(zip(plant.sensor_names, plant.sensor_sigma, strict=True))
     size: dict[str, float] = {}
-    for e in events:
+    for e in found.events:
         if e.hypothesis in sigma:
             size[e.hypothesis] = max(size.get(e.hypothesis, 0.0), abs(e.size) / sigma[e.hypothesis])
-    suspects = [name for e in events if isinstance(e, UndecidedEvent) for name in e.suspects if name in sigma]
+    suspects = [name for e in open_questions(found.events, found.t) for name in e.suspects if name in sigma]
     return list(dict.fromkeys([*sorted(size, key=lambda name: -size[name]), *suspects]))

@@ -85,6 +85,14 @@ def test_what_is_decided_in_the_end_is_no_open_question() -> None:
     assert other.verdict == "cannot tell: l1 or outlet; sensor q12"
 
 
+def test_a_short_alarm_that_ends_by_itself_is_no_open_question() -> None:
+    """It is an event all the same; one that lasts to the end is open."""
+    short, long, last = (found(doubt=doubt, between=(0, 4)) for doubt in ((9, 11), (9, 12), (40, NEVER)))
+    assert short.verdict == "no fault" and len(short.events) == 1
+    assert long.verdict == last.verdict == "cannot tell: l1 or outlet"
+    assert str(found(doubt=(9, 10), between=(0, 4)).events[0]) == "cannot tell: l1 or outlet, at 45 s"
+
+
 def test_suspects_are_those_that_stood_together_longest() -> None:
     once = found(doubt=(5, NEVER), between=(1, 5))
     (event,) = once.events
