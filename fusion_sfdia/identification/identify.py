@@ -22,6 +22,7 @@ Array = NDArray[Any]
 SAMPLES_PER_STATE = 10  # least length of a recording
 WARM_UP = 10  # samples after the start of a recording that no likelihood is judged on
 
+
 def identify(
     name: str,
     sensors: Sequence[Signal],
@@ -30,12 +31,12 @@ def identify(
     inputs: Sequence[Signal] = (),
     order: int | Sequence[int] = (2, 4, 8, 12, 16),
     folds: int = 4,
-    ridge: float = 1.0,
+    ridge: float = 5.0,
     iterations: int = 40,
 ) -> Plant:
     """Return a linear plant x+ = A x + B u + c + w, y = C x + d + v of one healthy recording, w and v independent.
 
-    sensors, inputs: name and unit of each column of y (K, N) and u (K, m) of `healthy`; of an input also its limits. Times
+    sensors, inputs: name and unit of each column of y (K, N) and u (K, m) of `healthy`; nominal inputs are their means. Times
     are equally spaced; a missing reading is NaN. u acts until the reading of its row; where a controller computes it from that
     very reading, give the row before, or the model predicts the reading's noise from it.
 
@@ -45,8 +46,8 @@ def identify(
 
     order: number of states; of several, that with the largest likelihood of `folds` stretches of the recording, each left
     out of its identification in turn. The readings left out also scale Q and R, so that their normalised innovation squared is
-    1: residuals of the recording itself are too small. ridge: samples' worth of a prior of zero of each coefficient.
-    iterations: of the expectation maximisation.
+    1: residuals of the recording itself are too small. ridge: samples' worth of a prior of zero of A and B; with inputs that
+    feed readings back, a model without it is often unstable. iterations: of the expectation maximisation.
 
     The states are values without noise of some readings, now or some steps ahead, in the readings' units: rows of the
     observability matrix by a QR decomposition with pivots. initial_cov is the covariance of the states over the recording.

@@ -98,8 +98,8 @@ def smoothed(model: LinearGaussian, y: Array, u: Array) -> Smoothed:
 def maximised(model: LinearGaussian, states: Smoothed, y: Array, u: Array, ridge: float) -> LinearGaussian:
     """The model that maximises the expected log-likelihood given the smoothed states.
 
-    Each row of [A B] and of C is a regression, with `ridge` samples' worth of a prior of zero: sums S of squares of the
-    regressors become S + ridge diag(S) / K. Readings are in units of their standard deviation.
+    Each row of [A B] and of C is a regression; that of [A B] has `ridge` samples' worth of a prior of zero: the sums S of
+    squares of the regressors become S + ridge diag(S) / K.
     """
     steps, n = len(y), len(model.A)
     before = np.hstack([states.x[:-1], u])
@@ -114,7 +114,7 @@ def maximised(model: LinearGaussian, states: Smoothed, y: Array, u: Array, ridge
     value, count = np.where(known, y, 0.0), known.sum(axis=0)
     squares = (states.x[1:, :, None] * states.x[1:, None, :] + states.P[1:]).reshape(steps, n * n)
     S_yx, S_of = value.T @ states.x[1:], (known.T.astype(float) @ squares).reshape(-1, n, n)
-    C = np.stack([solve(_ridged(s, ridge / k), b, assume_a="pos") for s, b, k in zip(S_of, S_yx, count, strict=True)])
+    C = np.stack([solve(s, b, assume_a="pos") for s, b in zip(S_of, S_yx, strict=True)])
     r = np.maximum((np.sum(value**2, axis=0) - np.sum(C * S_yx, axis=1)) / count, LEAST_NOISE)
     return LinearGaussian(AB[:, :n], AB[:, n:], C, Q, r, states.x[0], model.P0)
 

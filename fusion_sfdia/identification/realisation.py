@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,12 @@ Array = NDArray[Any]
 LATER = 0.5  # weight of a reading one step later as a state: present readings are preferred
 
 
-def plant_of(
-    name: str, model: LinearGaussian, scale: Scaled, sensors: Sequence[Signal], inputs: Sequence[Signal]
-) -> Plant:
+def plant_of(name: str, model: LinearGaussian, scale: Scaled, sensors: Sequence[Signal], inputs: Sequence[Signal]) -> Plant:
     """The plant of a model of scaled readings, in the readings' units.
 
     With T the n rows of (C; C A; C A^2; ...) that a QR decomposition with pivots chooses, of rows over the reading's noise, the
-    states T x are values without noise of readings, now or some steps later without further input and noise.
+    states T x are values without noise of readings, now or some steps later without further input and noise: "true level",
+    "true level 2 later".
     """
     A, B, C, Q, r, _, P0 = model
     n, count = len(A), len(C)
@@ -46,7 +46,7 @@ def plant_of(
     F, G = of_states(T @ A), T @ B / scale.u_sd
     H = of_states(scale.y_sd[:, None] * C)
     centre = scale.y_mean[which]  # x in own units is T x + centre
-    names = [sensors[i].name + (f", {k} steps later" if k else "") for i, k in zip(which, later, strict=True)]
+    names = [sensors[i].name + (f" {k} later" if k else "") for i, k in zip(which, later, strict=True)]
     return linear_plant(
         name, F, H, [
             Sensor(s.name, s.name, s.unit, sigma=float(sigma))
@@ -55,7 +55,7 @@ def plant_of(
         dt=scale.dt, x0=centre, initial_cov=_symmetric(T @ P0 @ T.T), process_cov=_symmetric(T @ Q @ T.T),
         input_matrix=G, offset=centre - F @ centre - G @ scale.u_mean, output_offset=scale.y_mean - H @ centre,
         states=[Signal(f"true {s}", sensors[i].unit, float(x)) for s, i, x in zip(names, which, centre, strict=True)],
-        inputs=inputs,
+        inputs=[replace(s, nominal=float(mean)) for s, mean in zip(inputs, scale.u_mean, strict=True)],
     )  # fmt: skip
 
 

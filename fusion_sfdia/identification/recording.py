@@ -41,7 +41,9 @@ def scaled(sensors: Sequence[Signal], inputs: Sequence[Signal], log: Log) -> Sca
     if t.size < 2 or not np.allclose(steps := np.diff(t), steps[0], rtol=1e-6, atol=0.0) or not steps[0] > 0:
         raise ValueError("the times of the recording do not rise in equal steps; add rows of NaN where readings are missing")
     if np.isinf(y).any() or not np.isfinite(u).all():
-        raise ValueError("the recording has infinite readings or inputs that are missing; expected NaN for missing readings alone")
+        raise ValueError(
+            "the recording has infinite readings or inputs that are missing; expected NaN for missing readings alone"
+        )
     for what, signals, values in (("sensor", sensors, y), ("input", inputs, u)):
         for signal, column in zip(signals, values.T, strict=True):
             known = column[np.isfinite(column)]
