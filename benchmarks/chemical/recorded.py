@@ -126,8 +126,8 @@ def recorded_summary(settings: Settings, results: Results) -> Summary:
             for sigma in SIGMAS
             for c in [f"sigma of the {sigma}"]
         ),
-        "The model is identified from the plant in closed loop, so that its valves are inputs whose row is one sample late. The "
-        "biases are put into the recording: the controllers do not react to them, as they would in the plant.",
+        "The plant runs in closed loop: the controllers do not react to the biases, which are put into the recording, as they "
+        "would to those of an instrument.",
     ]
     return Summary(rows=rows, figures=[verdict_figure(rows, names), bias_figure(rows, names, sizes)],
                    tables=[component_table(rows)], remarks=remarks)  # fmt: skip

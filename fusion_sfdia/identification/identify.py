@@ -20,6 +20,7 @@ from fusion_sfdia.identification.subspace import canonical_variates
 Array = NDArray[Any]
 
 SAMPLES_PER_STATE = 10  # least length of a recording
+LAGS = 4  # samples of the past and of the future in canonical variates; a state for each reading in them takes one more
 WARM_UP = 10  # samples after the start of a recording that no likelihood is judged on
 
 
@@ -32,7 +33,7 @@ def identify(
     order: int | Sequence[int] = (2, 4, 8, 12, 16),
     folds: int = 4,
     ridge: float = 5.0,
-    iterations: int = 40,
+    iterations: int = 60,
 ) -> Plant:
     """Return a linear plant x+ = A x + B u + c + w, y = C x + d + v of one healthy recording, w and v independent.
 
@@ -40,9 +41,9 @@ def identify(
     are equally spaced; a missing reading is NaN. u acts until the reading of its row; where a controller computes it from that
     very reading, give the row before, or the model predicts the reading's noise from it.
 
-    Subspace identification gives innovations e with x+ = A x + K e, y = C x + e, whose noises K e and e are correlated. Here its
-    A, B, C only start the expectation maximisation of a model whose Q is full and whose R is diagonal, so that a
-    Kalman filter on the plant is the one whose likelihood was maximised. Missing readings need no replacement.
+    Subspace identification gives innovations e with x+ = A x + K e, y = C x + e, whose noises K e and e are correlated. Here
+    its A, B, C only start the expectation maximisation of a model whose Q is full and whose R is diagonal, so that a Kalman
+    filter on the plant is the one whose likelihood was maximised. Missing readings need no replacement.
 
     order: number of states; of several, that with the largest likelihood of `folds` stretches of the recording, each left
     out of its identification in turn. The readings left out also scale Q and R, so that their normalised innovation squared is
@@ -75,8 +76,7 @@ def identify(
 
 
 def _fitted(y: Array, u: Array, order: int, ridge: float, iterations: int) -> LinearGaussian:
-    lags = max(2, -(-order // y.shape[1]) + 1)  # as many readings in the past as there are states, and some more
-    model = canonical_variates(y, u, order, lags)
+    model = canonical_variates(y, u, order, LAGS + order // y.shape[1])
     for _ in range(iterations):
         model = maximised(model, smoothed(model, y, u), y, u, ridge)
     return model

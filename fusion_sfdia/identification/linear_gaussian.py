@@ -88,7 +88,7 @@ def smoothed(model: LinearGaussian, y: Array, u: Array) -> Smoothed:
     P = np.concatenate([model.P0[None], found.Pf])
     lag = np.empty_like(found.Pf)
     for t in range(len(y) - 1, -1, -1):
-        G = solve(found.Pp[t], model.A @ P[t], assume_a="pos").T
+        G = np.linalg.solve(found.Pp[t], model.A @ P[t]).T
         x[t] += G @ (x[t + 1] - found.xp[t])
         P[t] += _symmetric(G @ (P[t + 1] - found.Pp[t]) @ G.T)
         lag[t] = P[t + 1] @ G.T

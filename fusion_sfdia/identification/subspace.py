@@ -14,7 +14,8 @@ Array = NDArray[Any]
 
 SHRINK = 0.1  # added to the variances, of readings of variance 1: rows of past and future are nearly collinear
 SLOWEST = 0.99  # largest modulus of an eigenvalue at the start
-LEAST = 0.05  # least variance of a reading's noise at the start, of a reading of variance 1
+NOISE = 0.2  # noise at the start over the residuals' variance: expectation maximisation raises it fast and lowers it slowly
+LEAST = 0.005  # least variance of a reading's noise at the start, of a reading of variance 1
 
 
 def canonical_variates(y: Array, u: Array, order: int, lags: int) -> LinearGaussian:
@@ -45,12 +46,12 @@ def canonical_variates(y: Array, u: Array, order: int, lags: int) -> LinearGauss
     error = x[1:] - before @ AB.T
     A = A * min(1.0, SLOWEST / np.max(np.abs(np.linalg.eigvals(A))))
     Q = error.T @ error / len(error) + SHRINK**2 * np.eye(order)
-    r = np.maximum(np.mean((y[ends] - x @ C.T) ** 2, axis=0), LEAST)
+    r = np.maximum(NOISE * np.mean((y[ends] - x @ C.T) ** 2, axis=0), LEAST)
     return LinearGaussian(A, B, C, Q, r, np.zeros(order), np.eye(order))
 
 
 def held(y: Array) -> Array:
-    """y (K, N) with missing readings replaced by the last one, 0 before the first."""
+    """Y (K, N) with missing readings replaced by the last one, 0 before the first."""
     last = np.maximum.accumulate(np.where(np.isfinite(y), np.arange(len(y))[:, None], -1), axis=0)
     return np.where(last >= 0, np.take_along_axis(np.nan_to_num(y), np.maximum(last, 0), axis=0), 0.0)
 

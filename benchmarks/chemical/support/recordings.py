@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
@@ -53,7 +54,7 @@ VALVES = (  # XMV(1) to XMV(11), %; Downs and Vogel 1993, table 3
     "separator liquid valve", "stripper product valve", "stripper steam valve", "reactor cooling water valve",
     "condenser cooling water valve",
 )  # fmt: skip
-ORDER, RIDGE, ITERATIONS = 20, 5.0, 30  # by the likelihood of d00_te's first half: see `identified`
+ORDER, RIDGE, ITERATIONS = 20, 5.0, 60  # by the likelihood of d00_te's first half: see `identified`
 INPUT_ERROR = 3.0  # declared error of a manipulated variable over its standard deviation in d00
 
 
@@ -62,7 +63,7 @@ def channels(folder: str, name: str) -> Array:
     found = [path for path in (Path(folder) / f"{name}.dat", Path(folder) / f"{name}.dat.gz") if path.is_file()]
     if not folder or not found:
         raise ValueError(
-            f"setting data is {folder!r}, a folder without {name}.dat or {name}.dat.gz; expected that of the files "
+            f"setting data is {shown(folder)}, a folder without {name}.dat or {name}.dat.gz; expected that of the files "
             f"{', '.join(FILES)} of Russell, Chiang and Braatz, such as github.com/jkitchin/tennessee-eastman-profbraatz "
             "(licence: University of Illinois/NCSA): pass --set data=FOLDER"
         )

@@ -1,4 +1,4 @@
-"""Detectors over the recordings of the chemical plant: with a process fault, and healthy with a bias put into one measurement."""
+"""Detectors over the recordings of the chemical plant: with a process fault, and healthy with a bias in one measurement."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def biased(task: Task, log: Log, plant: Plant) -> tuple[Log, Array]:
 
 
 def verdicts(detector: Detector, log: Log) -> Arrays:
-    """isolated (K, ..., 41), process and alarm (K, ...) after the warm-up: sensors isolated, a process hypothesis accepted."""
+    """Isolated (K, ..., 41), process and alarm (K, ...) after the warm-up: sensors isolated, a process hypothesis accepted."""
     start = detector.init(log.y.shape[1:-1], float(log.t[0]) - detector.plant.dt)
     decision: Decision = run(detector, start, *log)[1]
     process = np.zeros(decision.alarm.shape, bool) if decision.process is None else decision.process.any(axis=-1)
@@ -69,10 +69,7 @@ def verdicts(detector: Detector, log: Log) -> Arrays:
 
 
 def trial(task: Task) -> Arrays:
-    """All verdicts of a detector: of healthy, each process fault and the biases, prefixed by its name; `active` of the biases.
-
-    hypotheses, of each process fault: the number of samples in which each process hypothesis was accepted.
-    """
+    """All verdicts of a detector: of healthy, each process fault and the biases, prefixed by its name; `active` of the biases."""
     detector, learns = chosen(task)
     folder = task["data"]
     logs = {name: recording(folder, f"{name}_te", repeated=learns) for name in ("d00", *FAULTS)}
