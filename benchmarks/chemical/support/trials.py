@@ -21,7 +21,7 @@ JUDGED = 480  # samples of d00_te before the half that is judged; the other may 
 WARM_UP = 40  # samples before the judged ones, in which a filter forgets its initial state
 ONSETS = (60, 200, 340)  # samples of the judged half at which biases begin
 SIGNS = (1.0, -1.0, 1.0)  # of the biases, by onset
-RATE = 0.01  # of false alarms per step of detectors that learn: their data are too few for less
+LEARNT_RATE = 0.01  # of false alarms per step of detectors that learn: their data are too few for less
 SIGMAS = ("reading", "noise")
 
 
@@ -30,10 +30,10 @@ def chosen(task: Task) -> tuple[Detector, bool]:
     folder, named = task["data"], find_detector(task["detector"])
     plant = identified(folder)
     if not named.learns:
-        return named.build(plant), False
+        return named.build(plant, false_alarm=task["false_alarm"]), False
     train, test = (recording(folder, name, repeated=True) for name in ("d00", "d00_te"))
     healthy = np.stack([train.y[-JUDGED:], test.y[:JUDGED]], axis=1)
-    return named.build(plant, healthy=healthy, false_alarm=RATE), True
+    return named.build(plant, healthy=healthy, false_alarm=LEARNT_RATE), True
 
 
 def sigmas(folder: str, plant: Plant) -> dict[str, Array]:
@@ -65,11 +65,11 @@ def verdicts(detector: Detector, log: Log) -> Arrays:
     decision: Decision = run(detector, start, *log)[1]
     process = np.zeros(decision.alarm.shape, bool) if decision.process is None else decision.process.any(axis=-1)
     found = {"isolated": decision.isolated[..., : len(MEASUREMENTS)], "process": process, "alarm": decision.alarm}
-    return {name: values[WARM_UP:] for name, values in found.items()}
+    return {name: np.asarray(values)[WARM_UP:] for name, values in found.items()}
 
 
 def trial(task: Task) -> Arrays:
-    """All verdicts of a detector: of healthy, each process fault and the biases, prefixed by its name; `active` of the biases."""
+    """All verdicts of a detector, prefixed by healthy, the process fault or bias; `active` of the biases."""
     detector, learns = chosen(task)
     folder = task["data"]
     logs = {name: recording(folder, f"{name}_te", repeated=learns) for name in ("d00", *FAULTS)}
