@@ -17,6 +17,10 @@ from fusion_sfdia.robustness.protocol import LATER
 Array = NDArray[Any]
 
 NO_NAME = ""
+FIELDS = (
+    *("samples", "exact", "falsely_isolated", "first", "first_process"),
+    *("process", "process_name", "at_end", "diverged"),
+)  # of record
 
 
 class Kept(NamedTuple):

@@ -39,7 +39,8 @@ TIMED_STEPS, TIMED_SECONDS = 40, 1.0
 def work(task: Task) -> Arrays:
     """All of one variant on one plant, or the `reason` why it does not apply; with `variants` in the task, what steps cost.
 
-    Of all runs (R,): the arrays of `records.record`, and row, their condition; condition, mismatch (J,): its names. refused (M, 2): mismatch cases whose log
+    Of all runs (R,): the arrays of `records.record`, and row, their condition; condition, mismatch (J,): its names. tests_process: whether
+    the detector has hypotheses about the process. refused (M, 2): mismatch cases whose log
     `commission` refuses, and why. healthy_scores (W, S), biased_scores (W', S): of the silent detector on the right model,
     healthy and under the bias of SMALL sigma. scale: of the thresholds.
     """
@@ -69,6 +70,7 @@ def work(task: Task) -> Arrays:
         **join([record(one) for one in kept]),
         "condition": np.array([one.branched.condition.fault.name for one in kept]),
         "mismatch": np.array([one.branched.condition.mismatch for one in kept]),
+        "tests_process": np.array(bool(kept[0].hypotheses)),
         "refused": np.array(refused, dtype=str).reshape(-1, 2),
         **silent_scores(calibration.detector, worlds[0]),
         "scale": np.array(calibration.scale),
