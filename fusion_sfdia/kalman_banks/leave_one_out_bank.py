@@ -27,6 +27,7 @@ from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
@@ -122,7 +123,7 @@ class LeaveOneOutBank(ExcludingBank):
         x, p = posterior(joint, found)
         if self.window > 1:
             restart = np.any(isolated, axis=-1) & self.accommodate
-            window = advance(onsets, joint.C @ found.inverse, found, restart)
+            window = advance(onsets, gain(joint, found.inverse), found, restart)
 
         update = Update(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)

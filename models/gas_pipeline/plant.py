@@ -33,6 +33,7 @@ from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
@@ -59,6 +60,22 @@ PROCESS_NOISE = {"tenth": 0.1, "nine-tenths": 0.9}  # of the sensors' sigma, see
 IDENTITY = (1e6, 1.0, 1.0)  # Pa, kg/s, K: one of each of the paper's units
 FINER = 4  # cells of the high-fidelity model in one of the grid: errors are 4^4 times smaller
 DENSE_NODES = 600  # about 200 MB with all intermediate results
+SPREAD = {  # unit, standard deviation over the value (K: of the value), its change within an hour, source
+    "roughness": ("m", 0.3, 0.0, "tables give pipes of one kind a factor of two; 30 % is our choice"),
+    "ambient": ("K", 2.5, 0.1, "ground at laying depth follows the seasons by several kelvin, by one in a week"),
+    "heat_transfer": ("W/(m2 K)", 0.3, 0.0, "conductivity of soil: by a factor of two between dry and wet; our choice"),
+    "gas_constant": (
+        "J/(kg K)",
+        0.01,
+        0.001,
+        "molar masses of natural gases of one quality differ by some percent; our choice",
+    ),
+}
+INPUT_ERRORS = {  # our choices from usual classes of instruments
+    "p_inlet": 4e3,  # Pa: 0.04 % of a transmitter's range of 10 MPa
+    "T_inlet": 0.3,  # K: a resistance thermometer of class B
+    "m_outlet": 3.0,  # kg/s: 1 % of the initial flow, an orifice or ultrasonic meter; also what leaks before it
+}
 QUANTITIES = ("pressure", "mass flow", "temperature")
 
 
@@ -148,6 +165,7 @@ def gas_pipeline(
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
         numerics=Numerics(model.step_jacobian, model.output_jacobian, max_dt=limit * count),
         truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
+        uncertainty=_uncertainty(model),
     )
 
 
@@ -168,6 +186,27 @@ class _Pipe:
         require_dense(self.nodes)
         return self._advance(equations.advance_tangent, x, u, dt)
 
+    @cached_property
+    def unknown(self) -> Array:
+        """Positions (p,) in equations.UNKNOWN of what matters: no roughness of a smooth pipe or with a friction factor."""
+        matters = {"roughness": self.c.roughness * (self.c.friction == 0), "heat_transfer": self.c.heat_transfer}
+        return np.array([j for j, name in enumerate(equations.UNKNOWN) if matters.get(name, 1) > 0])
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Nominal values (4,) of equations.UNKNOWN."""
+        return np.array([getattr(self.c, name) for name in equations.UNKNOWN])
+
+    def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        return self._advance(equations.advance_each, x, u, dt, theta)
+
+    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        require_dense(self.nodes)
+        return self._advance(equations.advance_sensitivity, x, u, dt, theta, self.unknown)
+
+    def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
+        return by_states_alone(self._readout, u, theta)
+
     def output(self, t: float, x: Array, u: Array) -> Array:
         return x[..., self.picks]
 
@@ -181,13 +220,37 @@ class _Pipe:
         selection[np.arange(self.picks.size), self.picks] = 1.0
         return selection
 
-    def _advance(self, function: Any, x: Array, u: Array, dt: float) -> Array:
-        kind, n = np.result_type(x, u, float), 3 * self.nodes
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        flat = np.ascontiguousarray(np.broadcast_to(x, (*batch, n)), dtype=kind).reshape(-1, n)
-        inputs = np.ascontiguousarray(np.broadcast_to(u, (*batch, 3)), dtype=kind).reshape(-1, 3)
-        result: Array = function(flat, inputs, float(dt), self.count, self.c, self.stencil)
+    def _advance(self, function: Any, x: Array, u: Array, dt: float, theta: Array | None = None, *which: Array) -> Array:
+        """The function of states, inputs and, where given, parameters theta (..., p), as matrices with a row for each."""
+        rows = [x, u]
+        if theta is not None:
+            rows.append(np.broadcast_to(self.nominal, (*theta.shape[:-1], self.nominal.size)).astype(theta.dtype))
+            rows[-1][..., self.unknown] = theta
+        kind, batch = np.result_type(*rows, float), np.broadcast_shapes(*(a.shape[:-1] for a in rows))
+        flat = (
+            np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1]) for a in rows
+        )
+        result: Array = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
         return result.reshape(*batch, *result.shape[1:])
+
+
+def _uncertainty(model: _Pipe) -> Uncertainty:
+    """What is not known of pipe, ground, gas and inputs.
+
+    Heat transfer and ground temperature both act by h (T - T_ground), and T - T_ground falls along the pipe: the temperatures
+    together distinguish them. The length of the pipe is known far better than all of these.
+    """
+    names = [equations.UNKNOWN[j] for j in model.unknown]
+    parameters = []
+    for name in names:
+        unit, sd, rate, source = SPREAD[name]
+        nominal = float(getattr(model.c, name))
+        scale = 1.0 if name == "ambient" else nominal
+        low = np.finfo(float).tiny if name != "heat_transfer" else 0.0
+        parameters.append(Parameter(name, unit, nominal, sd * scale, rate * scale, source=source, low=low))
+    return Uncertainty(
+        tuple(parameters), model.step_at, None, model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS
+    )
 
 
 def _finer(model: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Array], Array]]:
