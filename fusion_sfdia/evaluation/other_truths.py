@@ -96,13 +96,15 @@ def _output_of_input(plant: Plant, u: Array) -> Array:
     return plant.output(0.0, np.broadcast_to(plant.x0, (*u.shape[:-1], plant.x0.size)), u)
 
 
-def double_spread(plant: Callable[[], Plant], rebuild: Callable[..., Plant], names: Sequence[str]) -> Plant:
+def double_spread(plant: Callable[[], Plant], rebuild: Callable[..., Plant], names: Sequence[str] | None = None) -> Plant:
     """A plant whose uncertain parameters of these names are two standard deviations off, in turn above and below.
 
-    plant(): what states them; rebuild(**values): the plant at other values. ValueError for a name that it does not state.
+    plant(): what states them; rebuild(**values): the plant at other values. names: None for all. ValueError for a name that
+    it does not state.
     """
     made = plant()
     known = {p.name: p for p in made.uncertainty.parameters}
+    names = tuple(known) if names is None else names
     if unknown := [name for name in names if name not in known]:
         raise ValueError(
             f"plant {made.name!r} states no spread of {', '.join(unknown)}; it does of {', '.join(known) or 'none'}"

@@ -18,14 +18,14 @@ from fusion_sfdia.robustness.tables import UNSEEN, tables_of
 from fusion_sfdia.robustness.variants import Variant
 
 METHOD = (
-    "Readings come from the high-fidelity model of each plant, under mismatch of another plant, with seeds on which nothing was "
-    "chosen. A mismatch acts from the start, a sensor fault or process fault from the onset on, after 60 samples (engine 400). "
-    "Thresholds are out of reach until 30 samples before the onset, so that no alarm of the start lasts. They are scaled so that "
-    "one healthy sample in a thousand alarms over all sensors while the model is right.",
-    "On augmented: the plant with its uncertain parameters and errors of inputs as states. Commissioned: on a healthy log of the "
-    f"real plant, {LOG_RUNS} runs of {LOG_STEPS} samples in the usual operation with other seeds; detectors that learn from data are "
-    "fitted to that log. From a log alone: the plant states nothing uncertain, and it is judged in an operation that is not in "
-    f"the log. Cases marked{UNSEEN} are unseen: no setting was chosen with them in view.",
+    "Readings come from the high-fidelity model of each plant, under mismatch of another plant, with seeds on which nothing "
+    "was chosen. A mismatch acts from the start, a sensor fault or process fault from the onset on, after 60 samples (engine "
+    "400). Thresholds are out of reach until 30 samples before the onset, so that no alarm of the start lasts. They are "
+    "scaled so that one healthy sample in a thousand alarms over all sensors while the model is right.",
+    "On augmented: the plant with its uncertain parameters and errors of inputs as states. Commissioned: on a healthy log of "
+    f"the real plant, {LOG_RUNS} runs of {LOG_STEPS} samples in the usual operation with other seeds; detectors that learn from "
+    "data are fitted to that log. From a log alone: the plant states nothing uncertain, and it is judged in an operation that "
+    f"is not in the log. Cases marked{UNSEEN} are unseen: no setting was chosen with them in view.",
 )
 
 
@@ -46,15 +46,15 @@ def chapter(rows: Sequence[Row], results: Results, plant: str) -> Chapter:
     """What detectors do on a plant."""
     those = variants_of(rows, plant)
     figure = Figure(
-        f"robustness-{plant}",
+        plant,
         f"{plant}: when the model is wrong",
-        "Orange: samples at which a healthy sensor is isolated, none is right. Blue: samples at which exactly the faulty sensor "
-        "is isolated, and runs with a process verdict, which is right for process faults and wrong for sensor faults. "
+        "Orange: samples at which a healthy sensor is isolated, none is right. Blue: samples at which exactly the faulty "
+        "sensor is isolated, and runs with a process verdict, which is right for process faults and wrong for sensor faults. "
         f"Grey: not tried, or a detector without such a verdict. Cases with{UNSEEN} are unseen.",
         partial(draw, rows, plant),
         f"Shares of samples and runs for {len(those)} variants of detectors on {plant}, by condition",
     )
-    return Chapter(plant, f"{plant}", findings(rows, plant), [figure], [*tables_of(rows, plant), cases_table(plant)])
+    return Chapter(plant, plant, findings(rows, plant), [figure], [*tables_of(rows, plant), cases_table(plant)])
 
 
 def findings(rows: Sequence[Row], plant: str) -> list[str]:

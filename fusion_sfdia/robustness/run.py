@@ -39,10 +39,10 @@ TIMED_STEPS, TIMED_SECONDS = 40, 1.0
 def work(task: Task) -> Arrays:
     """All of one variant on one plant, or the `reason` why it does not apply; with `variants` in the task, what steps cost.
 
-    Of all runs (R,): the arrays of `records.record`, and row, their condition; condition, mismatch (J,): its names. tests_process: whether
-    the detector has hypotheses about the process. refused (M, 2): mismatch cases whose log
-    `commission` refuses, and why. healthy_scores (W, S), biased_scores (W', S): of the silent detector on the right model,
-    healthy and under the bias of SMALL sigma. scale: of the thresholds.
+    Of all runs (R,): the arrays of `records.record`, and row, their condition; condition, mismatch (J,): its names.
+    tests_process: whether the detector has hypotheses about the process. refused (M, 2): mismatch cases whose log `commission`
+    refuses, and why. healthy_scores (W, S), biased_scores (W', S): of the silent detector on the right model, healthy and
+    under the bias of SMALL sigma. scale: of the thresholds.
     """
     of = compared_plant(task["plant"])
     if "variants" in task:

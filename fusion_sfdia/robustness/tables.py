@@ -29,7 +29,7 @@ from fusion_sfdia.robustness.aims import (
     mismatches,
     process_faults,
 )
-from fusion_sfdia.robustness.rows import REFERENCE, Index, index_of, variants_of
+from fusion_sfdia.robustness.rows import REFERENCE, index_of, variants_of
 
 Cell = str | float | Interval
 NOT_TRIED = "not tried"

@@ -22,6 +22,7 @@ from fusion_sfdia.models.power_network.operation import AreaFault, load_profile
 from fusion_sfdia.models.power_network.parameters import NetworkParameters, load_network, load_steps
 from fusion_sfdia.models.power_network.plant import power_network
 from fusion_sfdia.models.power_network.published import GOVERNOR
+from fusion_sfdia.models.power_network.unknown import altered
 
 Array = NDArray[Any]
 
@@ -86,6 +87,11 @@ def changing_slopes(first: float, last: float) -> Plant:
     return trending(other_slopes(first), other_slopes(last), TREND)
 
 
+def other_network(**values: float) -> Plant:
+    """The network with other values of uncertain parameters."""
+    return network(altered(load_network(), **values))
+
+
 def usual_network() -> Plant:
     """The network under the repeated loads."""
     return network(load_network())
@@ -136,19 +142,25 @@ CASES = ComparisonCases(
             unseen=True,
         ),
         MismatchCase("larger load steps", "0.3 in area 5 and -0.25 in area 12", inputs=larger_loads, unseen=True),
+        MismatchCase(
+            "double spread",
+            "slopes, inertias and droops two standard deviations off, in turn above and below",
+            partial(double_spread, power_network, other_network),
+            unseen=True,
+        ),
     ),
     process_faults=(
         ProcessFaultCase(
             "governor",
             "the governor of area 4 with a time constant of 1000 s (B18, scenario 1)",
             partial(failing, GOVERNOR.fault),
-            named=("p_v_4", "reference_4"),
+            named=("p_v_4", "reference_4", "droop_4"),
         ),
         ProcessFaultCase(
             "input-gain",
             "the reference of area 4 arrives with its sign reversed; B18, scenario 2, has area 5, which has no load here",
             partial(failing, SIGN_FLIP),
-            named=("p_v_4", "reference_4"),
+            named=("p_v_4", "reference_4", "droop_4"),
         ),
         ProcessFaultCase(
             "load-loss",
