@@ -17,6 +17,9 @@ from fusion_sfdia.robustness.rows import Index, index_of, variants_of
 from fusion_sfdia.robustness.tables import RIGHT, UNSEEN
 
 
+NO_SENSOR = "no sensor is faulty: samples at which one is isolated"
+
+
 class Column(NamedTuple):
     """A column of a panel: its label, and the fault, condition and metric of its numbers."""
 
@@ -31,8 +34,8 @@ def columns_of(rows: Sequence[Row], plant: str) -> dict[str, list[Column]]:
     unseen, faults = mismatches(plant, unseen=True), process_faults(plant)
     cases = [(m + UNSEEN * (m in unseen), m) for m in mismatches(plant)]
     slow = list(dict.fromkeys(r.fault for r in rows if r.plant == plant and r.metric == AT_END))
-    return {
-        "no sensor is faulty: samples at which one is isolated": [
+    found = {
+        NO_SENSOR: [
             Column("right model", HEALTHY, "", FALSE),
             *(Column(label, HEALTHY, name, FALSE) for label, name in cases),
             *(Column(name, name, "", FALSE) for name in faults),
@@ -48,6 +51,8 @@ def columns_of(rows: Sequence[Row], plant: str) -> dict[str, list[Column]]:
             *(Column(fault.replace("-", " "), fault, "", VERDICT) for fault in RIGHT[1:]),
         ],
     }
+    metrics = {r.metric for r in rows if r.plant == plant}
+    return {title: columns for title, columns in found.items() if metrics & {c.metric for c in columns}}
 
 
 def value_of(index: Index, plant: str, variant: str, column: Column) -> float:
@@ -61,6 +66,6 @@ def draw(rows: Sequence[Row], plant: str) -> Drawing:
     index, those, shown = index_of(rows), variants_of(rows, plant), columns_of(rows, plant)
     figure, axes = panels(list(shown), columns=1, width=15.0, height=2.2 + 0.22 * len(those))
     for axis, (title, columns) in zip(axes, shown.items(), strict=True):
-        values = [[value_of(index, plant, v, column) for column in columns] for v in those]
-        heat(axis, np.array(values), those, [column.label for column in columns], less=title.startswith("no sensor"))
+        values = np.array([[value_of(index, plant, v, column) for column in columns] for v in those])
+        heat(axis, values, those, [column.label for column in columns], less=title == NO_SENSOR)
     return figure
