@@ -33,12 +33,13 @@ from fusion_sfdia.robustness.rows import REFERENCE, index_of, variants_of
 
 Cell = str | float | Interval
 NOT_TRIED = "not tried"
+NO_VERDICT = "no verdict"  # of a detector without hypotheses about the process
 UNSEEN = " *"
 
 
-def cell(rows: Sequence[Row]) -> Cell:
-    """The number of a row with its interval, or that there is none."""
-    return (rows[0].value, rows[0].low, rows[0].high, rows[0].n) if rows and np.isfinite(rows[0].value) else NOT_TRIED
+def cell(rows: Sequence[Row], absent: str = NOT_TRIED) -> Cell:
+    """The number of a row with its interval; `absent` where there is none."""
+    return (rows[0].value, rows[0].low, rows[0].high, rows[0].n) if rows and np.isfinite(rows[0].value) else absent
 
 
 def in_words(shown: Shown | None, aim: Aim) -> str:
@@ -118,7 +119,7 @@ def process_table(rows: Sequence[Row], plant: str) -> Table:
     for fault in process_faults(plant):
         for v in variants_of(rows, plant):
             numbers = [
-                cell(found(index, plant, v, metric, (fault,), ("",)))
+                cell(found(index, plant, v, metric, (fault,), ("",)), NO_VERDICT)
                 for metric in (FALSE, VERDICT, NAMING, "detection_delay", "process_delay")
             ]
             lines.append((fault, v, *numbers))
@@ -140,7 +141,7 @@ def sensor_table(rows: Sequence[Row], plant: str) -> Table:
     index, lines = index_of(rows), []
     slow = list(dict.fromkeys(r.fault for r in rows if r.plant == plant and r.metric == AT_END))
     for v in variants_of(rows, plant):
-        verdicts = [cell(found(index, plant, v, VERDICT, (fault,), ("",))) for fault in RIGHT[1:]]
+        verdicts = [cell(found(index, plant, v, VERDICT, (fault,), ("",)), NO_VERDICT) for fault in RIGHT[1:]]
         drifts = [cell(found(index, plant, v, AT_END, (fault,), ("",))) for fault in slow]
         time = found(index, plant, v, RATIO, (HEALTHY,), ("",))
         lines.append((v, *verdicts, *drifts, time[0].value if time else NOT_TRIED))

@@ -137,8 +137,8 @@ CASES = ComparisonCases(
         ),
         MismatchCase(
             "loads fluctuate",
-            "by 0.03 in areas 2, 7 and 12, correlated over 20 s: wind",
-            partial(fluctuating, usual_network, {f"load_{i}": 0.03 for i in (2, 7, 12)}, 20.0),
+            "by 0.06 in areas 2, 7 and 12, correlated over 20 s: wind",
+            partial(fluctuating, usual_network, {f"load_{i}": 0.06 for i in (2, 7, 12)}, 20.0),
             unseen=True,
         ),
         MismatchCase("larger load steps", "0.3 in area 5 and -0.25 in area 12", inputs=larger_loads, unseen=True),

@@ -73,8 +73,8 @@ CASES = ComparisonCases(
         ),
         MismatchCase(
             "inflow fluctuates",
-            "by 8 %, correlated over 100 s: a pump on a supply of changing pressure",
-            partial(fluctuating, two_tanks, {"inflow": 0.08 * INFLOW}, 100.0),
+            "by 3 %, correlated over 100 s: a pump on a supply of changing pressure",
+            partial(fluctuating, two_tanks, {"inflow": 0.03 * INFLOW}, 100.0),
             unseen=True,
         ),
         MismatchCase("inflow drops", "by a third, 20 samples before", inputs=less_inflow, unseen=True),

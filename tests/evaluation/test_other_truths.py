@@ -19,7 +19,11 @@ X, U = np.array([[0.9, 1.1]]), np.array([INFLOW])
 def test_a_trend_begins_as_the_first_plant_and_ends_as_the_last() -> None:
     first, last = two_tanks(outlet=0.95), two_tanks(outlet=1.05)
     found = trending(first, last, 100.0)
-    for t, ends in ((0.0, {"first": 1.0, "last": 0.0}), (50.0, {"first": 0.5, "last": 0.5}), (500.0, {"first": 0.0, "last": 1.0})):
+    for t, ends in (
+        (0.0, {"first": 1.0, "last": 0.0}),
+        (50.0, {"first": 0.5, "last": 0.5}),
+        (500.0, {"first": 0.0, "last": 1.0}),
+    ):
         expected = ends["first"] * finest(first).step(t, X, U, STEP) + ends["last"] * finest(last).step(t, X, U, STEP)
         np.testing.assert_allclose(found.step(t, X, U, STEP), expected, rtol=1e-14)
         read = ends["first"] * finest(first).output(t, X, U) + ends["last"] * finest(last).output(t, X, U)
