@@ -16,7 +16,6 @@ from fusion_sfdia.robustness.aims import AT_END, BIAS, EXACT, FALSE, NAMING, VER
 from fusion_sfdia.robustness.rows import Index, index_of, variants_of
 from fusion_sfdia.robustness.tables import RIGHT, UNSEEN
 
-
 NO_SENSOR = "no sensor is faulty: samples at which one is isolated"
 
 

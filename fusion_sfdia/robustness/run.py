@@ -53,8 +53,10 @@ def work(task: Task) -> Arrays:
         by = ComparedDetector(variant.name, "", variant.built_on(log))
         settle, runs = settle_of(cases_of(of)), calibration_runs(task)
         calibration = calibrated(of, by, settle, CALIBRATION_STEPS, runs, task["false_alarm"])
-    except NotApplicableError as problem:
-        return {"reason": np.array(str(problem))}
+    except ValueError as problem:
+        if not isinstance(problem, NotApplicableError) and not variant.needs_log:
+            raise
+        return {"reason": np.array(str(problem))}  # not applicable, or the log of the right model is refused
     common = {k: v for k, v in task.items() if k not in ("detector", "knowledge")}
     worlds = material(of, json.dumps(common | {"other_operation": variant.knowledge == ALONE}, sort_keys=True))
     kept: list[Kept] = []

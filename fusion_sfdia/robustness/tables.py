@@ -29,7 +29,7 @@ from fusion_sfdia.robustness.aims import (
     mismatches,
     process_faults,
 )
-from fusion_sfdia.robustness.rows import REFERENCE, index_of, variants_of
+from fusion_sfdia.robustness.rows import OF_THE_PROCESS, REFERENCE, index_of, variants_of
 
 Cell = str | float | Interval
 NOT_TRIED = "not tried"
@@ -119,7 +119,7 @@ def process_table(rows: Sequence[Row], plant: str) -> Table:
     for fault in process_faults(plant):
         for v in variants_of(rows, plant):
             numbers = [
-                cell(found(index, plant, v, metric, (fault,), ("",)), NO_VERDICT)
+                cell(found(index, plant, v, metric, (fault,), ("",)), NO_VERDICT if metric in OF_THE_PROCESS else NOT_TRIED)
                 for metric in (FALSE, VERDICT, NAMING, "detection_delay", "process_delay")
             ]
             lines.append((fault, v, *numbers))
