@@ -36,15 +36,10 @@ class Kept(NamedTuple):
     @classmethod
     def empty(cls, detector: Detector, branched: Branched) -> Kept:
         """Room for the decisions of a detector."""
-        shape = branched.readings.y.shape
+        runs, readings = branched.readings.y.shape[:2], branched.readings.y.shape
         names = tuple(h.name for h in getattr(detector, "process_hypotheses", ()))
-        return cls(
-            branched,
-            *(np.zeros(shape[:2], bool) for _ in range(2)),
-            np.zeros(shape, bool),
-            np.zeros((*shape[:2], len(names)), bool),
-            names,
-        )
+        alarm, diverged = np.zeros((2, *runs), bool)
+        return cls(branched, alarm, diverged, np.zeros(readings, bool), np.zeros((*runs, len(names)), bool), names)
 
     def take(self, k: int, decision: Decision) -> None:
         """Keep the decision of a sample; an accepted or suspected hypothesis about the process is an alarm, too."""
@@ -67,7 +62,7 @@ def record(kept: Kept) -> Arrays:
     """
     isolated, active = kept.isolated, kept.branched.readings.active
     exact = (isolated == active).all(axis=-1) & active.any(axis=-1)
-    verdict = kept.process.any(axis=-1)
+    verdict = np.asarray(kept.process.any(axis=-1))
     counts = kept.process.sum(axis=0)
     names = [kept.hypotheses[int(np.argmax(c))] if c.any() else NO_NAME for c in counts]
     return {
@@ -79,7 +74,7 @@ def record(kept: Kept) -> Arrays:
         "process": verdict.sum(axis=0),
         "process_name": np.array(names, dtype=str),
         "at_end": exact[round(exact.shape[0] / (1.0 + LATER)) - 1 :].any(axis=0),
-        "diverged": kept.diverged.any(axis=0),
+        "diverged": np.asarray(kept.diverged.any(axis=0)),
     }
 
 
