@@ -10,11 +10,11 @@ from fusion_sfdia.comparison.subjects import cases_of, compared_plant
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.report.content import Chapter, Figure, Summary, Table
-from fusion_sfdia.robustness.aims import AIMS, FALSE, JUDGED, mismatches, process_faults
+from fusion_sfdia.robustness.aims import AIMS, FALSE, mismatches, process_faults
 from fusion_sfdia.robustness.figures import draw
 from fusion_sfdia.robustness.protocol import LOG_RUNS, LOG_STEPS
 from fusion_sfdia.robustness.rows import Results, index_of, rows_of, variants_of
-from fusion_sfdia.robustness.tables import UNSEEN, tables_of
+from fusion_sfdia.robustness.tables import UNSEEN, judged, tables_of
 from fusion_sfdia.robustness.variants import Variant
 
 METHOD = (
@@ -60,7 +60,7 @@ def chapter(rows: Sequence[Row], results: Results, plant: str) -> Chapter:
 def findings(rows: Sequence[Row], plant: str) -> list[str]:
     """For each variant of the judged detectors: false isolation, and how many aims it reaches."""
     index, sentences = index_of(rows), []
-    for v in (v for v in variants_of(rows, plant) if v.split(" ")[0] in JUDGED):
+    for v in judged(rows, plant):
         wrong = [index.get((plant, v, HEALTHY, m, FALSE)) for m in mismatches(plant)]
         wrong += [index.get((plant, v, fault, "", FALSE)) for fault in process_faults(plant)]
         known = [row for row in wrong if row is not None]

@@ -56,8 +56,7 @@ def in_words(shown: Shown | None, aim: Aim) -> str:
 def aims_table(rows: Sequence[Row], plant: str) -> Table:
     """Every aim beside what the variants of the judged detectors reach."""
     index = index_of(rows)
-    those = [v for v in variants_of(rows, plant) if v.split(" ")[0] in JUDGED]
-    lines = []
+    those, lines = judged(rows, plant), []
     for aim in AIMS:
         cells = [in_words(aim.worst(index, plant, v), aim) for v in those]
         lines.append((aim.name, aim.words, *cells, REASONS.get((plant, aim.name), "")))
@@ -68,6 +67,11 @@ def aims_table(rows: Sequence[Row], plant: str) -> Table:
         method="Of several cases the one farthest from its limit is shown, with its name. The number itself is compared with "
         "the limit, whatever its interval. In brackets 95 % intervals.",
     )
+
+
+def judged(rows: Sequence[Row], plant: str) -> list[str]:
+    """The variants that are compared with the aims."""
+    return [v for v in variants_of(rows, plant) if v.split(" ")[0] in JUDGED]
 
 
 def right_table(rows: Sequence[Row], plant: str) -> Table:
@@ -159,5 +163,6 @@ def sensor_table(rows: Sequence[Row], plant: str) -> Table:
 
 
 def tables_of(rows: Sequence[Row], plant: str) -> list[Table]:
-    """All tables of a plant."""
-    return [table(rows, plant) for table in (aims_table, right_table, mismatch_table, process_table, sensor_table)]
+    """All tables of a plant; the aims only with a detector that is judged by them."""
+    found = [table(rows, plant) for table in (aims_table, right_table, mismatch_table, process_table, sensor_table)]
+    return found if judged(rows, plant) else found[1:]
