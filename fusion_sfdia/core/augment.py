@@ -34,6 +34,9 @@ def augment(plant: Plant) -> Plant:
     The states of the plant come first, then parameters, errors of inputs (in the order of the inputs) and disturbances. A
     frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input or a
     direction that does not fit the plant.
+
+    A filter estimates what multiplies a state, such as a droop, without bias only where the process noise that the plant states
+    acts: it takes the error of its own estimate of the state for a change of the state otherwise (Ljung 1979).
     """
     known = plant.uncertainty
     if not known.stated:

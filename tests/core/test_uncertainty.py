@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -109,6 +110,17 @@ def test_between_them_secants_err_with_the_third_power_of_the_spread() -> None:
         errors.append(np.abs(at.step(0.0, X, U, 60.0, np.full((2, 1), outlet)) - exact))
     # the next power changes the ratio by about the spread times the ratio of derivatives, some per cent
     np.testing.assert_allclose(errors[0] / errors[1], 8.0, rtol=0.15)
+
+
+def test_a_plant_built_anew_is_read_in_the_same_units() -> None:
+    plant = two_tanks()
+    known = Plant.in_units(replace(plant, uncertainty=secants(plant, [OUTLET], two_tanks)), {"l2": ("mm", 1000.0)}).uncertainty
+    assert known.rebuild is not None and known.output is not None
+    other = known.rebuild(outlet=1.05)
+    assert other.sensors[1].unit == "mm"
+    np.testing.assert_allclose(
+        known.output(0.0, X, U, np.full(1, 1.05)), other.output(0.0, X, U), rtol=rounding(1.0, 10), atol=0
+    )
 
 
 def test_secants_build_plants_at_first_use_and_can_be_pickled() -> None:
