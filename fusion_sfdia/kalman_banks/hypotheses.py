@@ -37,13 +37,13 @@ NODES = 16  # of the quadrature of phi_1
 
 
 def phi_1(F: Array) -> Array:
-    """Return int_0^1 F^s ds (n, n), by the inverse of int_0^1 (I + s (F - I))^-1 ds = log(F) (F - I)^-1.
+    """Return int_0^1 F^s ds (..., n, n), by the inverse of int_0^1 (I + s (F - I))^-1 ds = log(F) (F - I)^-1.
 
     The integral by Gauss-Legendre quadrature, a Pade approximant of the logarithm (Higham 2008, sec. 11.4); it exists for an
     eigenvalue of 0, too.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    eye = np.eye(len(F))
+    eye = np.eye(F.shape[-1])
     total = sum(w / 2 * np.linalg.inv(eye + (s + 1) / 2 * (F - eye)) for s, w in zip(nodes, weights, strict=True))
     return np.asarray(np.linalg.inv(total))
 
@@ -53,9 +53,12 @@ class Hypotheses:
     """What may differ from the model of a plant with N sensors, n states, and p augmented ones.
 
     The recent past has the columns (bias N, jump p, equation n), the far past (ramp N, drift p).
+    usual (..., m): input at which the effects of errors of equations are taken, for a batch whose members differ by it; None for
+    the plant's usual input.
     """
 
     plant: Plant
+    usual: Array | None = None
 
     @cached_property
     def model(self) -> Plant:
@@ -97,10 +100,11 @@ class Hypotheses:
 
     @cached_property
     def rates(self) -> Array:
-        """The change of the states (n, n) by a rate that acts within dt, columns over their own state; at x0, usual input."""
+        """The change of the states (..., n, n) by a rate that acts within dt, columns over their own state; at x0, usual input."""
         plant = self.plant
-        phi = phi_1(plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), plant.dt))
-        own = np.diagonal(phi)
+        u = plant.input_at(0.0) if self.usual is None else self.usual
+        phi = phi_1(plant.step_jacobian_at(0.0, plant.x0, u, plant.dt))
+        own = np.diagonal(phi, axis1=-2, axis2=-1)[..., None, :]
         return np.asarray(phi / np.where(np.abs(own) > np.sqrt(np.finfo(float).eps), own, 1.0))
 
     @cached_property
