@@ -1,4 +1,5 @@
-"""network/scale: time and memory of the diagnosed network against its size, of a change of it, and on two processes.
+"""network/scale: time and memory of the diagnosed network against its size, of a change of it, and on two processes; and of
+robust banks of its areas.
 
 Times depend on the machine and the run: only these numbers differ in a second run.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
+from fusion_sfdia.benchmarks.network.support.robust_scale import growth, robust_step
 from fusion_sfdia.benchmarks.network.support.rows import row
 from fusion_sfdia.core.areas import Areas
 from fusion_sfdia.evaluation.metrics import NOTHING
@@ -34,7 +36,7 @@ from fusion_sfdia.stochastic_thresholds.partitioned_network import PartitionedNe
 
 Array = NDArray[Any]
 
-NAME, DETECTOR = "network/scale", "chebyshev:corrected"
+NAME, DETECTOR, ROBUST = "network/scale", "chebyshev:corrected", "robust-glr:areas"
 PAPER_AREAS = 15
 PUBLISHED = Published(4.1e-3, "Boem 2018, sec. VIII (one area, worst case, Matlab on an i7 of 2.2 GHz)")
 ALPHA, LAM = 2.0, 0.3  # B18, sec. VIII
@@ -81,16 +83,20 @@ def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
 
 
 def scale_tasks(settings: Settings, seeds: int) -> list[Task]:
-    """One task for each size, and the same on two processes where the packages of CLUSTER are installed."""
+    """One task for each size, the same for robust banks, and on two processes where the packages of CLUSTER are installed."""
     sizes, seconds = settings["areas"], settings["seconds"]
     parts = [PAPER_AREAS, *settings["parts"]] if settings["parts"] and all(map(find_spec, CLUSTER)) else []
     tasks = [{"kind": "one", "areas": n, "seconds": seconds} for n in sizes]
-    return [*tasks, *({"kind": "parts", "areas": n, "seconds": seconds} for n in parts)]
+    others = [*(("robust", n) for n in settings["robust"]), *(("parts", n) for n in parts)]
+    return [*tasks, *({"kind": kind, "areas": n, "seconds": seconds} for kind, n in others)]
 
 
 def scale_work(task: Task) -> Arrays:
     """Least seconds of what was timed and how often, (2,) each; bytes () of all that a step reads or writes."""
-    return in_parts(task["areas"], task["seconds"]) if task["kind"] == "parts" else in_one(task["areas"], task["seconds"])
+    areas, seconds = task["areas"], task["seconds"]
+    if task["kind"] == "robust":
+        return robust_step(network_of(areas), seconds)
+    return in_parts(areas, seconds) if task["kind"] == "parts" else in_one(areas, seconds)
 
 
 def in_one(areas: int, seconds: float) -> Arrays:
@@ -144,13 +150,13 @@ def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
     rows: list[Row] = []
 
     def add(
-        quantity: str, metric: str, value: float, n: float, *, condition: str = "", stated: Published | None = None
-    ) -> None:
+        quantity: str, metric: str, value: float, n: float, *, condition: str = "", stated: Published | None = None,
+        detector: str = DETECTOR,
+    ) -> None:  # fmt: skip
         estimate = NOTHING._replace(value=value, n=int(n))
-        rows.append(row(NAME, DETECTOR, "none", quantity, metric, estimate, stated, condition=condition))
+        rows.append(row(NAME, detector, "none", quantity, metric, estimate, stated, condition=condition))
 
-    one = {t["areas"]: a for t, a in results if t["kind"] == "one"}
-    parts = {t["areas"]: a for t, a in results if t["kind"] == "parts"}
+    one, parts, robust = ({t["areas"]: a for t, a in results if t["kind"] == kind} for kind in ("one", "parts", "robust"))
     for areas, found in one.items():
         step, calls = found["step"]
         add(f"{areas} areas", "step_time", step, calls)
@@ -162,12 +168,19 @@ def scale_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Sum
         where = f"{PARTS} processes"
         add(f"{areas} areas", "step_time", *found["parts"], condition=where)
         add(f"{areas} areas", "speedup", found["step"][0] / found["parts"][0], found["parts"][1], condition=where)
+    for areas, found in robust.items():
+        step, calls = found["step"]
+        add(f"{areas} areas", "step_time", step, calls, detector=ROBUST)
+        add(f"one of {areas} areas", "step_time", step / areas, calls, detector=ROBUST)
+        add(f"one of {areas} areas", "peak_memory", found["bytes"] / areas, 1, detector=ROBUST)
     each = {areas: found["step"][0] / areas for areas, found in one.items()}
     remarks = [
         f"Least times, for more than {LONG} areas on one core its processor time. A step computes the estimates, thresholds, "
         "weights, stored readings and alarms of all areas. Memory is that of all arrays that a step reads or writes, "
         "including two states, without the names of areas, states and sensors.",
     ]
+    if robust:
+        remarks.append(growth(robust))
     if PAPER_AREAS in parts and each:
         barrier, largest = parts[PAPER_AREAS]["parts"][0], max(each)
         count = parts[PAPER_AREAS]["parts"][1]
@@ -210,14 +223,14 @@ SCENARIO = Scenario(
     name=NAME,
     title="Speed and scale of the diagnosed power network",
     about="Time and memory of a step of all diagnosers against the number of areas, of unplugging and plugging in an area, and "
-    "of a network on two processes. Boem 2018 states 4.1 ms for a step of one area.",
-    settings={"areas": (15, 1500, 150000), "parts": (150000,), "seconds": 2.0},
+    "of a network on two processes; the same of robust banks of the areas. Boem 2018 states 4.1 ms for a step of one area.",
+    settings={"areas": (15, 1500, 150000), "parts": (150000,), "robust": (15, 150, 1500), "seconds": 2.0},
     seeds=1,
     full_seeds=1,
     tasks=scale_tasks,
     work=scale_work,
     summarise=scale_summary,
     full={"areas": (15, 1500, 150000, 1500000)},
-    bounds=dict.fromkeys(("areas", "parts"), (int(AWAY) + 1, 1e7)),
-    optional=("parts",),
+    bounds=dict.fromkeys(("areas", "parts", "robust"), (int(AWAY) + 1, 1e7)),
+    optional=("parts", "robust"),
 )

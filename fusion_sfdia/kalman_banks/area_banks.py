@@ -152,13 +152,9 @@ class RobustAreas:
 
     def init(self, batch: tuple[int, ...] = (), t: float = 0.0) -> tuple[State, ...]:
         """The state of a batch of runs at time t (s): that of each group's bank."""
-        return tuple(
-            bank.init((*batch, len(g.areas)), t) for bank, g in zip(self.banks, self.areas.groups, strict=True)
-        )
+        return tuple(bank.init((*batch, len(g.areas)), t) for bank, g in zip(self.banks, self.areas.groups, strict=True))
 
-    def step(
-        self, state: tuple[State, ...], t: float, y: Array, u: Array
-    ) -> tuple[tuple[State, ...], NetworkDecision]:
+    def step(self, state: tuple[State, ...], t: float, y: Array, u: Array) -> tuple[tuple[State, ...], NetworkDecision]:
         """Diagnose the readings y (..., S) taken at t (s), NaN where missing, under the inputs u (..., 2N) since the last step.
 
         ValueError for values and shapes that do not fit, as of the banks.
@@ -170,8 +166,8 @@ class RobustAreas:
         batch = state[0].diverged.shape[:-1]
         if y.shape != (*batch, sensors) or u.shape[-1:] != (2 * count,):
             raise ValueError(
-                f"y has shape {y.shape}, u {u.shape}; expected {(*batch, sensors)}, readings of the areas' states and then those "
-                f"at the sides of the ties, and (..., {2 * count})"
+                f"y has shape {y.shape}, u {u.shape}; expected {(*batch, sensors)}, readings of the areas' states and then "
+                f"those at the sides of the ties, and (..., {2 * count})"
             )
         shared, variance = np.empty((*batch, count)), np.empty((*batch, count))
         for g, s in zip(groups, state, strict=True):
@@ -199,4 +195,3 @@ class RobustAreas:
             suspect[..., np.concatenate([g.sensors, sensors + place], axis=1)] = d.suspect
             alarm[..., g.areas], estimate[..., g.areas, :] = d.alarm, d.estimate
         return NetworkDecision(isolated, process, size, sd, suspect, residual, threshold, alarm, estimate)
-

@@ -53,8 +53,8 @@ class Hypotheses:
     """What may differ from the model of a plant with N sensors, n states, and p augmented ones.
 
     The recent past has the columns (bias N, jump p, equation n), the far past (ramp N, drift p).
-    usual (..., m): input at which the effects of errors of equations are taken, for a batch whose members differ by it; None for
-    the plant's usual input.
+    usual (..., m): input at which the effects of errors of equations are taken, where the members of a batch differ by it; None
+    for the plant's usual input.
     """
 
     plant: Plant
@@ -100,7 +100,7 @@ class Hypotheses:
 
     @cached_property
     def rates(self) -> Array:
-        """The change of the states (..., n, n) by a rate that acts within dt, columns over their own state; at x0, usual input."""
+        """The change of the states (..., n, n) by a rate that acts within dt, columns over their own state; at x0."""
         plant = self.plant
         u = plant.input_at(0.0) if self.usual is None else self.usual
         phi = phi_1(plant.step_jacobian_at(0.0, plant.x0, u, plant.dt))

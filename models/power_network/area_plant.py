@@ -1,4 +1,4 @@
-"""An area of the power network as a plant by itself, whose ties and constants are inputs, so that a batch may have any areas."""
+"""An area of the power network as a plant by itself; ties and constants are inputs, so that a batch may have any areas."""
 
 from __future__ import annotations
 
@@ -63,10 +63,7 @@ def area_plant(degree: int, *, constants: Array, slope: float, dt: float, proces
             *(Signal(what, nominal=float(v)) for what, v in zip(DYNAMIC, constants, strict=True)),
         ),
         sensors=(
-            *(
-                Sensor(f"{s}_{{area}}", f"{s}_{{area}}", UNIT[s], sigma=float(v))
-                for s, v in zip(STATES, sigma, strict=True)
-            ),
+            *(Sensor(f"{s}_{{area}}", f"{s}_{{area}}", UNIT[s], sigma=float(v)) for s, v in zip(STATES, sigma, strict=True)),
             *(Sensor(f"theta_{{area}}@{reader}", "theta_{area}", "rad", sigma=float(sigma[0])) for reader in readers),
         ),
         step=at.usual_step,
@@ -102,41 +99,45 @@ class _Area:
     degree: int
     dt: float
 
-    def split(self, u: Array, theta: Array) -> tuple[Array, Array, Array]:
-        """Angles and slopes (..., d) and constants (..., 5)."""
+    def angles(self, u: Array) -> Array:
+        """The neighbours' angles (..., d)."""
+        return u[..., 3 : 3 + self.degree]
+
+    def split(self, u: Array, theta: Array) -> tuple[Array, Array]:
+        """Slopes (..., d) and constants (..., 5)."""
         d = self.degree
         side = u[..., 3 + d : 3 + 2 * d] * theta[..., :d]
         constants = np.empty((*side.shape[:-1], 5))
         constants[...] = u[..., 3 + 2 * d :]
         constants[..., INERTIA] *= theta[..., d]
         constants[..., DROOP] *= theta[..., d + 1]
-        return u[..., 3 : 3 + d], side, constants
+        return side, constants
 
-    def known(self, x: Array, u: Array, angles: Array, side: Array) -> Array:
+    def known(self, x: Array, u: Array, side: Array) -> Array:
         """[x, P_ref, sum_j P_ij theta_j - P_L] (..., 6), on which the rows of the area act."""
         v = np.empty((*np.broadcast_shapes(x.shape[:-1], side.shape[:-1]), 6), np.result_type(x, u, float))
         v[..., :4], v[..., 4] = x, u[..., 0]
-        v[..., 5] = np.sum(side * angles, axis=-1) - u[..., 1]
+        v[..., 5] = np.sum(side * self.angles(u), axis=-1) - u[..., 1]
         return v
 
     def step(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        angles, side, constants = self.split(u, theta)
+        side, constants = self.split(u, theta)
         rows = _rows(np.sum(side, axis=-1), constants, self.dt)
-        return np.asarray((rows @ self.known(x, u, angles, side)[..., None])[..., 0])
+        return np.asarray((rows @ self.known(x, u, side)[..., None])[..., 0])
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         """Columns: 4 states, 8 + 2 d inputs, d + 2 parameters."""
         d = self.degree
-        angles, side, constants = self.split(u, theta)
+        side, constants = self.split(u, theta)
         stiffness = np.sum(side, axis=-1)
-        v = self.known(x, u, angles, side)
+        v = self.known(x, u, side)
         # complex steps of the stiffness and of the five constants at once
         stiff, moved = np.repeat(stiffness[None], 6, 0).astype(complex), np.repeat(constants[None], 6, 0).astype(complex)
         stiff[0] += 1j * COMPLEX_STEP
         moved[1 + np.arange(5), ..., np.arange(5)] += 1j * COMPLEX_STEP
         held = _rows(stiff, moved, self.dt)
         rows, (by_stiffness, *by_constants) = held[0].real, (held.imag / COMPLEX_STEP @ v[..., None])[..., 0]
-        by_side = by_stiffness[..., None, :] + rows[..., None, :, 5] * angles[..., None]
+        by_side = by_stiffness[..., None, :] + rows[..., None, :, 5] * self.angles(u)[..., None]
         found = np.empty((*v.shape[:-1], 4, 14 + 3 * d))
         found[..., :5] = rows[..., :5]
         found[..., 5], found[..., 6] = -rows[..., 5], 0.0
@@ -158,7 +159,7 @@ class _Area:
         return self.step(t_start, x, u, dt, self.usual)
 
     def usual_step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        angles, side, constants = self.split(u, self.usual)
+        side, constants = self.split(u, self.usual)
         return _rows(np.sum(side, axis=-1), constants, self.dt)[..., :4]
 
 

@@ -40,7 +40,7 @@ SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings tha
     "network/false-alarms": (10, {"shock_steps": 500, "laws": ("gaussian",), "shocks": ("three-point 90",)}),
     "network/governor": (2, {"noises": ("lit",), "duration": 75.0}),
     "network/plug": (3, {}),
-    "network/scale": (1, {"areas": (15, 40), "parts": (), "seconds": 1e-3}),
+    "network/scale": (1, {"areas": (15, 40), "parts": (), "robust": (15,), "seconds": 1e-3}),
     "network/sign-flip": (
         2,
         {"noises": ("small",), "modes": ("corrected",), "cases": ("three consecutive", "one"), "duration": 75.0},

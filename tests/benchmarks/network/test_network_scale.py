@@ -18,7 +18,7 @@ SCALE = scenario("network/scale")
 
 
 def run(**changes: Any) -> Summary:
-    settings = {**SCALE.settings, "seconds": 1e-3, "parts": (), **changes}
+    settings = {**SCALE.settings, "seconds": 1e-3, "parts": (), "robust": (), **changes}
     return SCALE.summarise(settings, [(task, SCALE.work(task)) for task in SCALE.tasks(settings, 1)])
 
 
@@ -39,6 +39,18 @@ def test_each_size_has_its_times_and_its_memory() -> None:
     assert found["one of 15 areas", "", "step_time"].published == 4.1e-3
     assert len(summary.figures) == 1 and summary.figures[0].draw().axes
     assert any("needs the packages distributed and cryptography" in remark for remark in summary.remarks)
+
+
+def test_robust_banks_have_their_times_memory_and_growth() -> None:
+    summary = run(areas=(15,), robust=(15, 30))
+    found = {(r.quantity, r.metric): r for r in summary.rows if r.detector == "robust-glr:areas"}
+    for areas in (15, 30):
+        step, one = found[f"{areas} areas", "step_time"], found[f"one of {areas} areas", "step_time"]
+        assert step.value > 0 and math.isclose(one.value * areas, step.value)
+        # at least two windows of eta before and after: 10 and 13 onsets, 9 states, 14 and 10 hypotheses of an area of one tie
+        assert found[f"one of {areas} areas", "peak_memory"].value > 2 * 8 * 9 * (10 * 14 + 13 * 10)
+    assert any("from 15 to 30 areas: 1 is linear" in remark for remark in summary.remarks)
+    assert "areas: 1 is linear" not in " ".join(run(areas=(15,), robust=(15,)).remarks)
 
 
 def test_timed_steps_continue_the_run() -> None:
@@ -77,9 +89,9 @@ def test_the_cluster_accepts_connections_with_its_certificate_only(monkeypatch: 
 
 def test_without_certificates_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network_scale, "find_spec", lambda name: None if name == "cryptography" else object())
-    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one"}
+    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one", "robust"}
     monkeypatch.setattr(network_scale, "find_spec", lambda name: object())
-    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one", "parts"}
+    assert {t["kind"] for t in SCALE.tasks(SCALE.settings, 1)} == {"one", "robust", "parts"}
 
 
 def test_times_by_another_clock() -> None:
