@@ -92,7 +92,8 @@ class Uncertainty:
     (..., N, p): their derivatives with respect to theta; None for the complex step, or differences where that fails.
     inputs: standard deviation of the constant error of an input, by its name, in its unit.
     disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts
-    (`augment` states them). Raises ValueError for what does not fit together.
+    (`augment` states them). rebuild: the plant at other values, rebuild(**{parameter: value}), of any number of parameters;
+    None where only step and output state them. Raises ValueError for what does not fit together.
     """
 
     parameters: tuple[Parameter, ...] = ()
@@ -103,6 +104,7 @@ class Uncertainty:
     inputs: Mapping[str, float] = field(default_factory=dict)
     disturbances: tuple[Disturbance, ...] = ()
     considered: tuple[str, ...] = ()
+    rebuild: Callable[..., Plant] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", tuple(self.parameters))
@@ -176,7 +178,8 @@ class Secants:
 def secants(plant: Plant, parameters: tuple[Parameter, ...], rebuild: Callable[..., Plant], **stated: Any) -> Uncertainty:
     """Uncertainty of the parameters of a plant that can be built at other values: rebuild(**{parameter: value}).
 
-    stated: inputs and disturbances, as of `Uncertainty`. ValueError where a rebuilt plant has other states, sensors or inputs.
+    rebuild takes any number of the parameters, the others keep their values. stated: inputs and disturbances, as of
+    `Uncertainty`. ValueError where a rebuilt plant has other states, sensors or inputs.
     """
     pairs = []
     for p in parameters:
@@ -189,4 +192,5 @@ def secants(plant: Plant, parameters: tuple[Parameter, ...], rebuild: Callable[.
     at = Secants(plant, tuple(pairs), np.array([p.nominal for p in parameters]), np.array([p.sd for p in parameters]))
     if not parameters:
         return Uncertainty(**stated)
-    return Uncertainty(tuple(parameters), at.step, at.output, at.step_sensitivity, at.output_sensitivity, **stated)
+    functions = at.step, at.output, at.step_sensitivity, at.output_sensitivity
+    return Uncertainty(tuple(parameters), *functions, rebuild=rebuild, **stated)
