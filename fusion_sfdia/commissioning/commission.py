@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.commissioning.disturbances import WINDOW, Found, directions, windows, with_disturbances
+from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windows
 from fusion_sfdia.commissioning.innovations import fixed, settling
-from fusion_sfdia.commissioning.noise import Noise, likeliest_noise, with_noise
+from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, at, estimated
-from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault
+from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
 from fusion_sfdia.commissioning.score import coloured, fitted
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.log import Log, as_log
@@ -84,27 +84,28 @@ def commissioning(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Com
     halves = [settled & (np.arange(steps) < middle), settled & (np.arange(steps) >= middle)]
     now = [fitted(plant, log)] * 2
     before = _held_out(now, halves)
-    learnt, kept = [plant, plant], []
+    halfway, parts = [plant, plant], {}
     for name, stage in STAGES.items():
-        tried = [stage(p, log, half)[0] for p, half in zip(learnt, halves, strict=True)]
-        then = [old if p is q else fitted(q, log) for p, q, old in zip(learnt, tried, now, strict=True)]
-        gain = np.concatenate(
-            [(a.log_likelihood - b.log_likelihood)[half].ravel() for a, b, half in zip(then, now, halves[::-1], strict=True)]
-        )
-        if _worth(gain, doubt=name == "parameters"):
-            learnt, now = tried, then
-            kept.append(name)
-    found: dict[str, Any] = {}
-    result = plant
-    for name in STAGES:
-        if name == "disturbances" or (name == "noise" and "disturbances" in kept):
-            require_no_fault(result, windows(result, log, settled), log.t[settled][WINDOW - 1 :: WINDOW])
-        if name in kept:
-            result, found[name] = STAGES[name](result, log, settled)
-    return Commissioning(
-        result, settle, before, _held_out(now, halves), tuple(kept), found.get("parameters"),
-        tuple(found.get("disturbances", ())), found.get("noise"),
-    )  # fmt: skip
+        found = [stage(p, log, half) for p, half in zip(halfway, halves, strict=True)]
+        tried = [p for p, _ in found]
+        then = [old if p is q else fitted(q, log) for p, q, old in zip(halfway, tried, now, strict=True)]
+        gain = [(a.log_likelihood - b.log_likelihood)[half] for a, b, half in zip(then, now, halves[::-1], strict=True)]
+        if _worth(np.concatenate(gain), doubt=name == "parameters"):
+            halfway, now, parts[name] = tried, then, [what for _, what in found]
+    kept = tuple(parts)
+    result, parameters, disturbances, noise = plant, None, (), None
+    if "parameters" in kept:
+        result, parameters = _parameters(result, log, settled)
+    seen = windows(result, log, settled)
+    require_no_fault(result, seen, log.t[settled][WINDOW - 1 :: WINDOW])
+    if "disturbances" in kept:
+        result, disturbances = learnt(result, log, settled, seen)
+        for disturbance in disturbances:
+            require_no_sensor(plant, disturbance)
+    if "noise" in kept:
+        noise = joined(*parts["noise"])
+        result = with_noise(result, noise)
+    return Commissioning(result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise)
 
 
 def as_runs(plant: Plant, healthy: Any) -> Log:
@@ -128,23 +129,14 @@ def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, Estimate | N
     return at(plant, found.value, found.sd), found
 
 
-def _disturbances(plant: Plant, log: Log, use: Array) -> tuple[Plant, tuple[Found, ...]]:
-    found: tuple[Found, ...] = ()
-    for _ in range(2):
-        if not (more := directions(plant, windows(plant, log, use))):
-            break
-        plant, found = with_disturbances(plant, more), (*found, *more)
-    return plant, found
-
-
 def _noise(plant: Plant, log: Log, use: Array) -> tuple[Plant, Noise]:
     found = likeliest_noise(plant, log, use)
-    return with_noise(plant, found.groups, found.process, found.sensors), found
+    return with_noise(plant, found), found
 
 
 STAGES: dict[str, Callable[[Plant, Log, Array], tuple[Plant, Any]]] = {
     "parameters": _parameters,
-    "disturbances": _disturbances,
+    "disturbances": learnt,
     "noise": _noise,
 }
 

@@ -55,8 +55,9 @@ def state_groups(plant: Plant) -> dict[str, Array]:
     return {unit: members for unit, members in found.items() if members.size}
 
 
-def with_noise(plant: Plant, groups: dict[str, Array], process: Array, sensors: Array) -> Plant:
+def with_noise(plant: Plant, noise: Noise) -> Plant:
     """The plant with its variances times these factors; bounds of the noise grow with them, but do not shrink."""
+    groups, process, _, sensors, _ = noise
     factor = np.ones(len(plant.states))
     for members, s in zip(groups.values(), process, strict=True):
         factor[members] = s
@@ -68,23 +69,35 @@ def with_noise(plant: Plant, groups: dict[str, Array], process: Array, sensors: 
     return replace(plant, process_cov=cov, sensors=meters)
 
 
+def joined(first: Noise, second: Noise) -> Noise:
+    """The factors of two parts of a log together: the mean of their logarithms, weighted by what each part says."""
+    found: dict[str, Any] = {"groups": first.groups}
+    for what in ("process", "sensors"):
+        a, b = (getattr(n, f"{what}_freedom") + PRIOR for n in (first, second))
+        logs = [np.log(getattr(n, what)) for n in (first, second)]
+        found |= {what: np.exp((a * logs[0] + b * logs[1]) / (a + b)), f"{what}_freedom": a + b - 2 * PRIOR}
+    return Noise(**found)
+
+
 def likeliest_noise(plant: Plant, log: Log, use: Array) -> Noise:
     """Return the factors of greatest likelihood on the samples use (K,) of a log of runs, near 1 where the log says little."""
     groups = state_groups(plant)
-    process, sensors = np.ones(len(groups)), np.ones(len(plant.sensors))
+    factors = np.ones(len(groups) + len(plant.sensors))
     for _ in range(ROUNDS):
-        (a, b), (c, d) = _moments(with_noise(plant, groups, process, sensors), log, use, groups)
-        now = np.concatenate([process, sensors])
-        a, b = np.concatenate([a, c]), np.concatenate([b, d])
-        then = np.clip(now * (a + PRIOR / now) / (b + PRIOR), LEAST, MOST)
-        process, sensors = then[: len(groups)], then[len(groups) :]
-        if np.all(np.abs(np.log(then / now)) < CLOSE * np.sqrt(2 / (b + PRIOR))):
+        a, b = _moments(with_noise(plant, _noise(groups, factors, factors)), log, use, groups)
+        before, factors = factors, np.clip(factors * (a + PRIOR / factors) / (b + PRIOR), LEAST, MOST)
+        if np.all(np.abs(np.log(factors / before)) < CLOSE * np.sqrt(2 / (b + PRIOR))):
             break
-    return Noise(groups, process, b[: len(groups)], sensors, b[len(groups) :])
+    return _noise(groups, factors, b)
 
 
-def _moments(plant: Plant, log: Log, use: Array, groups: dict[str, Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return a and b of the groups of states, and of the sensors."""
+def _noise(groups: dict[str, Array], factors: Array, freedom: Array) -> Noise:
+    (process, sensors), (of_process, of_sensors) = (np.split(a, [len(groups)]) for a in (factors, freedom))
+    return Noise(groups, process, of_process, sensors, of_sensors)
+
+
+def _moments(plant: Plant, log: Log, use: Array, groups: dict[str, Array]) -> tuple[Array, Array]:
+    """Return a and b (groups + N,) of the groups of states, then of the sensors."""
     model = fixed(plant)
     cov = plant.process_cov
     process, sensors = np.zeros((2, len(groups))), np.zeros((2, len(plant.sensors)))
@@ -118,4 +131,5 @@ def _moments(plant: Plant, log: Log, use: Array, groups: dict[str, Array]) -> tu
         block.append(sample)
         if len(block) == BLOCK or k == len(log.t) - 1:
             closed(k)
-    return (process[0], process[1]), (sensors[0], sensors[1])
+    a, b = np.concatenate([process, sensors], axis=1)
+    return a, b

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fusion_sfdia.commissioning.disturbances import UNSEEN, WINDOW, Windows
+from fusion_sfdia.commissioning.disturbances import UNSEEN, WINDOW, Found, Windows
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 
@@ -65,23 +65,28 @@ def require_moving(plant: Plant, log: Log) -> None:
 
 
 def require_no_fault(plant: Plant, seen: Windows, times: Array) -> None:
-    """Raise ValueError where a bias of one sensor explains what else the plant does not, in the whole log or in a window.
+    """Raise ValueError where a bias of one sensor explains what the plant does not in a window; times (M,): their ends, s.
 
     A bias counts from 3 sigma. For one of sensor i, T = g_i^2 / I_ii is chi-square with 1 degree of freedom when healthy; what
     is left of g' I^-1 g, chi-square with the rank of I less one, says whether it explains everything.
-    times (M,): the end of each window, s.
     """
     runs, many, _ = seen.g.shape
     count = len(plant.sensors)
-    total = np.sum(seen.g, axis=(0, 1)), np.sum(seen.info, axis=(0, 1))
-    sensor, size, explains = _alone(*total, count, REFUSED / count)
-    if explains:
-        raise _contradiction(plant, sensor, size, seen, "throughout the healthy log")
     for w in range(many):
         for b in range(runs):
             sensor, size, explains = _alone(seen.g[b, w], seen.info[b, w], count, REFUSED / (count * runs * many))
-            if explains:
-                raise _contradiction(plant, sensor, size, seen, f"in the {WINDOW} samples until {times[w]:g} s of run {b}")
+            if explains and abs(size) >= LARGE:
+                raise _contradiction(plant, sensor, size, f"in the {WINDOW} samples until {times[w]:g} s of run {b}")
+
+
+def require_no_sensor(plant: Plant, found: Found) -> None:
+    """Raise ValueError where a bias of one sensor explains a disturbance that was learnt, by the same test."""
+    count = len(plant.sensors)
+    assert found.score is not None and found.information is not None
+    sensor, size, explains = _alone(found.score, found.information, count, REFUSED / count)
+    size *= found.mean if np.isinf(found.time_constant) else np.sign(found.mean) * np.hypot(found.mean, found.sd)
+    if explains and abs(size) >= LARGE:
+        raise _contradiction(plant, sensor, size, "of the healthy log")
 
 
 def _alone(g: Array, info: Array, count: int, level: float) -> tuple[int, float, bool]:
@@ -90,7 +95,7 @@ def _alone(g: Array, info: Array, count: int, level: float) -> tuple[int, float,
     statistic = own**2 / known
     i = int(np.argmax(statistic))
     size = float(own[i] / known[i])
-    if statistic[i] <= chi2.isf(level, 1) or abs(size) < LARGE:
+    if statistic[i] <= chi2.isf(level, 1):
         return i, size, False
     values, vectors = np.linalg.eigh(info)
     kept = values > UNSEEN * values[-1]
@@ -99,9 +104,9 @@ def _alone(g: Array, info: Array, count: int, level: float) -> tuple[int, float,
     return i, size, bool(rest < chi2.isf(REFUSED, int(np.sum(kept)) - 1))
 
 
-def _contradiction(plant: Plant, i: int, size: float, seen: Windows, where: str) -> ValueError:
+def _contradiction(plant: Plant, i: int, size: float, where: str) -> ValueError:
     sensor = plant.sensors[i]
     return ValueError(
-        f"sensor {sensor.name!r} contradicts all others {where}: it reads {size * seen.scale[len(plant.states) + i]:.3g} "
-        f"{sensor.unit} ({size:.1f} sigma) off; repair or recalibrate it, or leave these readings out (NaN)"
+        f"sensor {sensor.name!r} contradicts all others {where}: it reads {size * sensor.noise_sigma:.3g} {sensor.unit} "
+        f"({size:.1f} sigma) off; repair or recalibrate it, or leave these readings out (NaN)"
     )
