@@ -19,6 +19,7 @@ from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, wit
 from fusion_sfdia.commissioning.parameters import Estimate, at, estimated
 from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
 from fusion_sfdia.commissioning.score import coloured, fitted
+from fusion_sfdia.commissioning.start import started
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.plant import Plant
@@ -105,6 +106,7 @@ def commissioning(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Com
     if "noise" in kept:
         noise = joined(*parts["noise"])
         result = with_noise(result, noise)
+    result = started(result, log)
     return Commissioning(result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise)
 
 

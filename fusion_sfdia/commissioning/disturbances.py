@@ -36,6 +36,8 @@ UNSEEN = 1e-3  # of the largest information: directions below it are not searche
 BEYOND = 3.0  # of the largest eigenvalue of noise, which spreads by (p M)^-1/3 about the edge (Johnstone 2001)
 SURE = 2.0  # standard errors
 LIKELY = 0.05, 0.99  # correlation of a disturbance between windows
+ELSEWHERE = 0.1  # of its mean: standard deviation of a disturbance in an operation that is not in the log, our choice
+LASTING = 100  # samples: operation changes no more slowly, our choice
 MOST = 4  # disturbances
 
 
@@ -181,11 +183,16 @@ def _course(size: Array, error: Array, dt: float) -> tuple[float, float, float]:
 
 
 def with_disturbance(plant: Plant, found: Found) -> Plant:
-    """The plant with the mean of a disturbance as an offset, and with what remains of it as a disturbance."""
+    """The plant with the mean of a disturbance as an offset, and with what remains of it as a disturbance.
+
+    A mismatch changes with the operating point: its size is taken as known to a tenth only, and as changing within 100 samples.
+    """
     known = plant.uncertainty
     offset = Offset(np.zeros(len(plant.inputs)), found.state * found.mean, found.reading * found.mean, plant.dt)
     moved = with_offset(plant, offset)
     names = {d.name for d in known.disturbances}
     name = next(n for i in range(1, len(names) + 2) if (n := f"learnt disturbance {i}") not in names)
-    added = Disturbance(name, found.state * found.sd, found.reading * found.sd, 1.0, found.time_constant)
+    sd = float(np.hypot(found.sd, ELSEWHERE * found.mean))
+    lasting = min(found.time_constant, LASTING * plant.dt)
+    added = Disturbance(name, found.state * sd, found.reading * sd, 1.0, lasting)
     return replace(moved, uncertainty=replace(moved.uncertainty, disturbances=(*known.disturbances, added)))
