@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windows
 from fusion_sfdia.commissioning.innovations import fixed, settling
 from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, with_noise
-from fusion_sfdia.commissioning.parameters import Estimate, at, estimated
+from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
 from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
 from fusion_sfdia.commissioning.score import coloured, fitted
 from fusion_sfdia.commissioning.start import started
@@ -128,7 +128,7 @@ def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, Estimate | N
     used = np.cumsum(use) - 1
     stretch = np.clip(used * STRETCHES // np.sum(use), 0, STRETCHES - 1)
     found = estimated(plant, log, use, stretch)
-    return at(plant, found.value, found.sd), found
+    return moved(plant, found), found
 
 
 def _noise(plant: Plant, log: Log, use: Array) -> tuple[Plant, Noise]:

@@ -15,6 +15,8 @@ from fusion_sfdia.core.uncertainty import Uncertainty, secants
 
 Array = NDArray[Any]
 
+STEPS = 4  # of Newton: values change by a few per cent, and each step squares the relative error
+
 
 def at_values(plant: Plant, theta: Array, sd: Array) -> Plant:
     """The plant at the values theta (p,) of its parameters, with the standard deviations sd (p,), in their units.
@@ -30,25 +32,57 @@ def at_values(plant: Plant, theta: Array, sd: Array) -> Plant:
         other = rebuild()
         there = replace(plant, step=other.step, output=other.output, x0=other.x0, numerics=other.numerics)
         stated = {"inputs": known.inputs, "disturbances": known.disturbances, "considered": known.considered}
-        return replace(there, uncertainty=secants(there, parameters, rebuild, **stated))
-    assert known.step is not None and known.output is not None
-    return replace(
+        return replace(there, uncertainty=secants(there, parameters, rebuild, at_rest=known.at_rest, **stated))
+    fixed = _Fixed(known, np.asarray(theta, dtype=float), len(plant.states))
+    there = replace(
         plant,
-        step=partial(_step_at, known, np.asarray(theta)),
-        output=partial(_output_at, known, np.asarray(theta)),
-        numerics=replace(plant.numerics, step_jacobian=None, output_jacobian=None),
+        step=fixed.step,
+        output=plant.output if known.output is None else fixed.output,
+        numerics=replace(
+            plant.numerics,
+            step_jacobian=None if known.step_jacobian is None else fixed.step_jacobian,
+            output_jacobian=plant.numerics.output_jacobian if known.output_jacobian is None else fixed.output_jacobian,
+        ),
         uncertainty=replace(known, parameters=parameters),
     )
+    return replace(there, x0=_rest(there)) if known.at_rest else there
 
 
-def _step_at(known: Uncertainty, theta: Array, t_start: float, x: Array, u: Array, dt: float) -> Array:
-    assert known.step is not None
-    return known.step(t_start, x, u, dt, theta)  # type: ignore[call-arg]
+def _rest(plant: Plant) -> Array:
+    """The steady state (n,) near x0 under the usual input, by Newton's method."""
+    x, u = plant.x0, plant.input_at(0.0)
+    for _ in range(STEPS):
+        slope = plant.step_jacobian_at(0.0, x, u, plant.dt) - np.eye(x.size)
+        x, _ = plant.guard(x - np.linalg.solve(slope, plant.step(0.0, x, u, plant.dt) - x))
+    return x
 
 
-def _output_at(known: Uncertainty, theta: Array, t: float, x: Array, u: Array) -> Array:
-    assert known.output is not None
-    return known.output(t, x, u, theta)  # type: ignore[call-arg]
+@dataclass(frozen=True, eq=False)
+class _Fixed:
+    """The functions of a plant of n states at the values theta (p,) of its parameters."""
+
+    known: Uncertainty
+    theta: Array
+    n: int
+
+    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        assert self.known.step is not None
+        return self.known.step(t_start, x, u, dt, self._at(x))
+
+    def output(self, t: float, x: Array, u: Array) -> Array:
+        assert self.known.output is not None
+        return self.known.output(t, x, u, self._at(x))
+
+    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        assert self.known.step_jacobian is not None
+        return self.known.step_jacobian(t_start, x, u, dt, self._at(x))[..., : self.n]
+
+    def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
+        assert self.known.output_jacobian is not None
+        return self.known.output_jacobian(t, x, u, self._at(x))[..., : self.n]
+
+    def _at(self, x: Array) -> Array:
+        return np.broadcast_to(self.theta, (*x.shape[:-1], self.theta.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +119,8 @@ def with_offset(plant: Plant, offset: Offset) -> Plant:
         known,
         step=known.step and partial(offset.step, known.step),
         output=known.output and partial(offset.output, known.output),
-        step_sensitivity=known.step_sensitivity and partial(offset.of_step, known.step_sensitivity),
-        output_sensitivity=known.output_sensitivity and partial(offset.of_output, known.output_sensitivity),
+        step_jacobian=known.step_jacobian and partial(offset.of_step, known.step_jacobian),
+        output_jacobian=known.output_jacobian and partial(offset.of_output, known.output_jacobian),
         rebuild=known.rebuild and partial(_rebuilt, known.rebuild, offset),
     )
     numerics = replace(

@@ -53,9 +53,8 @@ def held(plant: Plant) -> Plant:
     Its disturbances are estimated.
     """
     known = plant.uncertainty
-    model = augment(
-        replace(plant, uncertainty=replace(known, parameters=tuple(replace(p, treatment="frozen") for p in known.parameters)))
-    )
+    frozen = tuple(replace(p, treatment="frozen") for p in known.parameters)
+    model = augment(replace(plant, uncertainty=replace(known, parameters=frozen, at_rest=False)))
     n, p, m = len(plant.states), len(known.parameters), len(known.inputs)
     cov = model.initial_cov.copy()
     if cov.ndim == 1:

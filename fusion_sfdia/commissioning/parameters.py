@@ -22,6 +22,7 @@ from fusion_sfdia.commissioning.corrections import Offset, at_values, with_offse
 from fusion_sfdia.commissioning.innovations import filtered, held, until
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.uncertainty import error_of
 
 Array = NDArray[Any]
 
@@ -48,41 +49,65 @@ class Estimate(NamedTuple):
 
 def estimated(plant: Plant, log: Log, use: Array, stretch: Array) -> Estimate:
     """Estimate what the plant declares from the samples use (K,) of a log of runs, in stretches numbered by stretch (K,)."""
-    known = plant.uncertainty
-    errors = [s.name for s in plant.inputs if s.name in known.inputs]
-    prior = np.array([p.nominal for p in known.parameters] + [0.0] * len(errors))
-    prior_sd = np.array([p.sd for p in known.parameters] + [known.inputs[name] for name in errors])
+    free = _free(plant)
+    names, prior, prior_sd = _declared(plant)
     value, tau = prior, np.zeros(prior.size)
     for _ in range(STEPS):
-        g, info = _scores(at(plant, value), log, use, stretch, prior_sd)
-        cov = np.linalg.inv(np.sum(info, axis=0) + np.eye(prior.size))
-        change = cov @ (np.sum(g, axis=0) - tau)
-        tau = np.clip(tau + change, -FARTHEST, FARTHEST)
-        value = prior + prior_sd * tau
+        g, info = _scores(at(plant, value, prior_sd), log, use, stretch, prior_sd)
+        g, info = g[:, free], info[:, free[:, None], free]
+        cov = np.linalg.inv(np.sum(info, axis=0) + np.eye(free.size))
+        change = cov @ (np.sum(g, axis=0) - tau[free])
+        tau[free] = np.clip(tau[free] + change, -FARTHEST, FARTHEST)
+        value = _within(plant, prior + prior_sd * tau)
         if np.all(np.abs(change) < CLOSE * np.sqrt(np.diagonal(cov))):
             break
-    left = g - info @ change
-    between = np.minimum(_between(left, info), 1.0)
-    sd = prior_sd * np.sqrt(np.minimum(np.diagonal(cov) + between, 1.0))
-    names = (*(p.name for p in known.parameters), *errors)
-    return Estimate(names, value, sd, prior, prior_sd, cov * np.outer(prior_sd, prior_sd), prior_sd * np.sqrt(between))
+    between = np.minimum(_between(g - info @ change, info), 1.0)
+    sd = prior_sd[free] * np.sqrt(np.minimum(np.diagonal(cov) + between, 1.0))
+    scale = prior_sd[free]
+    chosen = tuple(names[i] for i in free)
+    return Estimate(chosen, value[free], sd, prior[free], scale, cov * np.outer(scale, scale), scale * np.sqrt(between))
 
 
-def at(plant: Plant, value: Array, sd: Array | None = None) -> Plant:
-    """The plant at these values of its parameters and errors of inputs, with their standard deviations (None: the prior's)."""
+def moved(plant: Plant, found: Estimate) -> Plant:
+    """The plant with what was estimated."""
+    free, (_, value, sd) = _free(plant), _declared(plant)
+    value[free], sd[free] = found.value, found.sd
+    return at(plant, value, sd)
+
+
+def _free(plant: Plant) -> Array:
+    """Positions of what is estimated: all but frozen parameters."""
+    known = plant.uncertainty
+    return np.flatnonzero([p.treatment != "frozen" for p in known.parameters] + [True] * len(known.inputs))
+
+
+def _declared(plant: Plant) -> tuple[tuple[str, ...], Array, Array]:
+    """Names, values and standard deviations of the parameters, then of the errors of inputs, in the order of the inputs."""
+    known = plant.uncertainty
+    errors = [s.name for s in plant.inputs if s.name in known.inputs]
+    names = (*(p.name for p in known.parameters), *(error_of(name) for name in errors))
+    value = np.concatenate([known.nominal, np.zeros(len(errors))])
+    return names, value, np.concatenate([known.sd, [known.inputs[name] for name in errors]])
+
+
+def _within(plant: Plant, value: Array) -> Array:
+    """Values within the limits of the parameters."""
+    parameters, errors = plant.uncertainty.parameters, [np.inf] * len(plant.uncertainty.inputs)
+    return np.clip(value, [p.low for p in parameters] + [-e for e in errors], [p.high for p in parameters] + errors)
+
+
+def at(plant: Plant, value: Array, sd: Array) -> Plant:
+    """The plant at these values of its parameters and errors of inputs, with these standard deviations."""
     known = plant.uncertainty
     p = len(known.parameters)
     errors = [s.name for s in plant.inputs if s.name in known.inputs]
-    moved = plant
-    if p:
-        moved = at_values(plant, value[:p], np.array([q.sd for q in known.parameters]) if sd is None else sd[:p])
-    if errors:
-        shift = np.array([value[p + errors.index(s.name)] if s.name in errors else 0.0 for s in plant.inputs])
-        moved = with_offset(moved, Offset(shift, np.zeros(len(plant.states)), np.zeros(len(plant.sensors)), plant.dt))
-        if sd is not None:
-            inputs = dict(zip(errors, sd[p:].tolist(), strict=True))
-            moved = replace(moved, uncertainty=replace(moved.uncertainty, inputs=inputs))
-    return moved
+    there = at_values(plant, value[:p], sd[:p]) if p else plant
+    if not errors:
+        return there
+    shift = np.array([value[p + errors.index(s.name)] if s.name in errors else 0.0 for s in plant.inputs])
+    there = with_offset(there, Offset(shift, np.zeros(len(plant.states)), np.zeros(len(plant.sensors)), plant.dt))
+    inputs = dict(zip(errors, sd[p:].tolist(), strict=True))
+    return replace(there, uncertainty=replace(there.uncertainty, inputs=inputs))
 
 
 def _scores(plant: Plant, log: Log, use: Array, stretch: Array, scale: Array) -> tuple[Array, Array]:
