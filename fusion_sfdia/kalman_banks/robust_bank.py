@@ -37,6 +37,7 @@ from fusion_sfdia.kalman_banks.competition import (
     Present,
     absorbed_before,
     accepted,
+    alternatives,
     eliminated,
     gathered,
     led_by,
@@ -192,7 +193,8 @@ class RobustBank(ExcludingBank):
         freed = absorbed_before(evidence, isolated, by_windows.sensor)
         if self.accommodate and np.any(freed | process):
             standing = self._stand(standing, by_windows, evidence, prior)
-            prior = _moved(prior, tested, evidence, by_windows, freed)
+            rivals = alternatives(evidence, by_windows, self.process_margin)
+            prior = _with_alternatives(_moved(prior, tested, evidence, by_windows, freed), tested, rivals)
             joint = est.joint(of.model, prior, now.t, u)
         if np.any(changing) or np.any(freed | process):
             found = statistics(joint, y, usable & ~isolated)
@@ -245,7 +247,8 @@ class RobustBank(ExcludingBank):
         """The process hypotheses that stand, with those accepted now."""
         which = by_windows.is_process[..., None] & _only(by_windows.process, evidence.process.shape[-1])
         z = prior.core.x[..., len(self.plant.states) :]
-        return with_accepted(standing, which, z, evidence.size_p, np.sqrt(1.0 / evidence.information_p))
+        rivals = alternatives(evidence, by_windows, self.process_margin) > 0
+        return with_accepted(standing, which, rivals, z, evidence.size_p, np.sqrt(1.0 / evidence.information_p))
 
     def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
         """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
@@ -308,6 +311,21 @@ def _moved(prior: Prior, tested: Tested, evidence: Evidence, by_windows: Accepte
         x = x - moved * size[..., None]
         p = p + moved[..., :, None] * (moved * (1.0 / information + doubt * size**2)[..., None])[..., None, :]
     return prior._replace(core=GaussianState(x, p))
+
+
+def _with_alternatives(prior: Prior, tested: Tested, weight: Array) -> Prior:
+    """The prior with the covariance of alternatives to the accepted process hypothesis, of that weight (..., P)."""
+    if not np.any(weight):
+        return prior
+    best, eta = tested.best_recent, tested.recent.window.eta
+    count = best.slot.shape[-1] - weight.shape[-1]
+    slot = best.slot[..., None, None, count:]
+    effect = (
+        np.take_along_axis(eta[..., count:], slot, axis=-3)[..., 0, :, :]
+        * (best.size[..., count:] * np.sqrt(weight))[..., None, :]
+    )
+    x, p = prior.core
+    return prior._replace(core=GaussianState(x, p + effect @ np.swapaxes(effect, -1, -2)))
 
 
 def _at(v: Array, index: Array) -> Array:
