@@ -190,18 +190,23 @@ class RobustBank(ExcludingBank):
         isolated = isolated | (sensor[..., None] & _only(by_windows.sensor, count))
         led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
         isolated = isolated & (np.abs(led) >= np.where(standing.since <= self.window, PERSISTENT, 1)[..., None])
+        reopened = np.any(isolated, axis=-1) & (standing.since <= self.window) & ~standing.reopened & self.accommodate
+        isolated = isolated & ~reopened[..., None]
         freed = absorbed_before(evidence, isolated, by_windows.sensor)
         if self.accommodate and np.any(freed | process):
             standing = self._stand(standing, by_windows, evidence, prior)
             rivals = alternatives(evidence, by_windows, self.process_margin)
             prior = _with_alternatives(_moved(prior, tested, evidence, by_windows, freed), tested, rivals)
             joint = est.joint(of.model, prior, now.t, u)
+        if np.any(reopened):
+            standing, prior = standing._replace(reopened=standing.reopened | reopened), self._reopened(prior, reopened)
+            joint = est.joint(of.model, prior, now.t, u)
         if np.any(changing) or np.any(freed | process):
             found = statistics(joint, y, usable & ~isolated)
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
-        restart = (np.any(isolated, axis=-1) | process) & self.accommodate
+        restart = (np.any(isolated, axis=-1) | process | reopened) & self.accommodate
         K = gain(joint, found.inverse)
         recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
 
@@ -249,6 +254,16 @@ class RobustBank(ExcludingBank):
         z = prior.core.x[..., len(self.plant.states) :]
         rivals = alternatives(evidence, by_windows, self.process_margin) > 0
         return with_accepted(standing, which, rivals, z, evidence.size_p, np.sqrt(1.0 / evidence.information_p))
+
+    def _reopened(self, prior: Prior, where: Array) -> Prior:
+        """The prior where (...) any augmented state may have changed by as much as in a fault."""
+        x, p = prior.core
+        wider = p.copy()
+        added = np.einsum("...ii->...i", wider)[..., len(self.plant.states) :]
+        added += np.where(
+            where[..., None], self._hypotheses.recent_sizes[-len(self.process_hypotheses) :][: self._hypotheses.added] ** 2, 0.0
+        )
+        return prior._replace(core=GaussianState(x, wider))
 
     def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
         """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
