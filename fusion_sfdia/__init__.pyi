@@ -45,7 +45,9 @@ from fusion_sfdia.evaluation.cases import MismatchCase as MismatchCase
 from fusion_sfdia.evaluation.cases import PaperFault as PaperFault
 from fusion_sfdia.evaluation.cases import ProcessFaultCase as ProcessFaultCase
 from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
-from fusion_sfdia.evaluation.diagnose import Event as Event
+from fusion_sfdia.evaluation.events import Event as Event
+from fusion_sfdia.evaluation.events import ProcessEvent as ProcessEvent
+from fusion_sfdia.evaluation.events import UndecidedEvent as UndecidedEvent
 from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
 from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
@@ -61,6 +63,8 @@ from fusion_sfdia.filters.estimators import Unscented as Unscented
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
+from fusion_sfdia.kalman_banks.identifiability import Identifiability as Identifiability
+from fusion_sfdia.kalman_banks.identifiability import identifiability as identifiability
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon as MovingHorizon
 from fusion_sfdia.kalman_banks.multiple_model import MultipleModel as MultipleModel

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from fusion_sfdia.core.covariance import dense
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Finer, Numerics, Structure
 from fusion_sfdia.core.signals import Signal
@@ -48,6 +49,8 @@ def augment(plant: Plant) -> Plant:
     if known.parameters or erring:
         errors = [Parameter(error_of(s.name), s.unit, sd=known.inputs[s.name]) for s in erring]
         larger = _enlarged(larger, _Unknown(plant), [_added(p, plant.dt) for p in (*known.parameters, *errors)])
+        if known.at_rest:
+            larger = replace(larger, initial_cov=_initial(plant, larger))
     if known.disturbances:
         larger = _enlarged(larger, _Disturbed(larger, known.disturbances), [_shaped(d, plant.dt) for d in known.disturbances])
     return replace(larger, uncertainty=Uncertainty(considered=tuple(s.name for s in larger.states if s.name in considered)))
@@ -216,6 +219,19 @@ def _enlarged(plant: Plant, model: _Unknown | _Disturbed, added: Sequence[tuple[
 
 def _with_variances(cov: Array, variances: Array) -> Array:
     return np.concatenate([cov, variances]) if cov.ndim == 1 else block_diag(cov, np.diag(variances))
+
+
+def _initial(plant: Plant, larger: Plant) -> Array:
+    """Covariance of the initial state (x, theta, delta) where x0 is the steady state x = f(x; theta, delta).
+
+    To first order x0 changes by (I - F)^-1 F_theta, with the derivatives of the step at x0 under the usual input.
+    """
+    n = len(plant.states)
+    F = larger.step_jacobian_at(0.0, larger.x0, larger.input_at(0.0), larger.dt)
+    change = np.linalg.solve(np.eye(n) - F[:n, :n], F[:n, n:])
+    follows = np.eye(len(F))
+    follows[:n, n:] = change
+    return np.asarray(follows @ dense(larger.initial_cov) @ follows.T)
 
 
 def _finer(finer: Finer, nominal: Array) -> tuple[Plant, Callable[[Array], Array]]:

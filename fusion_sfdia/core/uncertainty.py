@@ -106,6 +106,7 @@ class Uncertainty:
     step_jacobian(t_start, x, u, dt, theta), (..., n, n + m + p), and output_jacobian(t, x, u, theta), (..., N, n + m + p): the
     derivatives with respect to x, u and theta, side by side; None for the complex step, or differences where that fails.
     inputs: standard deviation of the constant error of an input, by its name, in its unit.
+    at_rest: whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
     disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts;
     `augment` adds those of this treatment. rebuild: the plant at other values, rebuild(**{parameter: value}), of any number of
     parameters; None where only step and output state them. Raises ValueError for what does not fit together.
@@ -119,6 +120,7 @@ class Uncertainty:
     inputs: Mapping[str, float] = field(default_factory=dict)
     disturbances: tuple[Disturbance, ...] = ()
     considered: tuple[str, ...] = ()
+    at_rest: bool = False
     rebuild: Callable[..., Plant] | None = None
 
     def __post_init__(self) -> None:
@@ -212,7 +214,8 @@ class Secants:
 def secants(plant: Plant, parameters: Sequence[Parameter], rebuild: Callable[..., Plant], **stated: Any) -> Uncertainty:
     """Uncertainty of the parameters of a plant that can be built at other values: rebuild(**{parameter: value}), see `Secants`.
 
-    rebuild takes any number of the parameters; the others keep their values. stated: `inputs` and `disturbances`, as of `Uncertainty`.
+    rebuild takes any number of the parameters; the others keep their values. stated: `inputs`, `disturbances` and `at_rest`, as
+    of `Uncertainty`.
     """
     at = Secants(plant, tuple(parameters), rebuild)
     return Uncertainty(at.parameters, at.step, at.output, rebuild=rebuild, **stated)

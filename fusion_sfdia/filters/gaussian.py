@@ -15,15 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
+from fusion_sfdia.core.covariance import dense as dense
+
 Array = NDArray[Any]
 
 ONE_BY_ONE = 16  # size from which LAPACK calls on single matrices beat NumPy's batch routines
 ROUNDING = 1e-10  # an eigenvalue of a unit-diagonal covariance above minus this is taken as a rounded zero
-
-
-def dense(cov: Array) -> Array:
-    """The covariance matrix (..., n, n) of a covariance given as its diagonal (n,) or as a matrix."""
-    return np.diag(cov) if cov.ndim == 1 else cov
 
 
 def symmetrise(P: Array) -> Array:

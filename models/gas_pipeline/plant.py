@@ -151,9 +151,10 @@ def gas_pipeline(
         numerics=Numerics(model.step_jacobian, model.output_jacobian, max_dt=limit * count),
         truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
         uncertainty=Uncertainty(
-            unknown_parameters(c), model.step_at, None, model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS
+            unknown_parameters(c), model.step_at, None, model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS,
+            at_rest=True,
         ),
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,7 +185,7 @@ def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
         nominal = float(getattr(c, name))
         scale = 1.0 if unit == "K" else nominal
         parameters.append(Parameter(name, unit, nominal, sd * scale, rate * scale, source=source))
-    return Uncertainty(tuple(parameters), model.step_at, model.output_at, inputs={"fuel_setting": FUEL_SETTING})
+    return Uncertainty(tuple(parameters), model.step_at, model.output_at, inputs={"fuel_setting": FUEL_SETTING}, at_rest=True)
 
 
 def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:

@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from toy_plants import Array, chain, changed
+from process_bank import OUTLET, ProcessBank
+from toy_plants import Array, chain, changed, tanks
 
 from fusion_sfdia import BatchDetector, CentralFilter, Decision, Plant, State, TimeStep, check_detector, check_plant
+from fusion_sfdia.core.detector import ProcessHypothesis
 from fusion_sfdia.core.state import leaves
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 
@@ -148,6 +150,59 @@ def test_a_mistake_is_stated_with_its_cure(way: str, message: str) -> None:
 
 def test_fixed_limits_without_a_mistake_pass() -> None:
     check_detector(Fixed, CHAIN)
+
+
+@dataclass(frozen=True)
+class BrokenVerdicts(ProcessBank):
+    """A bank that tests the process, too, and breaks the contract in one way."""
+
+    way: str = ""
+
+    @property
+    def process_hypotheses(self) -> tuple[ProcessHypothesis, ...]:
+        first, second = super().process_hypotheses
+        if self.way == "one name":
+            return first, second._replace(name=self.plant.sensor_names[0])
+        return first, second._replace(kind="leak") if self.way == "kind" else second
+
+    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
+        state, decision = super().step(state, t, y, u)
+        process, probability = decision.process, decision.probability
+        assert process is not None and probability is not None
+        changes: dict[str, Any] = {
+            "silent": {"process": None},
+            "one sensor": {"suspect": decision.isolated},
+            "sized": {"process_size": np.zeros(process.shape)},
+            "no spread": {"process_sd": np.full(process.shape, np.nan)},
+            "negative": {"process_sd": np.where(process, -1.0, np.nan)},
+            "percent": {"probability": 100 * probability},
+            "too likely": {"probability": np.ones_like(probability)},
+        }.get(self.way, {})
+        return state, replace(decision, **changes)
+
+
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        ("one name", "names of all hypotheses differ"),
+        ("kind", "a ProcessHypothesis of a kind of"),
+        ("silent", r"process has the shape \(2,\)"),
+        ("one sensor", r"suspect has the shape \(6,\)"),
+        ("sized", "process_size is NaN just where nothing is accepted"),
+        ("no spread", "process_sd is NaN just where nothing is accepted"),
+        ("negative", "standard deviations are finite and not negative"),
+        ("percent", "probabilities are from 0 to 1"),
+        ("too likely", "probabilities of hypotheses add up to at most 1"),
+    ],
+)
+def test_verdicts_on_the_process_that_break_the_contract_fail(way: str, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_detector(partial(BrokenVerdicts, way=way))
+
+
+def test_a_detector_that_tests_the_process_passes() -> None:
+    check_detector(partial(ProcessBank, doubt=(2, 9), between=(0, 5)))
+    assert OUTLET in ProcessBank(tanks()).process_hypotheses
 
 
 def test_a_detector_that_keeps_it_passes() -> None:
