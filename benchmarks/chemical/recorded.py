@@ -119,8 +119,8 @@ def recorded_summary(settings: Settings, results: Results) -> Summary:
         "Samples with a verdict on the process: "
         + " ".join(f"{f}: {listed(pick(rows, metric='process_verdict_probability', fault=f))}." for f in FAULTS),
         *(exact_sentence(rows, sizes, sigma) for sigma in SIGMAS),
-        f"Detectors with the identified model have a budget of {settings['false_alarm']:g} false alarms a step; those that learn "
-        f"have {LEARNT_RATE:g}, for which d00 and the first half of d00_te are just enough. The other half is judged.",
+        f"Detectors with the identified model have a budget of {settings['false_alarm']:g} false alarms a step; those that "
+        f"learn have {LEARNT_RATE:g}, for which d00 and the first half of d00_te are just enough. The other half is judged.",
         "The plant runs in closed loop: the controllers do not react to the biases, which are put into the recording, as they "
         "would to those of an instrument.",
     ]

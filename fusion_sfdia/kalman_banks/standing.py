@@ -1,9 +1,10 @@
 """Process hypotheses that have been accepted: how large they are now, and until when they stand.
 
 An augmented state that has jumped or drifted is estimated from then on; it stands while its estimate differs from what it was
-before by two standard deviations. So are its rivals, which explained the readings nearly as well when it was accepted: one that
-turns out to have changed is accepted, too. It may change further: process noise of a share of its size is added. The error of a state
-equation is a rate that may go on: process noise of its size is added, which decays, and it stands until little of it is left.
+before by two standard deviations. It may change further: process noise of a share of its size is added. Its rivals, which
+explained the readings nearly as well when it was accepted, are followed, too: one that turns out to have changed is accepted.
+The error of a state equation is a rate that may go on: process noise of its size is added, which decays, and it stands until
+little of it is left.
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ CONFIRM = 4.0  # standard deviations by which a rival differs
 class Standing(NamedTuple):
     """Of P process hypotheses, the first p of augmented states, the last n of equations.
 
-    accepted (..., P): bool. rival (..., p): alternatives, bool. before (..., p): estimates of the augmented states before they changed. size, sd (..., n): of the
-    errors of equations when they were accepted. left (..., n): share of the added process noise. since (...): samples since the
-    last hypothesis was accepted. reopened (...): whether all augmented states have been freed since then, bool.
+    accepted (..., P): bool. rival (..., p): alternatives, bool. before (..., p): estimates of the augmented states before they
+    changed. size, sd (..., n): of the errors of equations when they were accepted. left (..., n): share of the added process
+    noise. since (...): samples since the last hypothesis was accepted. reopened (...): whether all augmented states have been
+    freed since then, bool.
     """
 
     accepted: Array
@@ -66,8 +68,9 @@ def added_noise(now: Standing, rates: Array, z: Array) -> Array | None:
 
 
 def with_accepted(now: Standing, which: Array, rivals: Array, z: Array, size: Array, sd: Array) -> Standing:
-    """Add the hypotheses for which `which` (..., P) holds, and their rivals (..., P): augmented states z (..., p) so far, size and
-    sd (..., P).
+    """Add the hypotheses for which `which` (..., P) holds, and their rivals (..., P).
+
+    z (..., p): augmented states so far. size, sd (..., P): of the hypotheses.
     """
     p = now.before.shape[-1]
     watched = now.accepted[..., :p] | now.rival
