@@ -16,7 +16,7 @@ from fusion_sfdia.registry import require_known
 if TYPE_CHECKING:
     from fusion_sfdia.experiments.scenario import Scenario
 
-GROUPS = ("pipeline", "engine", "network")  # folders of benchmarks/ whose files are scenarios
+GROUPS = ("pipeline", "engine", "network", "chemical")  # folders of benchmarks/ whose files are scenarios
 
 
 def _scenarios() -> dict[str, str]:

@@ -17,27 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from fusion_sfdia.core.covariance import dense
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Finer, Structure
+from fusion_sfdia.core.plant_groups import Finer, Numerics, Structure
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertainty
+from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertainty, error_of
 
 Array = NDArray[Any]
 
 FARTHEST = 6.0  # standard deviations from the nominal value: limits of the added states
 
 
-def error_of(name: str) -> str:
-    """The name of the added state for the error of an input."""
-    return f"error of {name}"
-
-
 def augment(plant: Plant) -> Plant:
     """Return the plant with its parameters, errors of inputs and disturbances as states; itself where it states none.
 
     The states of the plant come first, then parameters, errors of inputs (in the order of the inputs) and disturbances. A
-    frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input, a direction
-    or a considered state that does not fit the plant.
+    frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input or a
+    direction that does not fit the plant.
+
+    A filter estimates what multiplies a state, such as a droop, without bias only where the process noise that the plant states
+    acts: it takes the error of its own estimate of the state for a change of the state otherwise (Ljung 1979).
     """
     known = plant.uncertainty
     if not known.stated:
@@ -46,18 +45,12 @@ def augment(plant: Plant) -> Plant:
     unknown: list[Parameter | Disturbance] = [*known.parameters, *known.disturbances]
     considered = {*known.considered, *(v.name for v in unknown if v.treatment == "considered")}
     erring = [s for s in plant.inputs if s.name in known.inputs]
-    states = [*(s.name for s in plant.states), *(error_of(s.name) for s in erring), *(v.name for v in unknown)]
-    if strange := [name for name in known.considered if name not in states]:
-        raise ValueError(f"plant {plant.name!r} has no states {', '.join(strange)} to consider; states: {', '.join(states)}")
     larger = replace(plant, uncertainty=Uncertainty(), structure=Structure())
     if known.parameters or erring:
-        model = _Unknown(plant)
         errors = [Parameter(error_of(s.name), s.unit, sd=known.inputs[s.name]) for s in erring]
-        larger = _enlarged(larger, model, [_added(p, plant.dt) for p in (*known.parameters, *errors)])
-        if known.step_jacobian is None:
-            larger = replace(larger, numerics=replace(larger.numerics, step_jacobian=None))
-        if known.output_jacobian is None:
-            larger = replace(larger, numerics=replace(larger.numerics, output_jacobian=None))
+        larger = _enlarged(larger, _Unknown(plant), [_added(p, plant.dt) for p in (*known.parameters, *errors)])
+        if known.at_rest:
+            larger = replace(larger, initial_cov=_initial(plant, larger))
     if known.disturbances:
         larger = _enlarged(larger, _Disturbed(larger, known.disturbances), [_shaped(d, plant.dt) for d in known.disturbances])
     return replace(larger, uncertainty=Uncertainty(considered=tuple(s.name for s in larger.states if s.name in considered)))
@@ -104,6 +97,16 @@ class _Unknown:
         """Where the derivatives with respect to (x, theta, delta) are among those with respect to (x, u, theta)."""
         n, p = self.counts
         return np.concatenate([np.arange(n), n + len(self.plant.inputs) + np.arange(p), n + self.erring])
+
+    @property
+    def numerics(self) -> Numerics:
+        """With Jacobians where those with respect to x, u and theta are stated."""
+        known = self.plant.uncertainty
+        return replace(
+            self.plant.numerics,
+            step_jacobian=None if known.step_jacobian is None else self.step_jacobian,
+            output_jacobian=None if known.output_jacobian is None else self.output_jacobian,
+        )
 
     def split(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
         """The state x (..., n), the input that acts (..., m) and theta (..., p)."""
@@ -157,6 +160,10 @@ class _Disturbed:
             np.array([d.time_constant for d in self.disturbances]),
         )
 
+    @property
+    def numerics(self) -> Numerics:
+        return replace(self.plant.numerics, step_jacobian=self.step_jacobian, output_jacobian=self.output_jacobian)
+
     def step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
         v, _, tau = self.directions
         x, xi = z[..., : len(v)], z[..., len(v) :]
@@ -205,13 +212,26 @@ def _enlarged(plant: Plant, model: _Unknown | _Disturbed, added: Sequence[tuple[
         initial_cov=_with_variances(plant.initial_cov, np.array(start)),
         process_cov=_with_variances(plant.process_cov, np.array(walk)),
         process_bound=None if bound is None else np.concatenate([np.broadcast_to(bound, plant.x0.shape), np.zeros(len(added))]),
-        numerics=replace(plant.numerics, step_jacobian=model.step_jacobian, output_jacobian=model.output_jacobian),
+        numerics=model.numerics,
         truth=replace(plant.truth, finer=None if finer is None else partial(_finer, finer, nominal)),
     )
 
 
 def _with_variances(cov: Array, variances: Array) -> Array:
     return np.concatenate([cov, variances]) if cov.ndim == 1 else block_diag(cov, np.diag(variances))
+
+
+def _initial(plant: Plant, larger: Plant) -> Array:
+    """Covariance of the initial state (x, theta, delta) where x0 is the steady state x = f(x; theta, delta).
+
+    To first order x0 changes by (I - F)^-1 F_theta, with the derivatives of the step at x0 under the usual input.
+    """
+    n = len(plant.states)
+    F = larger.step_jacobian_at(0.0, larger.x0, larger.input_at(0.0), larger.dt)
+    change = np.linalg.solve(np.eye(n) - F[:n, :n], F[:n, n:])
+    follows = np.eye(len(F))
+    follows[:n, n:] = change
+    return np.asarray(follows @ dense(larger.initial_cov) @ follows.T)
 
 
 def _finer(finer: Finer, nominal: Array) -> tuple[Plant, Callable[[Array], Array]]:

@@ -104,14 +104,19 @@ class _Integrated:
         return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], axis=-1)[..., self.picks]
 
     def step_at(self, unknown: tuple[str, ...], t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self._at(unknown, theta).step(t_start, x, u, dt)
+        return self._at(unknown, theta).step(t_start, _of_batch(x, theta), u, dt)
 
     def output_at(self, unknown: tuple[str, ...], t: float, x: Array, u: Array, theta: Array) -> Array:
-        return self._at(unknown, theta).output(t, x, u)
+        return self._at(unknown, theta).output(t, _of_batch(x, theta), u)
 
     def _at(self, unknown: tuple[str, ...], theta: Array) -> _Integrated:
         values = {name: theta[..., j] for j, name in enumerate(unknown)}
         return replace(self, physics=replace(self.physics, parameters=self.physics.parameters._replace(**values)))
+
+
+def _of_batch(x: Array, theta: Array) -> Array:
+    """States x (..., n) with the batch of the parameters theta (..., p), too."""
+    return np.broadcast_to(x, (*np.broadcast_shapes(x.shape[:-1], theta.shape[:-1]), x.shape[-1]))
 
 
 def _require_rates(physics: Physics, x0: Array, u: Array) -> None:

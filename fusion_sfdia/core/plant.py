@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, require_unique
 from fusion_sfdia.core.covariance import diagonal, require_covariance
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
-from fusion_sfdia.core.plant_checks import require_kinds, require_shapes
+from fusion_sfdia.core.plant_checks import require_considered, require_kinds, require_shapes
 from fusion_sfdia.core.plant_groups import Numerics, OutputFunction, StepFunction, Structure, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.uncertainty import Uncertainty
@@ -87,6 +87,7 @@ class Plant:
             raise ValueError(
                 f"plant {self.name!r}: process_bound has shape {np.shape(bound)}; expected ({n},) numbers of at least 0"
             )
+        require_considered(self)
         require_shapes(self)
 
     def _take_from_states(self) -> None:

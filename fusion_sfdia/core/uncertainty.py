@@ -7,15 +7,14 @@ A parameter theta enters the model by functions that take its value, `step(t_sta
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number, require_unique, shown
-from fusion_sfdia.core.plant_groups import scaled
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
@@ -88,6 +87,11 @@ class Disturbance:
         _require_treatment(f"disturbance {self.name!r}", self.treatment)
 
 
+def error_of(name: str) -> str:
+    """The name of the error of an input, a state of the augmented plant."""
+    return f"error of {name}"
+
+
 def _require_treatment(whose: str, treatment: str) -> None:
     if treatment not in TREATMENTS:
         raise ValueError(f"{whose}: treatment is {shown(treatment)}; expected one of {', '.join(TREATMENTS)}")
@@ -102,8 +106,10 @@ class Uncertainty:
     step_jacobian(t_start, x, u, dt, theta), (..., n, n + m + p), and output_jacobian(t, x, u, theta), (..., N, n + m + p): the
     derivatives with respect to x, u and theta, side by side; None for the complex step, or differences where that fails.
     inputs: standard deviation of the constant error of an input, by its name, in its unit.
+    at_rest: whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
     disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts;
-    `augment` adds those of this treatment. Raises ValueError for what does not fit together.
+    `augment` adds those of this treatment. rebuild: the plant at other values, rebuild(**{parameter: value}), of any number of
+    parameters; None where only step and output state them. Raises ValueError for what does not fit together.
     """
 
     parameters: tuple[Parameter, ...] = ()
@@ -114,6 +120,8 @@ class Uncertainty:
     inputs: Mapping[str, float] = field(default_factory=dict)
     disturbances: tuple[Disturbance, ...] = ()
     considered: tuple[str, ...] = ()
+    at_rest: bool = False
+    rebuild: Callable[..., Plant] | None = None
 
     def __post_init__(self) -> None:
         for what, kind in (("parameters", Parameter), ("disturbances", Disturbance), ("considered", str)):
@@ -123,7 +131,7 @@ class Uncertainty:
         require_unique(
             "parameters and disturbances", [*(p.name for p in self.parameters), *(d.name for d in self.disturbances)]
         )
-        for what in ("step", "output", "step_jacobian", "output_jacobian"):
+        for what in ("step", "output", "step_jacobian", "output_jacobian", "rebuild"):
             value = getattr(self, what)
             if not (value is None or callable(value)):
                 raise ValueError(f"{what} at other values of the parameters is {shown(value)}; expected a function or None")
@@ -140,16 +148,6 @@ class Uncertainty:
     def stated(self) -> bool:
         """Whether anything is stated that `augment` adds as a state."""
         return bool(self.parameters or self.inputs or self.disturbances)
-
-    def in_units(self, factor: Array) -> Uncertainty:
-        """The same of readings that are `factor` (N,) times as large."""
-        output, jacobian = self.output, self.output_jacobian
-        return replace(
-            self,
-            output=None if output is None else partial(scaled, output, factor),
-            output_jacobian=None if jacobian is None else partial(scaled, jacobian, factor[:, None]),
-            disturbances=tuple(replace(d, reading=d.reading * factor) for d in self.disturbances),
-        )
 
     @property
     def nominal(self) -> Array:
@@ -216,7 +214,8 @@ class Secants:
 def secants(plant: Plant, parameters: Sequence[Parameter], rebuild: Callable[..., Plant], **stated: Any) -> Uncertainty:
     """Uncertainty of the parameters of a plant that can be built at other values: rebuild(**{parameter: value}), see `Secants`.
 
-    stated: `inputs` and `disturbances`, as of `Uncertainty`.
+    rebuild takes any number of the parameters; the others keep their values. stated: `inputs`, `disturbances` and `at_rest`, as
+    of `Uncertainty`.
     """
     at = Secants(plant, tuple(parameters), rebuild)
-    return Uncertainty(at.parameters, at.step, at.output, **stated)
+    return Uncertainty(at.parameters, at.step, at.output, rebuild=rebuild, **stated)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.plant_groups import Finer, fed_back, scaled
+from fusion_sfdia.core.uncertainty import Uncertainty
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
@@ -42,8 +43,23 @@ def in_units(plant: Plant, units: Mapping[str, tuple[str, float]]) -> Plant:
             finer=None if finer is None else partial(_finer_in_units, finer, dict(units)),
             feedback=None if feedback is None else partial(fed_back, feedback, factor),
         ),
-        uncertainty=plant.uncertainty.in_units(factor),
+        uncertainty=_uncertainty_in_units(plant.uncertainty, factor, units),
     )
+
+
+def _uncertainty_in_units(known: Uncertainty, factor: Array, units: Mapping[str, tuple[str, float]]) -> Uncertainty:
+    output, jacobian, rebuild = known.output, known.output_jacobian, known.rebuild
+    return replace(
+        known,
+        output=None if output is None else partial(scaled, output, factor),
+        output_jacobian=None if jacobian is None else partial(scaled, jacobian, factor[:, None]),
+        disturbances=tuple(replace(d, reading=d.reading * factor) for d in known.disturbances),
+        rebuild=None if rebuild is None else partial(_rebuilt_in_units, rebuild, dict(units)),
+    )
+
+
+def _rebuilt_in_units(rebuild: Callable[..., Plant], units: Mapping[str, tuple[str, float]], **values: float) -> Plant:
+    return rebuild(**values).in_units(units)
 
 
 def _finer_in_units(finer: Finer, units: Mapping[str, tuple[str, float]]) -> tuple[Plant, Callable[[Array], Array]]:

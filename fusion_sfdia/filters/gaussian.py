@@ -15,15 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
+from fusion_sfdia.core.covariance import dense as dense
+
 Array = NDArray[Any]
 
 ONE_BY_ONE = 16  # size from which LAPACK calls on single matrices beat NumPy's batch routines
 ROUNDING = 1e-10  # an eigenvalue of a unit-diagonal covariance above minus this is taken as a rounded zero
-
-
-def dense(cov: Array) -> Array:
-    """The covariance matrix (..., n, n) of a covariance given as its diagonal (n,) or as a matrix."""
-    return np.diag(cov) if cov.ndim == 1 else cov
 
 
 def symmetrise(P: Array) -> Array:
@@ -167,7 +164,9 @@ def consider(joint: Joint, x: Array, P: Array) -> tuple[Array, Array]:
 
         P_xx - K_x C_x',    P_x,theta - K_x C_theta',    P_theta,theta
 
-    so that only the mean and the own covariance of theta differ from those of the optimal gain: they stay as they were.
+    so that only the mean and the own covariance of theta differ from those of the optimal gain: they stay as they were. Since
+    the gain is not the optimal one, innovations of successive steps are correlated: a test of one step keeps its rate of false
+    alarms, a test that accumulates steps exceeds it.
     """
     if joint.considered is None:
         return x, P

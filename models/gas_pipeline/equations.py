@@ -366,20 +366,23 @@ def parameter_slope(x: Any, given: Any, which: Any, theta: Any, c: PipelineParam
     n, first_column = x.shape[0] // 3, dk.shape[1] - which.shape[0]
     tiny = 1e-30
     at, local = theta + 0j, np.empty(6)
-    for j in range(which.shape[0]):
-        at[which[j]] += 1j * tiny
-        d = with_unknown(c, at)
-        for i in range(n):
-            first = min(max(i - 2, 0), n - 5)
-            row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
-            for v in range(3):
-                local[v] = x[v * n + i]
-                s = 0.0
-                for near in range(5):
-                    s += stencil[row, near] * x[v * n + first + near]
-                local[3 + v] = s
-            p, m, T, p_s, m_s, T_s = local[0], local[1], local[2], local[3], local[4], local[5]
-            f = friction_factor(m, d)
+    nominal = with_unknown(c, theta)
+    for i in range(n):
+        first = min(max(i - 2, 0), n - 5)
+        row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
+        for v in range(3):
+            local[v] = x[v * n + i]
+            s = 0.0
+            for near in range(5):
+                s += stencil[row, near] * x[v * n + first + near]
+            local[3 + v] = s
+        p, m, T, p_s, m_s, T_s = local[0], local[1], local[2], local[3], local[4], local[5]
+        still = friction_factor(m, nominal) + 0j
+        for j in range(which.shape[0]):
+            at[which[j]] += 1j * tiny
+            d = with_unknown(c, at)
+            at[which[j]] = theta[which[j]]
+            f = friction_factor(m, d) if which[j] == 0 else still  # the roughness alone changes it
             if i == 0:
                 _, m_t, _ = inlet_rates(p, m, T, p_s, m_s, T_s, f, given[0], given[1], d)
                 dk[n + i, first_column + j] += m_t.imag / tiny
@@ -392,7 +395,6 @@ def parameter_slope(x: Any, given: Any, which: Any, theta: Any, c: PipelineParam
                 dk[i, first_column + j] += s0.imag / tiny
                 dk[n + i, first_column + j] += s1.imag / tiny
                 dk[2 * n + i, first_column + j] += s2.imag / tiny
-        at[which[j]] = theta[which[j]]
 
 
 @compiled

@@ -33,7 +33,7 @@ from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone
+from fusion_sfdia.core.uncertainty import Uncertainty, by_states_alone
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
@@ -48,6 +48,7 @@ from fusion_sfdia.models.gas_pipeline.physics import (
     require_parameters,
     signals,
 )
+from fusion_sfdia.models.gas_pipeline.unknown import INPUT_ERRORS, unknown_of, unknown_parameters
 
 Array = NDArray[Any]
 
@@ -60,22 +61,6 @@ PROCESS_NOISE = {"tenth": 0.1, "nine-tenths": 0.9}  # of the sensors' sigma, see
 IDENTITY = (1e6, 1.0, 1.0)  # Pa, kg/s, K: one of each of the paper's units
 FINER = 4  # cells of the high-fidelity model in one of the grid: errors are 4^4 times smaller
 DENSE_NODES = 600  # about 200 MB with all intermediate results
-SPREAD = {  # unit, standard deviation over the value (K: of the value), its change within an hour, source
-    "roughness": ("m", 0.3, 0.0, "tables give pipes of one kind a factor of two; 30 % is our choice"),
-    "ambient": ("K", 2.5, 0.1, "ground at laying depth follows the seasons by several kelvin, by one in a week"),
-    "heat_transfer": ("W/(m2 K)", 0.3, 0.0, "conductivity of soil: by a factor of two between dry and wet; our choice"),
-    "gas_constant": (
-        "J/(kg K)",
-        0.01,
-        0.001,
-        "molar masses of natural gases of one quality differ by some percent; our choice",
-    ),
-}
-INPUT_ERRORS = {  # our choices from usual classes of instruments
-    "p_inlet": 4e3,  # Pa: 0.04 % of a transmitter's range of 10 MPa
-    "T_inlet": 0.3,  # K: a resistance thermometer of class B
-    "m_outlet": 3.0,  # kg/s: 1 % of the initial flow, an orifice or ultrasonic meter; also what leaks before it
-}
 QUANTITIES = ("pressure", "mass flow", "temperature")
 
 
@@ -165,8 +150,11 @@ def gas_pipeline(
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
         numerics=Numerics(model.step_jacobian, model.output_jacobian, max_dt=limit * count),
         truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
-        uncertainty=_uncertainty(model),
-    )
+        uncertainty=Uncertainty(
+            unknown_parameters(c), model.step_at, None, model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS,
+            at_rest=True,
+        ),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,9 +176,8 @@ class _Pipe:
 
     @cached_property
     def unknown(self) -> Array:
-        """Positions (p,) in equations.UNKNOWN of what matters: no roughness of a smooth pipe or with a friction factor."""
-        matters = {"roughness": self.c.roughness * (self.c.friction == 0), "heat_transfer": self.c.heat_transfer}
-        return np.array([j for j, name in enumerate(equations.UNKNOWN) if matters.get(name, 1) > 0])
+        """Positions (p,) in equations.UNKNOWN of the parameters theta."""
+        return unknown_of(self.c)
 
     @cached_property
     def nominal(self) -> Array:
@@ -232,25 +219,6 @@ class _Pipe:
         )
         result: Array = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
         return result.reshape(*batch, *result.shape[1:])
-
-
-def _uncertainty(model: _Pipe) -> Uncertainty:
-    """What is not known of pipe, ground, gas and inputs.
-
-    Heat transfer and ground temperature both act by h (T - T_ground), and T - T_ground falls along the pipe: the temperatures
-    together distinguish them. The length of the pipe is known far better than all of these.
-    """
-    names = [equations.UNKNOWN[j] for j in model.unknown]
-    parameters = []
-    for name in names:
-        unit, sd, rate, source = SPREAD[name]
-        nominal = float(getattr(model.c, name))
-        scale = 1.0 if name == "ambient" else nominal
-        low = np.finfo(float).tiny if name != "heat_transfer" else 0.0
-        parameters.append(Parameter(name, unit, nominal, sd * scale, rate * scale, source=source, low=low))
-    return Uncertainty(
-        tuple(parameters), model.step_at, None, model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS
-    )
 
 
 def _finer(model: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Array], Array]]:

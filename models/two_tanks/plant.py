@@ -211,7 +211,8 @@ def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
         input_errors={"inflow": SETTING * INFLOW},
     )  # fmt: skip
     truth = Truth(operation=operation, finer=partial(with_same_states, partial(_truth, plant, c, operation)))
-    return replace(plant, truth=truth, structure=Structure(modules=tank_modules(c)))
+    uncertainty = replace(plant.uncertainty, at_rest=True)
+    return replace(plant, truth=truth, structure=Structure(modules=tank_modules(c)), uncertainty=uncertainty)
 
 
 def _truth(plant: Plant, c: Tanks, operation: Callable[[float], Array] | None) -> Plant:

@@ -22,6 +22,7 @@ FOLDERS: dict[str, set[str]] = {
     "data_driven": {"core"},
     "structural_residuals": {"core"},
     "evaluation": {"core"},
+    "identification": {"core", "filters"},
     "registry": {"core", "detectors", "models"},  # of the last two only names, until one is used
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},

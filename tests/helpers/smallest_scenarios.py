@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from threadpoolctl import threadpool_limits
@@ -12,7 +13,9 @@ from fusion_sfdia.report.content import Summary
 from fusion_sfdia.scenarios import scenario
 
 PIPELINE = {"steps": 75}
+RECORDED = Path(__file__).resolve().parents[3] / "shared" / "fixtures" / "tep_braatz"  # next to the checkout
 SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings that differ from the default
+    "chemical/recorded": (1, {"data": str(RECORDED), "measurements": (7,), "sizes": (10.0,)}),
     "pipeline/accommodation": (1, PIPELINE),
     "pipeline/accuracy": (1, PIPELINE),
     "pipeline/consistency": (1, PIPELINE),

@@ -1,0 +1,1 @@
+"""The scenarios on recordings of a chemical plant, one file each."""

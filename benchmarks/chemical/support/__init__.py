@@ -1,0 +1,1 @@
+"""Shared by the scenarios on the chemical plant."""

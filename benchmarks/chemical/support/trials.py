@@ -1,0 +1,82 @@
+"""Detectors over the recordings of the chemical plant: with a process fault, and healthy with a bias in one measurement."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.benchmarks.chemical.support.recordings import FAULTS, MEASUREMENTS, identified, recording
+from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.experiments.scenario import Arrays, Task
+from fusion_sfdia.registry import find_detector
+
+Array = NDArray[Any]
+
+JUDGED = 480  # samples of d00_te before the half that is judged; the other may set something
+WARM_UP = 40  # samples before the judged ones, in which a filter forgets its initial state
+ONSETS = (60, 200, 340)  # samples of the judged half at which biases begin
+SIGNS = (1.0, -1.0, 1.0)  # of the biases, by onset
+LEARNT_RATE = 0.01  # of false alarms per step of detectors that learn: their data are too few for less
+SIGMAS = ("reading", "noise")
+
+
+def chosen(task: Task) -> tuple[Detector, bool]:
+    """The detector of a task, and whether it learns: from d00 and the first half of d00_te, analyses repeated."""
+    folder, named = task["data"], find_detector(task["detector"])
+    plant = identified(folder)
+    if not named.learns:
+        return named.build(plant, false_alarm=task["false_alarm"]), False
+    train, test = (recording(folder, name, repeated=True) for name in ("d00", "d00_te"))
+    healthy = np.stack([train.y[-JUDGED:], test.y[:JUDGED]], axis=1)
+    return named.build(plant, healthy=healthy, false_alarm=LEARNT_RATE), True
+
+
+def sigmas(folder: str, plant: Plant) -> dict[str, Array]:
+    """Two meanings of sigma (41,): of the reading about its mean in d00, and of the noise that the plant states."""
+    return {"reading": np.nanstd(recording(folder, "d00").y, axis=0), "noise": plant.sensor_sigma}
+
+
+def cases(task: Task) -> list[tuple[int, str, float, int]]:
+    """The faulty runs: (position of the measurement, meaning of sigma, size in sigma, which onset)."""
+    positions = [number - 1 for number in task["measurements"]]
+    return list(product(positions, SIGMAS, task["sizes"], range(len(ONSETS))))
+
+
+def biased(task: Task, log: Log, plant: Plant) -> tuple[Log, Array]:
+    """The judged half with a bias in each run, y (K, B, 41), and where it is active (K, B, 41)."""
+    runs, scale = cases(task), sigmas(task["data"], plant)
+    active = np.zeros((len(log.t), len(runs), len(MEASUREMENTS)), bool)
+    size = np.zeros(active.shape)
+    for b, (i, sigma, times, which) in enumerate(runs):
+        start = WARM_UP + ONSETS[which]
+        active[start : start + task["length"], b, i] = True
+        size[:, b, i] = SIGNS[which] * times * scale[sigma][i]
+    return Log(log.t, log.y[:, None] + active * size, np.repeat(log.u[:, None], len(runs), axis=1)), active
+
+
+def verdicts(detector: Detector, log: Log) -> Arrays:
+    """Isolated (K, ..., 41), process and alarm (K, ...) after the warm-up: sensors isolated, a process hypothesis accepted."""
+    start = detector.init(log.y.shape[1:-1], float(log.t[0]) - detector.plant.dt)
+    decision: Decision = run(detector, start, *log)[1]
+    process = np.zeros(decision.alarm.shape, bool) if decision.process is None else decision.process.any(axis=-1)
+    found = {"isolated": decision.isolated[..., : len(MEASUREMENTS)], "process": process, "alarm": decision.alarm}
+    return {name: np.asarray(values)[WARM_UP:] for name, values in found.items()}
+
+
+def trial(task: Task) -> Arrays:
+    """All verdicts of a detector, prefixed by healthy, the process fault or bias; `active` of the biases."""
+    detector, learns = chosen(task)
+    folder = task["data"]
+    logs = {name: recording(folder, f"{name}_te", repeated=learns) for name in ("d00", *FAULTS)}
+    judged = Log(*(part[JUDGED - WARM_UP :] for part in logs["d00"]))
+    arrays = {f"healthy {what}": values for what, values in verdicts(detector, judged).items()}
+    for name in FAULTS:
+        arrays |= {f"{name} {what}": values for what, values in verdicts(detector, logs[name]).items()}
+    faulty, active = biased(task, judged, detector.plant)
+    arrays |= {f"bias {what}": values for what, values in verdicts(detector, faulty).items()}
+    return arrays | {"bias active": active[WARM_UP:]}
