@@ -80,7 +80,7 @@ def detector_rows(task: Task, arrays: Arrays) -> Iterator[Row]:
             ("process_verdict_probability", process),
             ("alarm_probability", alarm),
         ):
-            yield row(detector, fault, "all", metric, once(np.mean(hits), np.size(hits)))
+            yield row(detector, fault, "all", metric, once(float(np.mean(hits)), np.size(hits)))
     active, isolated, process = (arrays[f"bias {what}"] for what in ("active", "isolated", "process"))
     runs = cases(task)
     for sigma in SIGMAS:
