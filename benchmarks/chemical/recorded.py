@@ -80,7 +80,7 @@ def detector_rows(task: Task, arrays: Arrays) -> Iterator[Row]:
             ("process_verdict_probability", process),
             ("alarm_probability", alarm),
         ):
-            yield row(detector, fault, "all", metric, once(np.mean(hits), np.size(hits)))
+            yield row(detector, fault, "all", metric, once(float(np.mean(hits)), np.size(hits)))
     active, isolated, process = (arrays[f"bias {what}"] for what in ("active", "isolated", "process"))
     runs = cases(task)
     for sigma in SIGMAS:
@@ -116,7 +116,7 @@ def recorded_summary(settings: Settings, results: Results) -> Summary:
     remarks = [
         "Samples with a sensor isolated, where only the process has a fault: "
         + " ".join(f"{f}: {listed(pick(rows, metric='false_isolation_probability', fault=f))}." for f in FAULTS),
-        "Samples with a verdict on the process: "
+        "Samples with a process verdict: "
         + " ".join(f"{f}: {listed(pick(rows, metric='process_verdict_probability', fault=f))}." for f in FAULTS),
         *(exact_sentence(rows, sizes, sigma) for sigma in SIGMAS),
         f"Detectors with the identified model have a budget of {settings['false_alarm']:g} false alarms a step; those that learn "
