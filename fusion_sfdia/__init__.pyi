@@ -6,6 +6,7 @@ from fusion_sfdia.checks.detectors import check_detector as check_detector
 from fusion_sfdia.checks.plants import check_plant as check_plant
 from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
 from fusion_sfdia.comparison.compare import compare as compare
+from fusion_sfdia.core.augment import augment as augment
 from fusion_sfdia.core.batch_detector import BatchDetector as BatchDetector
 from fusion_sfdia.core.batch_detector import TimeStep as TimeStep
 from fusion_sfdia.core.detector import Decision as Decision
@@ -31,6 +32,10 @@ from fusion_sfdia.core.signals import Signal as Signal
 from fusion_sfdia.core.state import State as State
 from fusion_sfdia.core.storage import load_state as load_state
 from fusion_sfdia.core.storage import save_state as save_state
+from fusion_sfdia.core.uncertainty import Disturbance as Disturbance
+from fusion_sfdia.core.uncertainty import Parameter as Parameter
+from fusion_sfdia.core.uncertainty import Uncertainty as Uncertainty
+from fusion_sfdia.core.uncertainty import secants as secants
 from fusion_sfdia.data_driven.ewma_limits import EwmaLimits as EwmaLimits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits as FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass as OneClass
@@ -40,7 +45,9 @@ from fusion_sfdia.evaluation.cases import MismatchCase as MismatchCase
 from fusion_sfdia.evaluation.cases import PaperFault as PaperFault
 from fusion_sfdia.evaluation.cases import ProcessFaultCase as ProcessFaultCase
 from fusion_sfdia.evaluation.diagnose import Diagnosis as Diagnosis
-from fusion_sfdia.evaluation.diagnose import Event as Event
+from fusion_sfdia.evaluation.events import Event as Event
+from fusion_sfdia.evaluation.events import ProcessEvent as ProcessEvent
+from fusion_sfdia.evaluation.events import UndecidedEvent as UndecidedEvent
 from fusion_sfdia.evaluation.fault_draws import FaultRange as FaultRange
 from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
@@ -60,6 +67,8 @@ from fusion_sfdia.identification.whiteness import Whiteness as Whiteness
 from fusion_sfdia.identification.whiteness import whiteness as whiteness
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
+from fusion_sfdia.kalman_banks.identifiability import Identifiability as Identifiability
+from fusion_sfdia.kalman_banks.identifiability import identifiability as identifiability
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank as LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon as MovingHorizon
 from fusion_sfdia.kalman_banks.multiple_model import MultipleModel as MultipleModel

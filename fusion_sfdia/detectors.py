@@ -56,6 +56,14 @@ register_detector(
     false_alarm=FALSE_ALARM,
 )
 register_detector(
+    "robust-glr",
+    "loo-glr on the plant augmented by what it does not know: biases and ramps of sensors compete with jumps and drifts "
+    "of parameters and inputs and with errors of state equations; isolates sensors, or reports the process",
+    "fusion_sfdia.kalman_banks.robust_bank:RobustBank",
+    memory="32 and 256 samples",
+    false_alarm=FALSE_ALARM,
+)
+register_detector(
     "mhe-l1",
     "extended Kalman filter with moving-horizon estimation (Rao, Rawlings and Lee 2001) of constant faults under an "
     "L1 penalty (Kim, Koh, Boyd and Gorinevsky 2009); horizons of 1, up to 7 and up to 14 samples",

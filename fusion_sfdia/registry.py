@@ -63,6 +63,7 @@ class NamedDetector(NamedTuple):
     build: takes a Plant and returns the Detector. memory: "none" (present readings only), "state estimate only", or the time
     over which evidence of a fault accumulates; "" where it is not stated. source: "module:name" of what builds it. learns:
     whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `named.fit` does.
+    tests_process: whether it also tells faults of the process or errors of the model from those of sensors.
     """
 
     name: str
@@ -71,6 +72,7 @@ class NamedDetector(NamedTuple):
     memory: str = ""
     source: str = ""
     learns: bool = False
+    tests_process: bool = False
 
     @property
     def package(self) -> str:
@@ -101,23 +103,32 @@ def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None
 
 @overload
 def register_detector(
-    name: str, about: str, *, memory: str = "", learns: bool = False, **settings: Any
+    name: str, about: str, *, memory: str = "", learns: bool = False, tests_process: bool = False, **settings: Any
 ) -> Callable[[M], M]: ...
 @overload
-def register_detector(name: str, about: str, build: M, *, memory: str = "", learns: bool = False, **settings: Any) -> M: ...
 def register_detector(
-    name: str, about: str, build: Any = None, *, memory: str = "", learns: bool = False, **settings: Any
+    name: str, about: str, build: M, *, memory: str = "", learns: bool = False, tests_process: bool = False, **settings: Any
+) -> M: ...
+def register_detector(
+    name: str,
+    about: str,
+    build: Any = None,
+    *,
+    memory: str = "",
+    learns: bool = False,
+    tests_process: bool = False,
+    **settings: Any,
 ) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
-    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`. ValueError for a name of another form
-    than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
+    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`. ValueError for a
+    name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
     """
     if build is None:
-        return partial(register_detector, name, about, memory=memory, learns=learns, **settings)
+        return partial(register_detector, name, about, memory=memory, learns=learns, tests_process=tests_process, **settings)
     made = partial(deferred(build), **settings) if settings else deferred(build)
-    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build), learns))
+    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build), learns, tests_process))
     return build
 
 

@@ -17,6 +17,7 @@ from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from fusion_sfdia import registry
+from fusion_sfdia.checks.process_verdicts import process_verdicts_have_numbers
 from fusion_sfdia.checks.readings import (
     Healthy,
     a_silent_sensor_is_used_again,
@@ -41,7 +42,8 @@ from fusion_sfdia.core.storage import load_state, save_state
 
 Array = NDArray[Any]
 
-FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input"}
+FLAGS = {"isolated", "diverged", "guarded", "capped", "absurd", "absurd_input", "process", "suspect"}
+OF_PROCESS = ("process", "process_size", "process_sd", "suspect", "probability")
 
 
 def check_detector(detector: Any, plant: Any = "two-tanks") -> None:
@@ -63,7 +65,9 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
     n, count = len(plant.states), len(plant.sensors)
     require(hypotheses[:count] == plant.sensor_names, "its hypotheses begin with the plant's sensors", hypotheses)
     require(len(set(hypotheses)) == len(hypotheses), "its hypotheses differ", hypotheses)
+    more = len(getattr(detector, "process_hypotheses", ()))
     shapes = {
+        **dict.fromkeys(OF_PROCESS, (more,)), "suspect": (len(hypotheses) + more,), "probability": (len(hypotheses) + more,),
         "estimate": (n,), "residual": (count,), "threshold": (count,), "isolated": (len(hypotheses),),
         "fault_size": (len(hypotheses),), "absurd": (count,), "absurd_input": (len(plant.inputs),),
         "diverged": (), "guarded": (), "nis": (), "capped": (),
@@ -75,11 +79,9 @@ def shapes_and_types(detector: Detector, healthy: Healthy) -> None:
         for k in range(3):
             state, d = detector.step(state, float(t[k]), y[k] if batch else y[k, 0], u[k] if batch else u[k, 0])
         for f in fields(Decision):
-            expected = shapes.get(f.name, (count,))
-            if f.name == "covariance":
-                if d.covariance is None:
-                    continue
-                expected = (n, n)
+            expected = (n, n) if f.name == "covariance" else shapes.get(f.name, (count,))
+            if getattr(d, f.name) is None and (f.name == "covariance" or (f.name in OF_PROCESS and not more)):
+                continue
             value = np.asarray(getattr(d, f.name))
             require(value.shape == (*batch, *expected), f"{f.name} has the shape {(*batch, *expected)}", value.shape)
             require(value.dtype == (bool if f.name in FLAGS else float), f"{f.name} is of its type", value.dtype)
@@ -208,6 +210,7 @@ def a_pickled_detector_continues_with_the_same_bits(detector: Detector, healthy:
 
 DETECTOR_CHECKS: tuple[Callable[[Detector, Healthy], None], ...] = (
     shapes_and_types,
+    process_verdicts_have_numbers,
     the_same_seed_gives_the_same_bits,
     a_single_run_is_a_batch_of_one,
     an_input_may_be_shared_by_the_batch,

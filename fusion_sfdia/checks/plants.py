@@ -7,6 +7,7 @@ def test_my_tank() -> None:
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import registry
 from fusion_sfdia.checks.require import pickled
+from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.equation import difference_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
@@ -109,12 +111,33 @@ def pickles_give_the_same_bits(plant: Plant) -> None:
         )
 
 
+def uncertainty_is_of_this_plant(plant: Plant) -> None:
+    """The model at the nominal parameters is the plant's, and `augment` gives a plant that keeps the checks above."""
+    if not plant.uncertainty.stated:
+        return
+    augmented = augment(plant)
+    x, u = _points(plant), plant.input_at(0.0)
+    added = np.broadcast_to(augmented.x0[plant.x0.size :], (len(x), augmented.x0.size - plant.x0.size))
+    z = np.concatenate([x, added], axis=-1)
+    for (what, function), larger in zip(_functions(plant).items(), _functions(augmented).values(), strict=True):
+        expected, found = function(x, u), larger(z, u)
+        scale = np.abs(expected).max(axis=0) + np.finfo(float).tiny
+        assert_allclose(
+            found[:, : scale.size] / scale, expected / scale, rtol=0, atol=ROUNDED,
+            err_msg=f"{what} of the uncertainty of plant {plant.name!r} at the nominal parameters is not the plant's; correct "
+            "the nominal values, or the model at other values",
+        )  # fmt: skip
+    for check in (batches_are_leading_axes, jacobians_are_derivatives, pickles_give_the_same_bits):
+        check(replace(augmented, name=f"{plant.name} augmented"))
+
+
 PLANT_CHECKS: tuple[Callable[[Plant], None], ...] = (
     batches_are_leading_axes,
     jacobians_are_derivatives,
     operation_is_within_limits,
     readings_can_be_simulated,
     pickles_give_the_same_bits,
+    uncertainty_is_of_this_plant,
 )
 
 

@@ -11,6 +11,7 @@ from fusion_sfdia import registry, scenarios
 KINDS = ("plants", "detectors", "faults", "scenarios")
 DRAWN = "at random, with simulate --fault NAME[:QUANTITY]"
 LISTED = "kinds, for the [[fault]] tables of simulate --faults FILE.toml"
+BOTH = "sensors and process"
 
 
 def add_list(commands: Any) -> None:
@@ -36,16 +37,23 @@ def _list(chosen: argparse.Namespace) -> int:
                 print(f" {use}:")
             package = entry.get("package", registry.OURS)
             origin = "" if package == registry.OURS else f" (from {package})"
-            print(f"  {entry['name']:<{width}}  {entry['about']}{origin}".rstrip())
+            also = " [tests the process, too]" if entry.get("tests") == BOTH else ""
+            print(f"  {entry['name']:<{width}}  {entry['about']}{also}{origin}".rstrip())
     return 0
 
 
 def entries(kind: str) -> list[dict[str, str]]:
-    """Name and description of all of a kind; of plants and detectors their package, of faults how each is used."""
+    """Name and description of all of a kind; of plants and detectors their package, of detectors what they test, of faults
+    how each is used.
+    """
     match kind:
-        case "plants" | "detectors":
-            named = registry.plants() if kind == "plants" else registry.detectors()
-            return [{"name": e.name, "about": e.about, "package": e.package} for e in named.values()]
+        case "plants":
+            return [{"name": e.name, "about": e.about, "package": e.package} for e in registry.plants().values()]
+        case "detectors":
+            return [
+                {"name": e.name, "about": e.about, "package": e.package, "tests": BOTH if e.tests_process else "sensors"}
+                for e in registry.detectors().values()
+            ]
         case "faults":
             from fusion_sfdia.evaluation.fault_draws import PRESETS
             from fusion_sfdia.evaluation.faults import FAULT_KINDS

@@ -131,7 +131,9 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
     code = int(found.decisions.diverged.any())
     if chosen.json:
-        print(json.dumps([{k: _finite(v) for k, v in asdict(e).items()} for e in found.events], indent=2))
+        kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
+        entries = [kind | {k: _finite(v) for k, v in asdict(e).items()} for kind, e in zip(kinds, found.events, strict=True)]
+        print(json.dumps(entries, indent=2))
         return code
     print(f"{as_text(found, chosen.detector)}\n{', '.join(FILES)}: in {out}")
     return code

@@ -182,5 +182,5 @@ def faults_of(plant: Plant, condition: FaultCondition, seed: int, onset: float, 
 
 
 def mismatch_cases(settings: Settings, cases: ComparisonCases) -> tuple[MismatchCase, ...]:
-    """The mismatch cases that are tried."""
-    return cases.mismatch if settings["mismatch_cases"] else ()
+    """The mismatch cases that are tried: those that are not kept for the scenario `robustness`."""
+    return tuple(case for case in cases.mismatch if not case.unseen) if settings["mismatch_cases"] else ()

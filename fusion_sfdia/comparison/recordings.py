@@ -72,7 +72,9 @@ def simulated(
         raise ValueError(f"plant {model.name!r} has controllers, which would act on what is lost; give its fault a truth")
     finest, to_states = (model, None) if model.truth.finer is None else model.truth.finer()
     finest = replace(finest, sensors=of.sensors)  # whose noise may be a share of what they usually read
-    run = partial(simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.truth.disturbed)
+    run = partial(
+        simulate, of, steps, seeds, truth=finest, to_states=to_states, process_noise=of.truth.disturbed or model.truth.disturbed
+    )
     if lost is None:
         return run()
     t = np.arange(steps) * of.dt

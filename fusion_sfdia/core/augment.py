@@ -8,6 +8,7 @@ with parameters theta, constant errors delta of inputs and disturbances xi. It i
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -16,226 +17,230 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
+from fusion_sfdia.core.covariance import dense
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Structure
+from fusion_sfdia.core.plant_groups import Finer, Numerics, Structure
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.core.uncertainty import HOUR, Uncertainty
+from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertainty, error_of
 
 Array = NDArray[Any]
 
-FARTHEST = 6.0  # standard deviations from the nominal value: limits of the added states, beyond which secants do not hold
-
-
-def error_of(name: str) -> str:
-    """The name of the added state for the error of an input."""
-    return f"error of {name}"
+FARTHEST = 6.0  # standard deviations from the nominal value: limits of the added states
 
 
 def augment(plant: Plant) -> Plant:
     """Return the plant with its parameters, errors of inputs and disturbances as states; itself where it states none.
 
-    The states of the plant come first, then parameters, errors of inputs and disturbances, in the order of its uncertainty.
-    A frozen one has no variance. ValueError for an input or a direction that does not fit the plant.
+    The states of the plant come first, then parameters, errors of inputs (in the order of the inputs) and disturbances. A
+    frozen one has no variance; the initial_sigma of its signal is its standard deviation. ValueError for an input or a
+    direction that does not fit the plant.
+
+    A filter estimates what multiplies a state, such as a droop, without bias only where the process noise that the plant states
+    acts: it takes the error of its own estimate of the state for a change of the state otherwise (Ljung 1979).
     """
     known = plant.uncertainty
     if not known.stated:
         return plant
-    model = _Augmented(plant)
     _require_fit(plant, known)
-    frozen = [p.treatment == "frozen" for p in known.parameters]
-    start = [0.0 if off else p.sd**2 for p, off in zip(known.parameters, frozen, strict=True)]
-    walk = [0.0 if off else p.rate**2 * plant.dt / HOUR for p, off in zip(known.parameters, frozen, strict=True)]
-    added = [
-        Signal(p.name, p.unit, p.nominal, p.nominal - FARTHEST * p.sd, p.nominal + FARTHEST * p.sd) for p in known.parameters
-    ]
-    for signal in plant.inputs:
-        if (sd := known.inputs.get(signal.name)) is not None:
-            added.append(Signal(error_of(signal.name), signal.unit, 0.0, -FARTHEST * sd, FARTHEST * sd))
-            start.append(sd**2)
-            walk.append(0.0)
-    for d in known.disturbances:
-        added.append(Signal(d.name, "1", 0.0, -FARTHEST * d.sd, FARTHEST * d.sd))
-        start.append(0.0 if d.treatment == "frozen" else d.sd**2)
-        walk.append(0.0 if d.treatment == "frozen" else d.sd**2 * (1.0 - np.exp(-2 * plant.dt / d.time_constant)))
-    considered = tuple(p.name for p in (*known.parameters, *known.disturbances) if p.treatment == "considered")
-    bound = plant.process_bound
-    jacobians = replace(plant.numerics, step_jacobian=model.step_jacobian, output_jacobian=model.output_jacobian)
-    finer = plant.truth.finer
-    return replace(
-        plant,
-        states=(*plant.states, *added),
-        step=model.step,
-        output=model.output,
-        x0=np.concatenate([plant.x0, [s.nominal for s in added]]),
-        initial_cov=_joined(plant.initial_cov, np.array(start)),
-        process_cov=_joined(plant.process_cov, np.array(walk)),
-        process_bound=None if bound is None else np.concatenate([np.broadcast_to(bound, plant.x0.shape), np.zeros(len(added))]),
-        numerics=jacobians,
-        truth=replace(
-            plant.truth, finer=None if finer is None else partial(_finer, finer, np.array([s.nominal for s in added]))
-        ),
-        structure=Structure(),
-        uncertainty=Uncertainty(considered=considered),
+    unknown: list[Parameter | Disturbance] = [*known.parameters, *known.disturbances]
+    considered = {*known.considered, *(v.name for v in unknown if v.treatment == "considered")}
+    erring = [s for s in plant.inputs if s.name in known.inputs]
+    larger = replace(plant, uncertainty=Uncertainty(), structure=Structure())
+    if known.parameters or erring:
+        errors = [Parameter(error_of(s.name), s.unit, sd=known.inputs[s.name]) for s in erring]
+        larger = _enlarged(larger, _Unknown(plant), [_added(p, plant.dt) for p in (*known.parameters, *errors)])
+        if known.at_rest:
+            larger = replace(larger, initial_cov=_initial(plant, larger))
+    if known.disturbances:
+        larger = _enlarged(larger, _Disturbed(larger, known.disturbances), [_shaped(d, plant.dt) for d in known.disturbances])
+    return replace(larger, uncertainty=Uncertainty(considered=tuple(s.name for s in larger.states if s.name in considered)))
+
+
+def _added(p: Parameter, dt: float) -> tuple[Signal, float, float]:
+    """The state of a parameter: its signal, initial variance and variance of its change in dt."""
+    low, high = max(p.low, p.nominal - FARTHEST * p.sd), min(p.high, p.nominal + FARTHEST * p.sd)
+    signal = Signal(p.name, p.unit, p.nominal, low, high, initial_sigma=p.sd)
+    return (signal, 0.0, 0.0) if p.treatment == "frozen" else (signal, p.sd**2, p.rate**2 * dt / HOUR)
+
+
+def _shaped(d: Disturbance, dt: float) -> tuple[Signal, float, float]:
+    """The state of a disturbance: xi+ = exp(-dt / tau) xi + eta keeps its variance."""
+    signal = Signal(d.name, "1", 0.0, -FARTHEST * d.sd, FARTHEST * d.sd, initial_sigma=d.sd)
+    return (
+        (signal, 0.0, 0.0) if d.treatment == "frozen" else (signal, d.sd**2, -(d.sd**2) * np.expm1(-2 * dt / d.time_constant))
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Augmented:
-    """The functions of an augmented plant."""
+class _Unknown:
+    """The functions of a plant with z = (x, theta, delta), of n, p and e states."""
 
     plant: Plant
 
     @cached_property
-    def counts(self) -> tuple[int, int, int]:
-        """States, parameters, errors of inputs."""
-        known = self.plant.uncertainty
-        return len(self.plant.states), len(known.parameters), len(known.inputs)
+    def counts(self) -> tuple[int, int]:
+        """States and parameters of the plant."""
+        return len(self.plant.states), len(self.plant.uncertainty.parameters)
 
     @cached_property
     def erring(self) -> Array:
-        """Which input each error belongs to, as rows of a selection (errors, m)."""
-        names = [s.name for s in self.plant.inputs]
-        rows = [i for i, name in enumerate(names) if name in self.plant.uncertainty.inputs]
-        return np.eye(len(names))[rows]
+        """Positions (e,) of the inputs with an error."""
+        return np.array([i for i, s in enumerate(self.plant.inputs) if s.name in self.plant.uncertainty.inputs], dtype=int)
 
     @cached_property
-    def directions(self) -> tuple[Array, Array, Array]:
-        """V (n, d), W (N, d) and the time constants (d,) of the disturbances."""
-        known = self.plant.uncertainty.disturbances
-        n, count = len(self.plant.states), len(self.plant.sensors)
-        v = np.stack([d.state for d in known], axis=-1) if known else np.zeros((n, 0))
-        w = np.stack([d.reading for d in known], axis=-1) if known else np.zeros((count, 0))
-        return v, w, np.array([d.time_constant for d in known])
+    def selection(self) -> Array:
+        """The inputs with an error as rows of a selection (e, m)."""
+        return np.eye(len(self.plant.inputs))[self.erring]
 
-    def split(self, z: Array, u: Array) -> tuple[Array, Array, Array, Array]:
-        """The state x (..., n), the input that acts (..., m), theta (..., p) and xi (..., d)."""
-        n, p, m = self.counts
-        delta = z[..., n + p : n + p + m]
-        acting = u if m == 0 else u + delta @ self.erring
-        return z[..., :n], acting, z[..., n : n + p], z[..., n + p + m :]
+    @cached_property
+    def columns(self) -> Array:
+        """Where the derivatives with respect to (x, theta, delta) are among those with respect to (x, u, theta)."""
+        n, p = self.counts
+        return np.concatenate([np.arange(n), n + len(self.plant.inputs) + np.arange(p), n + self.erring])
+
+    @property
+    def numerics(self) -> Numerics:
+        """With Jacobians where those with respect to x, u and theta are stated."""
+        known = self.plant.uncertainty
+        return replace(
+            self.plant.numerics,
+            step_jacobian=None if known.step_jacobian is None else self.step_jacobian,
+            output_jacobian=None if known.output_jacobian is None else self.output_jacobian,
+        )
+
+    def split(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
+        """The state x (..., n), the input that acts (..., m) and theta (..., p)."""
+        n, p = self.counts
+        return z[..., :n], u + z[..., n + p :] @ self.selection if self.erring.size else u, z[..., n : n + p]
 
     def step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
-        x, acting, theta, xi = self.split(z, u)
-        known = self.plant.uncertainty
-        ahead = known.step(t_start, x, acting, dt, theta) if known.step else self.plant.step(t_start, x, acting, dt)
-        v, _, tau = self.directions
-        n = x.shape[-1]
-        later = z[..., n:]
-        if xi.shape[-1]:
-            ahead = ahead + xi @ v.T * (dt / self.plant.dt)
-            later = np.concatenate([z[..., n : z.shape[-1] - tau.size], xi * np.exp(-dt / tau)], axis=-1)
-        batch = np.broadcast_shapes(ahead.shape[:-1], later.shape[:-1])
-        return np.concatenate([np.broadcast_to(a, (*batch, a.shape[-1])) for a in (ahead, later)], axis=-1)
+        x, acting, theta = self.split(z, u)
+        at = self.plant.uncertainty.step
+        ahead = self.plant.step(t_start, x, acting, dt) if at is None else at(t_start, x, acting, dt, theta)
+        return joined(ahead, z[..., x.shape[-1] :])
 
     def output(self, t: float, z: Array, u: Array) -> Array:
-        x, acting, theta, xi = self.split(z, u)
-        known = self.plant.uncertainty
-        y = known.output(t, x, acting, theta) if known.output else self.plant.output(t, x, acting)
-        return y + xi @ self.directions[1].T if xi.shape[-1] else y
+        x, acting, theta = self.split(z, u)
+        at = self.plant.uncertainty.output
+        return self.plant.output(t, x, acting) if at is None else at(t, x, acting, theta)
 
     def step_jacobian(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
-        """Return d step / d z; that with respect to x is taken at the nominal parameters."""
-        x, acting, theta, _ = self.split(z, u)
-        n, p, m = self.counts
-        v, _, tau = self.directions
-        found = np.zeros((*z.shape[:-1], z.shape[-1], z.shape[-1]))
-        found[..., :n, :n] = self.plant.step_jacobian_at(t_start, x, acting, dt)
-        if p:
-            known = self.plant.uncertainty
-            if known.step_sensitivity is not None:
-                found[..., :n, n : n + p] = known.step_sensitivity(t_start, x, acting, dt, theta)
-            else:
-                found[..., :n, n : n + p] = self._by_theta(
-                    lambda c: known.step(t_start, x[..., None, :], acting[..., None, :], dt, c),
-                    theta,
-                    0,  # type: ignore[misc]
-                )
-        if m:
-            by_input = self._by_input(lambda w: self.plant.step(t_start, x[..., None, :], w, dt), acting, 0)
-            found[..., :n, n + p : n + p + m] = by_input @ self.erring.T
-        found[..., :n, n + p + m :] = v * (dt / self.plant.dt)
-        decay = np.concatenate([np.ones(p + m), np.exp(-dt / tau)])
-        np.einsum("...ii->...i", found)[..., n:] = decay
+        x, acting, theta = self.split(z, u)
+        at, n = self.plant.uncertainty.step_jacobian, x.shape[-1]
+        assert at is not None
+        by_all = at(t_start, x, acting, dt, theta)
+        found = np.zeros((*by_all.shape[:-2], z.shape[-1], z.shape[-1]))
+        found[..., :n, :] = by_all[..., self.columns]
+        np.einsum("...ii->...i", found)[..., n:] = 1.0
         return found
 
     def output_jacobian(self, t: float, z: Array, u: Array) -> Array:
-        """Return d output / d z; that with respect to x is taken at the nominal parameters."""
-        x, acting, theta, _ = self.split(z, u)
-        n, p, m = self.counts
-        found = np.zeros((*z.shape[:-1], len(self.plant.sensors), z.shape[-1]))
-        found[..., :n] = self.plant.output_jacobian_at(t, x, acting)
-        if p:
-            known = self.plant.uncertainty
-            if known.output_sensitivity is not None:
-                found[..., n : n + p] = known.output_sensitivity(t, x, acting, theta)
-            else:
-                found[..., n : n + p] = self._by_theta(
-                    lambda c: known.output(t, x[..., None, :], acting[..., None, :], c),
-                    theta,
-                    1,  # type: ignore[misc]
-                )
-        if m:
-            by_input = self._by_input(lambda w: self.plant.output(t, x[..., None, :], w), acting, 1)
-            found[..., n + p : n + p + m] = by_input @ self.erring.T
-        found[..., n + p + m :] = self.directions[1]
+        at = self.plant.uncertainty.output_jacobian
+        assert at is not None
+        x, acting, theta = self.split(z, u)
+        return at(t, x, acting, theta)[..., self.columns]
+
+
+@dataclass(frozen=True, eq=False)
+class _Disturbed:
+    """The functions of a plant with z = (x, xi), of n and d states, of which a disturbance acts on the first."""
+
+    plant: Plant
+    disturbances: tuple[Disturbance, ...]
+
+    @cached_property
+    def directions(self) -> tuple[Array, Array, Array]:
+        """V (n, d), W (N, d) and the time constants (d,)."""
+        v = np.zeros((len(self.plant.states), len(self.disturbances)))
+        for j, d in enumerate(self.disturbances):
+            v[: d.state.size, j] = d.state
+        return (
+            v,
+            np.stack([d.reading for d in self.disturbances], axis=-1),
+            np.array([d.time_constant for d in self.disturbances]),
+        )
+
+    @property
+    def numerics(self) -> Numerics:
+        return replace(self.plant.numerics, step_jacobian=self.step_jacobian, output_jacobian=self.output_jacobian)
+
+    def step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
+        v, _, tau = self.directions
+        x, xi = z[..., : len(v)], z[..., len(v) :]
+        ahead = self.plant.step(t_start, x, u, dt) + xi @ v.T * (dt / self.plant.dt)
+        return joined(ahead, xi * np.exp(-dt / tau))
+
+    def output(self, t: float, z: Array, u: Array) -> Array:
+        v, w, _ = self.directions
+        return np.asarray(self.plant.output(t, z[..., : len(v)], u) + z[..., len(v) :] @ w.T)
+
+    def step_jacobian(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
+        v, _, tau = self.directions
+        n = len(v)
+        by_x = self.plant.step_jacobian_at(t_start, z[..., :n], u, dt)
+        found = np.zeros((*by_x.shape[:-2], z.shape[-1], z.shape[-1]))
+        found[..., :n, :n] = by_x
+        found[..., :n, n:] = v * (dt / self.plant.dt)
+        np.einsum("...ii->...i", found)[..., n:] = np.exp(-dt / tau)
         return found
 
-    def _by_theta(self, function: Any, theta: Array, which: int) -> Array:
-        if self._theta_complex[which]:
-            return complex_step_jacobian(function, theta)
-        return difference_jacobian(function, theta, np.array([p.sd for p in self.plant.uncertainty.parameters]))
-
-    def _by_input(self, function: Any, u: Array, which: int) -> Array:
-        if self._input_complex[which]:
-            return complex_step_jacobian(function, u)
-        return difference_jacobian(function, u, self._input_scale)
-
-    @cached_property
-    def _input_scale(self) -> Array:
-        known = self.plant.uncertainty.inputs
-        return np.array([known.get(s.name, max(abs(s.nominal), 1.0)) for s in self.plant.inputs])
-
-    @cached_property
-    def _theta_complex(self) -> tuple[bool, bool]:
-        """Whether the complex step with respect to theta holds for step and output, at points about the nominal values."""
-        known, plant = self.plant.uncertainty, self.plant
-        sd = np.array([p.sd for p in known.parameters])
-        points = np.array([p.nominal for p in known.parameters]) + sd * _points(sd.size)
-        x, u = np.broadcast_to(plant.x0, (len(points), plant.x0.size)), plant.input_at(0.0)
-        assert known.step is not None and known.output is not None
-        return (
-            complex_step_holds(lambda c: known.step(0.0, x, u, plant.dt, c), points, sd),  # type: ignore[misc]
-            complex_step_holds(lambda c: known.output(0.0, x, u, c), points, sd),  # type: ignore[misc]
-        )
-
-    @cached_property
-    def _input_complex(self) -> tuple[bool, bool]:
-        plant = self.plant
-        points = plant.input_at(0.0) + self._input_scale * 0.1 * _points(len(plant.inputs))
-        x = np.broadcast_to(plant.x0, (len(points), plant.x0.size))
-        return (
-            complex_step_holds(lambda u: plant.step(0.0, x, u, plant.dt), points, self._input_scale),
-            complex_step_holds(lambda u: plant.output(0.0, x, u), points, self._input_scale),
-        )
+    def output_jacobian(self, t: float, z: Array, u: Array) -> Array:
+        v, w, _ = self.directions
+        by_x = self.plant.output_jacobian_at(t, z[..., : len(v)], u)
+        return joined(by_x, w)
 
 
-def _points(size: int) -> Array:
-    return np.random.default_rng(0).uniform(-0.5, 0.5, (4, size))
+def joined(a: Array, b: Array) -> Array:
+    """Return a (..., i) and b (..., j) side by side, their batches broadcast."""
+    if a.shape[:-1] == b.shape[:-1]:
+        return np.concatenate([a, b], axis=-1)
+    batch = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+    return np.concatenate([np.broadcast_to(v, (*batch, v.shape[-1])) for v in (a, b)], axis=-1)
 
 
-def _joined(cov: Array, variances: Array) -> Array:
+def _enlarged(plant: Plant, model: _Unknown | _Disturbed, added: Sequence[tuple[Signal, float, float]]) -> Plant:
+    """The plant with these states behind its own: signal, initial variance and variance of the change in dt of each."""
+    signals, start, walk = zip(*added, strict=True)
+    nominal = np.array([s.nominal for s in signals])
+    bound, finer = plant.process_bound, plant.truth.finer
+    return replace(
+        plant,
+        states=(*plant.states, *signals),
+        step=model.step,
+        output=model.output,
+        x0=np.concatenate([plant.x0, nominal]),
+        initial_cov=_with_variances(plant.initial_cov, np.array(start)),
+        process_cov=_with_variances(plant.process_cov, np.array(walk)),
+        process_bound=None if bound is None else np.concatenate([np.broadcast_to(bound, plant.x0.shape), np.zeros(len(added))]),
+        numerics=model.numerics,
+        truth=replace(plant.truth, finer=None if finer is None else partial(_finer, finer, nominal)),
+    )
+
+
+def _with_variances(cov: Array, variances: Array) -> Array:
     return np.concatenate([cov, variances]) if cov.ndim == 1 else block_diag(cov, np.diag(variances))
 
 
-def _finer(finer: Any, nominal: Array) -> tuple[Plant, Any]:
+def _initial(plant: Plant, larger: Plant) -> Array:
+    """Covariance of the initial state (x, theta, delta) where x0 is the steady state x = f(x; theta, delta).
+
+    To first order x0 changes by (I - F)^-1 F_theta, with the derivatives of the step at x0 under the usual input.
+    """
+    n = len(plant.states)
+    F = larger.step_jacobian_at(0.0, larger.x0, larger.input_at(0.0), larger.dt)
+    change = np.linalg.solve(np.eye(n) - F[:n, :n], F[:n, n:])
+    follows = np.eye(len(F))
+    follows[:n, n:] = change
+    return np.asarray(follows @ dense(larger.initial_cov) @ follows.T)
+
+
+def _finer(finer: Finer, nominal: Array) -> tuple[Plant, Callable[[Array], Array]]:
     model, to_states = finer()
     return model, partial(_with, to_states, nominal)
 
 
-def _with(to_states: Any, nominal: Array, x: Array) -> Array:
-    found = to_states(x)
-    return np.concatenate([found, np.broadcast_to(nominal, (*found.shape[:-1], nominal.size))], axis=-1)
+def _with(to_states: Callable[[Array], Array], nominal: Array, x: Array) -> Array:
+    return joined(to_states(x), nominal)
 
 
 def _require_fit(plant: Plant, known: Uncertainty) -> None:

@@ -15,6 +15,11 @@ def diagonal(cov: Array) -> Array:
     return cov if cov.ndim == 1 else np.diagonal(cov, axis1=-2, axis2=-1)
 
 
+def dense(cov: Array) -> Array:
+    """The covariance matrix (..., n, n) of a covariance given as its diagonal (n,) or as a matrix."""
+    return np.diag(cov) if cov.ndim == 1 else cov
+
+
 def require_covariance(what: str, cov: Array, n: int) -> None:
     """Raise ValueError unless cov is (n,) non-negative variances or an (n, n) positive semi-definite matrix."""
     if np.shape(cov) not in {(n,), (n, n)}:

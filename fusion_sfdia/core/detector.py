@@ -54,10 +54,11 @@ class Decision:
     are left out already as the method allows. absurd: (..., N) bool, readings taken as missing, absurd_input: (..., m) bool,
     inputs replaced (see `border`). The last three may be a single False, where a method has no such limits.
 
-    Of a detector that tests the process, too, else None: process (..., P) bool, the accepted `process_hypotheses`; process_size,
-    process_sd (..., P), how far the process is above the model and its standard deviation, in the unit of the hypothesis, NaN
-    where not accepted; suspect (..., hypotheses + P) bool, the hypotheses that explain an alarm without a decision between
-    them; probability (..., hypotheses + P), of each hypothesis at present, what is missing to 1 is that of none.
+    Of a detector that tests the process, too, else None: process (..., P) bool, the accepted `process_hypotheses`;
+    process_size, process_sd (..., P), how far the process is above the model and its standard deviation, in the unit of the
+    hypothesis, NaN where not accepted; suspect (..., hypotheses + P) bool, the hypotheses that explain an alarm without a
+    decision between them; probability (..., hypotheses + P), of each hypothesis at present, what is missing to 1 is that of
+    none.
     """
 
     estimate: Array

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -17,6 +17,7 @@ from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import FROM_STATES, Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor
+from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 
 Array = NDArray[Any]
 
@@ -102,6 +103,21 @@ class _Integrated:
         z = solve_algebraic(self.physics, t, x, u)
         return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], axis=-1)[..., self.picks]
 
+    def step_at(self, unknown: tuple[str, ...], t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        return self._at(unknown, theta).step(t_start, _of_batch(x, theta), u, dt)
+
+    def output_at(self, unknown: tuple[str, ...], t: float, x: Array, u: Array, theta: Array) -> Array:
+        return self._at(unknown, theta).output(t, _of_batch(x, theta), u)
+
+    def _at(self, unknown: tuple[str, ...], theta: Array) -> _Integrated:
+        values = {name: theta[..., j] for j, name in enumerate(unknown)}
+        return replace(self, physics=replace(self.physics, parameters=self.physics.parameters._replace(**values)))
+
+
+def _of_batch(x: Array, theta: Array) -> Array:
+    """States x (..., n) with the batch of the parameters theta (..., p), too."""
+    return np.broadcast_to(x, (*np.broadcast_shapes(x.shape[:-1], theta.shape[:-1]), x.shape[-1]))
+
 
 def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
     """Raise ValueError unless f and phi give one number for each state and algebraic variable: RK4 would broadcast others."""
@@ -157,21 +173,24 @@ def discretise(
     operation: Callable[[float], Array] | None = None,
     decay: Array | None = None,
     max_dt: float | None = None,
+    unknown: Sequence[Parameter] = (),
+    input_errors: Mapping[str, float] | None = None,
 ) -> Plant:
     """Return the plant that integrates physics by RK4 with held inputs; each sensor reads a state or an algebraic variable.
 
     x0 (n,), covariances (n,) or (n, n) in SI, by default from the signals of the states as in `Plant`; dt in seconds, divided
     into `substeps`. decay: rates a (n,) of states that follow x' = -a x + h, in 1/s; with them the plant is integrated by the
     exponential midpoint rule. max_dt: the longest step at once (s), None for `largest_step`; `diagnose` divides longer gaps
-    into steps of dt. process_bound, operation: as in `Plant` and `Truth`. Raises ValueError for a sensor of an unknown
-    variable, f or phi of another shape, less than one substep or a rate that is not positive.
+    into steps of dt. process_bound, operation: as in `Plant` and `Truth`. unknown: those of physics.parameters that are not
+    known exactly, by their names; f and phi then get each as an array (...) of the batch. input_errors: as `inputs` of
+    `Uncertainty`. Raises ValueError for a sensor of an unknown variable, f or phi of another shape, less than one substep, a
+    rate that is not positive and an unknown parameter that physics.parameters does not have.
     """
     if substeps < 1:
         raise ValueError(f"substeps is {substeps}; a step of {physics.name!r} takes at least 1")
     names = [s.name for s in (*physics.states, *physics.algebraic)]
-    unknown = [s.name for s in sensors if s.measures not in names]
-    if unknown:
-        raise ValueError(f"sensors {', '.join(unknown)} measure no variable of {physics.name!r}; variables: {', '.join(names)}")
+    if wrong := [s.name for s in sensors if s.measures not in names]:
+        raise ValueError(f"sensors {', '.join(wrong)} measure no variable of {physics.name!r}; variables: {', '.join(names)}")
     picks = np.array([names.index(s.measures) for s in sensors])
     n = len(physics.states)
     if decay is not None and not (np.shape(decay) == (n,) and np.all(np.isfinite(decay)) and np.all(decay > 0)):
@@ -201,8 +220,28 @@ def discretise(
             max_dt=np.inf if max_dt is None else number("max_dt", max_dt),
         ),
         truth=Truth(operation=operation),
+        uncertainty=_uncertainty(model, tuple(unknown), input_errors or {}),
     )
     if max_dt is not None:
         return plant
     longest = largest_step(model, dt, x0, plant.state_scale, u)
     return replace(plant, numerics=replace(plant.numerics, max_dt=longest))
+
+
+def _uncertainty(model: _Integrated, unknown: tuple[Parameter, ...], input_errors: Mapping[str, float]) -> Uncertainty:
+    """The model at other values of its physics' parameters."""
+    c, names = model.physics.parameters, tuple(p.name for p in unknown)
+    for p in unknown:
+        fields = getattr(c, "_fields", ())
+        if p.name not in fields:
+            raise ValueError(
+                f"unknown has {p.name!r}, which the parameters of {model.physics.name!r} do not; they are "
+                f"{', '.join(fields) or 'no NamedTuple'}"
+            )
+        if getattr(c, p.name) != p.nominal:
+            raise ValueError(
+                f"parameter {p.name!r} is nominally {p.nominal}, but {getattr(c, p.name)} in the physics; give both alike"
+            )
+    if not unknown:
+        return Uncertainty(inputs=input_errors)
+    return Uncertainty(unknown, partial(model.step_at, names), partial(model.output_at, names), inputs=input_errors)

@@ -44,6 +44,11 @@ def exclude(now: Exclusion, faulty: Array, size: Array) -> Exclusion:
     )
 
 
+def restored(now: Exclusion, where: Array) -> Exclusion:
+    """Use the sensors `where` (..., N) holds again, as if they had not been left out."""
+    return Exclusion(now.out & ~where, *(np.where(where, 0.0, v) for v in now[1:]))
+
+
 def readmit(now: Exclusion, error: Array, variance: Array, limit: float, level: float) -> Exclusion:
     """Follow the faults of the sensors that are out and readmit those that are healthy again.
 

@@ -32,19 +32,24 @@ def keep_broken_out(diverged: Array, memory: Any, fresh: Any) -> Any:
     return mapped(kept, memory, fresh)
 
 
+NUMBERS = (
+    "estimate", "reconstruction", "residual", "threshold", "fault_size", "process_size", "process_sd", "probability",
+)  # fmt: skip
+VERDICTS = ("isolated", "process", "suspect")
+
+
 def without_broken(decision: Decision, diverged: Array) -> Decision:
-    """Return the decision flagged as diverged where the filter has (...): there every number is NaN and nothing is isolated."""
+    """Return the decision flagged as diverged where the filter has (...): there every number is NaN and nothing is isolated,
+    accepted or suspected.
+    """
     if not np.any(diverged):
         return replace(decision, diverged=diverged)
     gone = diverged[..., None]
+    given = {name: a for name in (*NUMBERS, *VERDICTS) if (a := getattr(decision, name)) is not None}
+    found: dict[str, Any] = {name: a & ~gone if name in VERDICTS else np.where(gone, np.nan, a) for name, a in given.items()}
     return replace(
         decision,
-        estimate=np.where(gone, np.nan, decision.estimate),
-        reconstruction=np.where(gone, np.nan, decision.reconstruction),
-        residual=np.where(gone, np.nan, decision.residual),
-        threshold=np.where(gone, np.nan, decision.threshold),
-        isolated=decision.isolated & ~gone,
-        fault_size=np.where(gone, np.nan, decision.fault_size),
+        **found,
         nis=np.where(diverged, np.nan, decision.nis),
         diverged=diverged,
         capped=decision.capped & ~diverged,

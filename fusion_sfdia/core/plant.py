@@ -5,9 +5,9 @@ All values are in SI units inside. A batch (seeds, ensemble members, sigma point
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, require_unique
 from fusion_sfdia.core.covariance import diagonal, require_covariance
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
-from fusion_sfdia.core.plant_checks import require_kinds, require_shapes
-from fusion_sfdia.core.plant_groups import Finer, Numerics, OutputFunction, StepFunction, Structure, Truth, fed_back, scaled
+from fusion_sfdia.core.plant_checks import require_considered, require_kinds, require_shapes
+from fusion_sfdia.core.plant_groups import Numerics, OutputFunction, StepFunction, Structure, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.uncertainty import Uncertainty
+from fusion_sfdia.core.units import in_units
 
 Array = NDArray[Any]
 FROM_STATES: Any = None  # the values that the signals of the states give
@@ -86,6 +87,7 @@ class Plant:
             raise ValueError(
                 f"plant {self.name!r}: process_bound has shape {np.shape(bound)}; expected ({n},) numbers of at least 0"
             )
+        require_considered(self)
         require_shapes(self)
 
     def _take_from_states(self) -> None:
@@ -121,9 +123,11 @@ class Plant:
 
     @cached_property
     def state_scale(self) -> Array:
-        """A scale for each state (n,): the larger standard deviation of x0 and of one step's noise, 1 where both are 0."""
+        """A scale for each state (n,): the larger standard deviation of x0 and of one step's noise; where both are 0, the
+        initial_sigma of its signal, or 1.
+        """
         variance = np.maximum(diagonal(self.initial_cov), diagonal(self.process_cov))
-        return np.sqrt(np.where(variance > 0, variance, 1.0))
+        return np.where(variance > 0, np.sqrt(np.maximum(variance, 0.0)), [s.initial_sigma or 1.0 for s in self.states])
 
     @cached_property
     def quantities(self) -> dict[str, Array]:
@@ -199,6 +203,12 @@ class Plant:
         return jacobian
 
     @cached_property
+    def considered(self) -> Array | None:
+        """Positions (k,) of the states that a filter does not update but whose uncertainty counts; None without any."""
+        found = [i for i, s in enumerate(self.states) if s.name in self.uncertainty.considered]
+        return np.array(found) if found else None
+
+    @cached_property
     def state_limits(self) -> tuple[Array, Array]:
         """Lower and upper limits of the states, (n,) each."""
         return np.array([s.low for s in self.states]), np.array([s.high for s in self.states])
@@ -211,30 +221,4 @@ class Plant:
 
     def in_units(self, units: Mapping[str, tuple[str, float]]) -> Plant:
         """Return the same plant with some sensors read in another unit: {sensor: (unit, readings per present unit)}."""
-        factor = np.ones(len(self.sensors))
-        sensors = list(self.sensors)
-        for name, (unit, scale) in units.items():
-            i = self.sensor_index(name)
-            s = sensors[i]
-            factor[i] = scale = number(f"scale of sensor {name!r}", scale)
-            sigma, bound = s.sigma and s.sigma * abs(scale), s.bound and s.bound * abs(scale)
-            sensors[i] = replace(s, unit=unit, sigma=sigma, bound=bound, scale=s.scale * scale)
-        jacobian, finer, feedback = self.numerics.output_jacobian, self.truth.finer, self.truth.feedback
-        return replace(
-            self,
-            sensors=tuple(sensors),
-            output=partial(scaled, self.output, factor),
-            numerics=replace(
-                self.numerics, output_jacobian=None if jacobian is None else partial(scaled, jacobian, factor[:, None])
-            ),
-            truth=replace(
-                self.truth,
-                finer=None if finer is None else partial(_finer_in_units, finer, dict(units)),
-                feedback=None if feedback is None else partial(fed_back, feedback, factor),
-            ),
-        )
-
-
-def _finer_in_units(finer: Finer, units: Mapping[str, tuple[str, float]]) -> tuple[Plant, Callable[[Array], Array]]:
-    model, to_states = finer()
-    return model.in_units(units), to_states
+        return in_units(self, units)

@@ -9,7 +9,7 @@ import numpy as np
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant_groups import Numerics, Structure, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.core.uncertainty import Uncertainty
+from fusion_sfdia.core.uncertainty import Uncertainty, error_of
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
@@ -27,6 +27,21 @@ def require_kinds(plant: Plant) -> None:
     for what, group in (("numerics", Numerics), ("truth", Truth), ("structure", Structure), ("uncertainty", Uncertainty)):
         if not isinstance(value := getattr(plant, what), group):
             raise ValueError(f"plant {plant.name!r}: {what} is {shown(value)}; expected a {group.__name__} object")
+
+
+def require_considered(plant: Plant) -> None:
+    """Raise ValueError for a considered state that neither the plant nor its uncertainty has."""
+    known = plant.uncertainty
+    states = [s.name for s in plant.states]
+    added = [
+        *(v.name for v in known.parameters),
+        *(error_of(name) for name in known.inputs),
+        *(v.name for v in known.disturbances),
+    ]
+    if strange := [name for name in known.considered if name not in (*states, *added)]:
+        raise ValueError(
+            f"plant {plant.name!r} has no states {', '.join(strange)} to consider; states: {', '.join([*states, *added])}"
+        )
 
 
 def require_shapes(plant: Plant) -> None:

@@ -101,9 +101,9 @@ def with_same_states(model: Callable[[], Plant]) -> tuple[Plant, Callable[[Array
 # functions of a plant are methods or partials of module functions, not closures, so that plants can be pickled
 
 
-def scaled(output: OutputFunction, factor: Array, t: float, x: Array, u: Array) -> Array:
+def scaled(output: Callable[..., Array], factor: Array, *arguments: Any) -> Array:
     """Readings, or their Jacobian, times a factor for each sensor."""
-    return output(t, x, u) * factor
+    return output(*arguments) * factor
 
 
 def fed_back(feedback: Feedback, factor: Array, t: float, y: Array, u: Array) -> Array:

@@ -6,8 +6,9 @@ A parameter theta enters the model by functions that take its value, `step(t_sta
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,8 +33,9 @@ class Parameter:
     nominal: its value in the model. sd: standard deviation of its true value about it. rate: standard deviation of its change
     within an hour (a random walk); 0 for a constant. All in its unit. treatment: "estimated"; "considered", not estimated, but
     its uncertainty counts (Schmidt 1966); "frozen", taken as nominal until a hypothesis about it is accepted.
-    source: where the spread comes from. Raises ValueError for values that are not finite, a spread that is not positive, a
-    negative rate and an unknown treatment.
+    source: where the spread comes from. low, high: values beyond which the model does not hold. Raises ValueError for values
+    that are not finite, a spread that is not positive, a negative rate, an unknown treatment and limits that do not contain the
+    nominal value.
     """
 
     name: str
@@ -43,6 +45,8 @@ class Parameter:
     rate: float = 0.0
     treatment: str = "estimated"
     source: str = ""
+    low: float = -np.inf
+    high: float = np.inf
 
     def __post_init__(self) -> None:
         for what in ("nominal", "sd", "rate"):
@@ -51,10 +55,11 @@ class Parameter:
             if not least <= value < np.inf or not np.isfinite(value):
                 expected = {"nominal": "finite", "sd": "positive and finite", "rate": "finite and at least 0"}[what]
                 raise ValueError(f"parameter {self.name!r}: {what} is {value}; it must be {expected}")
-        if self.treatment not in TREATMENTS:
+        if not number("low", self.low) <= self.nominal <= number("high", self.high):
             raise ValueError(
-                f"parameter {self.name!r}: treatment is {shown(self.treatment)}; expected one of {', '.join(TREATMENTS)}"
+                f"parameter {self.name!r}: nominal is {self.nominal}; expected a value from low {self.low} to high {self.high}"
             )
+        _require_treatment(f"parameter {self.name!r}", self.treatment)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,39 +84,58 @@ class Disturbance:
             raise ValueError(f"disturbance {self.name!r}: sd is {self.sd}; it must be positive and finite")
         if not number(f"disturbance {self.name!r}: time_constant", self.time_constant) > 0:
             raise ValueError(f"disturbance {self.name!r}: time_constant is {self.time_constant} s; it must be positive")
-        if self.treatment not in TREATMENTS:
-            raise ValueError(f"disturbance {self.name!r}: treatment is {shown(self.treatment)}; expected one of {TREATMENTS}")
+        _require_treatment(f"disturbance {self.name!r}", self.treatment)
+
+
+def error_of(name: str) -> str:
+    """The name of the error of an input, a state of the augmented plant."""
+    return f"error of {name}"
+
+
+def _require_treatment(whose: str, treatment: str) -> None:
+    if treatment not in TREATMENTS:
+        raise ValueError(f"{whose}: treatment is {shown(treatment)}; expected one of {', '.join(TREATMENTS)}")
 
 
 @dataclass(frozen=True)
 class Uncertainty:
     """What the model does not know.
 
-    parameters: p of them. step, output: the model at other values, theta (..., p) in the parameters' units; needed with
-    parameters, see `secants`. step_sensitivity(t_start, x, u, dt, theta), (..., n, p), and output_sensitivity(t, x, u, theta),
-    (..., N, p): their derivatives with respect to theta; None for the complex step, or differences where that fails.
+    parameters: p of them. step, output: the model at other values, theta (..., p) in the parameters' units. step is needed with
+    parameters, see `secants`; output None where they do not act on the readings. At the nominal values both are the plant's.
+    step_jacobian(t_start, x, u, dt, theta), (..., n, n + m + p), and output_jacobian(t, x, u, theta), (..., N, n + m + p): the
+    derivatives with respect to x, u and theta, side by side; None for the complex step, or differences where that fails.
     inputs: standard deviation of the constant error of an input, by its name, in its unit.
-    disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts
-    (`augment` states them). Raises ValueError for what does not fit together.
+    at_rest: whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
+    disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts;
+    `augment` adds those of this treatment. rebuild: the plant at other values, rebuild(**{parameter: value}), of any number of
+    parameters; None where only step and output state them. Raises ValueError for what does not fit together.
     """
 
     parameters: tuple[Parameter, ...] = ()
     step: ParametricStep | None = None
     output: ParametricOutput | None = None
-    step_sensitivity: ParametricStep | None = None
-    output_sensitivity: ParametricOutput | None = None
+    step_jacobian: ParametricStep | None = None
+    output_jacobian: ParametricOutput | None = None
     inputs: Mapping[str, float] = field(default_factory=dict)
     disturbances: tuple[Disturbance, ...] = ()
     considered: tuple[str, ...] = ()
+    at_rest: bool = False
+    rebuild: Callable[..., Plant] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parameters", tuple(self.parameters))
-        object.__setattr__(self, "disturbances", tuple(self.disturbances))
-        require_unique("parameters and disturbances", [p.name for p in (*self.parameters, *self.disturbances)])
-        for what, kind in (("parameters", Parameter), ("disturbances", Disturbance)):
+        for what, kind in (("parameters", Parameter), ("disturbances", Disturbance), ("considered", str)):
+            object.__setattr__(self, what, tuple(getattr(self, what)))
             if wrong := [v for v in getattr(self, what) if not isinstance(v, kind)]:
-                raise ValueError(f"{what} have {shown(wrong[0])}; expected {kind.__name__}s")
-        if self.parameters and not (callable(self.step) and callable(self.output)):
+                raise ValueError(f"{what} have {shown(wrong[0])}; expected objects of {kind.__name__}")
+        require_unique(
+            "parameters and disturbances", [*(p.name for p in self.parameters), *(d.name for d in self.disturbances)]
+        )
+        for what in ("step", "output", "step_jacobian", "output_jacobian", "rebuild"):
+            value = getattr(self, what)
+            if not (value is None or callable(value)):
+                raise ValueError(f"{what} at other values of the parameters is {shown(value)}; expected a function or None")
+        if self.parameters and self.step is None:
             raise ValueError(
                 "parameters are given without the model at other values; give step and output, or use "
                 "secants(plant, parameters, rebuild)"
@@ -122,71 +146,76 @@ class Uncertainty:
 
     @property
     def stated(self) -> bool:
-        """Whether anything is stated."""
+        """Whether anything is stated that `augment` adds as a state."""
         return bool(self.parameters or self.inputs or self.disturbances)
+
+    @property
+    def nominal(self) -> Array:
+        """Nominal values of the parameters (p,)."""
+        return np.array([p.nominal for p in self.parameters])
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of the parameters (p,)."""
+        return np.array([p.sd for p in self.parameters])
+
+
+def by_states_alone(readout: Array, u: Array, theta: Array) -> Array:
+    """Return the `output_jacobian` (N, n + m + p) of readings that depend on the states alone, by H (N, n)."""
+    n = readout.shape[1]
+    found = np.zeros((readout.shape[0], n + u.shape[-1] + theta.shape[-1]))
+    found[:, :n] = readout
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class Secants:
-    """A model at other values of its parameters, from plants at nominal -+ sd of each.
+    """A model at other values of its parameters, from plants at nominal -+ sd of each, which are built at first use.
 
     With tau_j = (theta_j - nominal_j) / sd_j and f+-_j the model at +-1 of tau_j alone,
 
         f(theta) = f + sum_j [tau_j (f+_j - f-_j) / 2 + tau_j^2 (f+_j + f-_j - 2 f) / 2]
 
-    exact where the model is quadratic in each parameter and has no products of them.
+    exact where the model is quadratic in each parameter and has no products of them. A step costs 2p + 1 of the plant's.
     """
 
     plant: Plant
-    pairs: tuple[tuple[Plant, Plant], ...]
-    nominal: Array
-    sd: Array
+    parameters: tuple[Parameter, ...]
+    rebuild: Callable[..., Plant]
 
     def step(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self._at(lambda plant: plant.step(t_start, x, u, dt), theta)
+        return self._at([plant.step(t_start, x, u, dt) for plant in (self.plant, *self.pairs)], theta)
 
     def output(self, t: float, x: Array, u: Array, theta: Array) -> Array:
-        return self._at(lambda plant: plant.output(t, x, u), theta)
+        return self._at([plant.output(t, x, u) for plant in (self.plant, *self.pairs)], theta)
 
-    def step_sensitivity(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self._slope(lambda plant: plant.step(t_start, x, u, dt), theta)
+    def _at(self, values: list[Array], theta: Array) -> Array:
+        f, *others = values
+        total: Array = f
+        for j, p in enumerate(self.parameters):
+            minus, plus, tau = others[2 * j], others[2 * j + 1], (theta[..., j, None] - p.nominal) / p.sd
+            total = total + tau * (plus - minus) / 2 + tau**2 * (plus + minus - 2 * f) / 2
+        return total
 
-    def output_sensitivity(self, t: float, x: Array, u: Array, theta: Array) -> Array:
-        return self._slope(lambda plant: plant.output(t, x, u), theta)
-
-    def _at(self, model: Callable[[Plant], Array], theta: Array) -> Array:
-        tau = (theta - self.nominal) / self.sd
-        f = model(self.plant)
-        total = f
-        for j, (below, above) in enumerate(self.pairs):
-            minus, plus, by = model(below), model(above), tau[..., j, None]
-            total = total + by * (plus - minus) / 2 + by**2 * (plus + minus - 2 * f) / 2
-        return np.asarray(total)
-
-    def _slope(self, model: Callable[[Plant], Array], theta: Array) -> Array:
-        tau = (theta - self.nominal) / self.sd
-        f = model(self.plant)
-        columns = []
-        for j, (below, above) in enumerate(self.pairs):
-            minus, plus = model(below), model(above)
-            columns.append(((plus - minus) / 2 + tau[..., j, None] * (plus + minus - 2 * f)) / self.sd[j])
-        return np.stack(np.broadcast_arrays(*columns), axis=-1)
+    @cached_property
+    def pairs(self) -> tuple[Plant, ...]:
+        """The plants below and above the nominal value of each parameter (2p,); ValueError for other states and so on."""
+        built = []
+        for p in self.parameters:
+            for value in (p.nominal - p.sd, p.nominal + p.sd):
+                other = self.rebuild(**{p.name: value})
+                for what in ("states", "sensors", "inputs"):
+                    if [s.name for s in getattr(other, what)] != [s.name for s in getattr(self.plant, what)]:
+                        raise ValueError(f"parameter {p.name!r}: the plant rebuilt with the value {value:g} has other {what}")
+                built.append(other)
+        return tuple(built)
 
 
-def secants(plant: Plant, parameters: tuple[Parameter, ...], rebuild: Callable[..., Plant], **stated: Any) -> Uncertainty:
-    """Uncertainty of the parameters of a plant that can be built at other values: rebuild(**{parameter: value}).
+def secants(plant: Plant, parameters: Sequence[Parameter], rebuild: Callable[..., Plant], **stated: Any) -> Uncertainty:
+    """Uncertainty of the parameters of a plant that can be built at other values: rebuild(**{parameter: value}), see `Secants`.
 
-    stated: inputs and disturbances, as of `Uncertainty`. ValueError where a rebuilt plant has other states, sensors or inputs.
+    rebuild takes any number of the parameters; the others keep their values. stated: `inputs`, `disturbances` and `at_rest`, as
+    of `Uncertainty`.
     """
-    pairs = []
-    for p in parameters:
-        below, above = (rebuild(**{p.name: p.nominal + sign * p.sd}) for sign in (-1.0, 1.0))
-        for other in (below, above):
-            for what in ("states", "sensors", "inputs"):
-                if [s.name for s in getattr(other, what)] != [s.name for s in getattr(plant, what)]:
-                    raise ValueError(f"parameter {p.name!r}: the plant rebuilt at another value has other {what}")
-        pairs.append((below, above))
-    at = Secants(plant, tuple(pairs), np.array([p.nominal for p in parameters]), np.array([p.sd for p in parameters]))
-    if not parameters:
-        return Uncertainty(**stated)
-    return Uncertainty(tuple(parameters), at.step, at.output, at.step_sensitivity, at.output_sensitivity, **stated)
+    at = Secants(plant, tuple(parameters), rebuild)
+    return Uncertainty(at.parameters, at.step, at.output, rebuild=rebuild, **stated)

@@ -28,26 +28,31 @@ class MismatchCase(NamedTuple):
 
     why: what happens to real plants, and why by so much. truth(): the plant that makes the readings, in its operation; None
     for the usual one. inputs(t, start): the inputs (m,) that act from t (s) on, if readings are judged from `start` (s) on;
-    None for the usual ones.
+    None for the usual ones. log(): the plant that made a healthy log, where it is not that of the readings. unseen: no setting
+    of any detector was chosen with this case in view; the comparison leaves it to the scenario `robustness`.
     """
 
     name: str
     why: str
     truth: Callable[[], Plant] | None = None
     inputs: Callable[[float, float], Array] | None = None
+    log: Callable[[], Plant] | None = None
+    unseen: bool = False
 
 
 class ProcessFaultCase(NamedTuple):
     """A fault of the process, not of a sensor.
 
     truth(onset): the plant that fails at `onset` (s), in its operation. lost: instead of it, factors (m,) by which the acting
-    inputs differ from the known ones from the onset on.
+    inputs differ from the known ones from the onset on. named: what a right verdict may name, parameters, inputs or states of
+    the plant; several where they are physically the same.
     """
 
     name: str
     why: str
     truth: Callable[[float], Plant] | None = None
     lost: tuple[float, ...] | None = None
+    named: tuple[str, ...] = ()
 
 
 class PaperFault(NamedTuple):
@@ -81,6 +86,7 @@ class ComparisonCases:
     """The cases of one plant; without arguments none.
 
     operation(t): the inputs (m,) that act from t (s) on in the comparison; None for the plant's own operation.
+    other_operation(t, start): those of an operation that no healthy log of the usual one shows, see MismatchCase.inputs.
     published_accuracy(detector, fault, quantity): share of the faults of a quantity that are judged right.
     published_delay(detector, fault): delay of the detection. Both are None where no paper states them. settle: samples that a
     filter needs to forget how it began, until its rate of false alarms is steady.
@@ -93,6 +99,7 @@ class ComparisonCases:
     published_accuracy: Callable[[str, str, str], Published | None] = _none_published
     published_delay: Callable[[str, str], PublishedDelay | None] = _none_published
     settle: int = USUAL_SETTLE
+    other_operation: Callable[[float, float], Array] | None = None
 
     def __post_init__(self) -> None:
         names = [c.name for c in self.mismatch] + [c.name for c in self.process_faults] + [c.name for c in self.paper_faults]

@@ -4,42 +4,72 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, fields
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Decision, Detector, run
+from fusion_sfdia.core.detector import Decision, Detector, MissingPackageError, ProcessHypothesis, run
 from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.events import Event, events_of, verdict
 
 Array = NDArray[Any]
 
 MOST_BRIDGES = 10_000  # steps in gaps, in addition to ten for each reading: a day's outage in steps of 10 s
 
 
-@dataclass(frozen=True)
-class Event:
-    """A hypothesis (usually a sensor) that is isolated from start to end (s).
-
-    size: the median over the event, in the sensor's unit. open: whether it is still isolated at the end of the data.
-    """
-
-    hypothesis: str
-    start: float
-    end: float
-    size: float
-    unit: str
-    open: bool
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
-    """Events in order of their start, and the Decisions (time first) behind them with the times (K,)."""
+    """Events, and the Decisions (time first) behind them with the times (K,).
+
+    In order of their start; of a detector that tests the process, too (`process_hypotheses`), its verdicts on the process
+    come first, then what it cannot tell apart, then the sensors.
+    """
 
     events: tuple[Event, ...]
     decisions: Decision
     t: Array
+    process_hypotheses: tuple[ProcessHypothesis, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """What the events say together: "process or model: ...", "cannot tell: ... or ...", "sensor ...", "no fault"."""
+        found = verdict(self.events, self.t)
+        if np.any(lost := self.decisions.diverged):
+            return f"{found} until {self.t[np.argmax(lost)]:g} s, where the estimate diverged"
+        return found
+
+    def __str__(self) -> str:
+        return "\n".join([self.verdict, *(f"  {event}" for event in self.events)])
+
+    def __repr__(self) -> str:
+        count = len(self.events)
+        return f"<Diagnosis of {len(self.t)} readings, {count} event{'s' * (count != 1)}: {self.verdict}>"
+
+    def frame(self) -> Any:
+        """The events as a pandas DataFrame, a column for each of events.csv; MissingPackageError without pandas."""
+        try:
+            pandas: Any = import_module("pandas")
+        except ModuleNotFoundError as error:
+            raise MissingPackageError("a frame needs pandas, which is not installed; install it, or use events") from error
+        header, rows = self.table()
+        return pandas.DataFrame(rows, columns=header)
+
+    def table(self) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
+        """Names of columns and a row for each event; kind, sd and nominal only where the process is tested."""
+        if not self.process_hypotheses:
+            rows = [(e.hypothesis, e.start, e.end, e.size, e.unit, e.open) for e in self.events]
+            return ("sensor", "start_s", "end_s", "size", "unit", "open"), rows
+        spread = [(getattr(e, "sd", np.nan), getattr(e, "nominal", np.nan)) for e in self.events]
+        return (
+            ("kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open"),
+            [
+                (e.kind, e.hypothesis, e.start, e.end, e.size, sd, e.unit, nominal, e.open)
+                for e, (sd, nominal) in zip(self.events, spread, strict=True)
+            ],
+        )
 
 
 class DiagnosisWarning(UserWarning):
@@ -47,7 +77,8 @@ class DiagnosisWarning(UserWarning):
 
 
 def diagnose_run(detector: Detector, log: Log, *, gap: int = 3) -> Diagnosis:
-    """Run a detector over a Log of one run, NaN where a reading is missing, and collect what it isolates into events.
+    """Run a detector over a Log of one run, NaN where a reading is missing, and collect what it isolates into events, of a
+    detector that tests the process, too, also what it accepts and what it cannot tell apart.
 
     Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
     of the plant, the detector steps by dt through the gap without readings, under inputs interpolated between those before
@@ -64,13 +95,7 @@ def diagnose_run(detector: Detector, log: Log, *, gap: int = 3) -> Diagnosis:
     _, decisions = run(detector, detector.init((), first), times, readings, inputs)
     decisions = Decision(**{f.name: v[own] for f in fields(Decision) if (v := getattr(decisions, f.name)) is not None})
     _warn(detector, t, y, u, decisions)
-    units = [s.unit for s in detector.plant.sensors] + [""] * (len(detector.hypotheses) - len(detector.plant.sensors))
-    events = [
-        Event(name, float(t[a]), float(t[b]), _median(decisions.fault_size[a : b + 1, i]), units[i], b == len(t) - 1)
-        for i, name in enumerate(detector.hypotheses)
-        for a, b in spans(decisions.isolated[:, i], gap)
-    ]
-    return Diagnosis(tuple(sorted(events, key=lambda e: (e.start, e.hypothesis))), decisions, t)
+    return Diagnosis(events_of(detector, t, decisions, gap), decisions, t, getattr(detector, "process_hypotheses", ()))
 
 
 def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[Array, Array, Array, Array]:
@@ -140,20 +165,3 @@ def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision)
             remarks.append(f"the estimate {what} in {first}; {cure}")
     for remark in remarks:
         warnings.warn(remark, DiagnosisWarning, stacklevel=4)  # the caller of diagnose
-
-
-def spans(held: Array, gap: int = 1) -> list[tuple[int, int]]:
-    """Return first and last index of each run of True in held (K,); runs less than `gap` samples apart are joined."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
-    joined: list[tuple[int, int]] = []
-    for a, b in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
-        if joined and a - joined[-1][1] - 1 < gap:
-            joined[-1] = (joined[-1][0], b)
-        else:
-            joined.append((a, b))
-    return joined
-
-
-def _median(sizes: Array) -> float:
-    known = sizes[np.isfinite(sizes)]
-    return float(np.median(known)) if known.size else float("nan")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import ekf, enkf, gaussian, ukf
 from fusion_sfdia.filters.gaussian import Joint
@@ -92,6 +93,16 @@ def require_consistent(estimator: object) -> None:
         raise ValueError(f"{estimator} has no consistent mean and covariance; use Extended() or Unscented(redraw=True)")
 
 
+def require_none_considered(plant: Plant, what: str) -> None:
+    """Raise NotApplicableError for a plant with considered states, which an update of this kind would change."""
+    if plant.considered is not None:
+        names = ", ".join(plant.states[i].name for i in plant.considered)
+        raise NotApplicableError(
+            f"plant {plant.name!r} has considered states ({names}), which {what} would change; treat them as estimated or "
+            "frozen, or use a bank on one Extended() or Unscented() filter"
+        )
+
+
 class _Moments:
     """Common to the filters that carry mean and covariance."""
 
@@ -121,7 +132,8 @@ class Extended(_Moments):
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
         expected = readings_of(plant, t, x, u)
-        return ekf.joint(x, p, lambda s: expected, plant.output_jacobian_at(t, x, u), plant.sensor_cov)
+        found = ekf.joint(x, p, lambda s: expected, plant.output_jacobian_at(t, x, u), plant.sensor_cov)
+        return found._replace(considered=plant.considered)
 
 
 @dataclass(frozen=True)
@@ -149,7 +161,8 @@ class Unscented(_Moments):
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
         over = np.expand_dims(u, -2)
-        return ukf.joint(self.points, x, p, lambda s: readings_of(plant, t, s, over), plant.sensor_cov, prior.propagated)
+        found = ukf.joint(self.points, x, p, lambda s: readings_of(plant, t, s, over), plant.sensor_cov, prior.propagated)
+        return found._replace(considered=plant.considered)
 
 
 @dataclass(frozen=True)
@@ -162,6 +175,7 @@ class Ensemble:
     consistent: bool = field(default=True, init=False, repr=False)
 
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
+        require_none_considered(plant, "an ensemble")
         return EnsembleState(plant.x0 + gaussian.sample(plant.initial_cov, rng, (*batch, self.settings.size)))
 
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:

@@ -15,15 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
+from fusion_sfdia.core.covariance import dense as dense
+
 Array = NDArray[Any]
 
 ONE_BY_ONE = 16  # size from which LAPACK calls on single matrices beat NumPy's batch routines
 ROUNDING = 1e-10  # an eigenvalue of a unit-diagonal covariance above minus this is taken as a rounded zero
-
-
-def dense(cov: Array) -> Array:
-    """The covariance matrix (..., n, n) of a covariance given as its diagonal (n,) or as a matrix."""
-    return np.diag(cov) if cov.ndim == 1 else cov
 
 
 def symmetrise(P: Array) -> Array:
@@ -140,7 +137,7 @@ class Joint(NamedTuple):
     """The joint Gaussian of state and readings before the readings are used.
 
     x (..., n), P (..., n, n): the state. y (..., N), S (..., N, N): the readings, S with their noise R. C (..., n, N):
-    covariance of state and readings.
+    covariance of state and readings. considered (k,): positions of states that no update changes, see `consider`.
     """
 
     x: Array
@@ -148,6 +145,36 @@ class Joint(NamedTuple):
     y: Array
     S: Array
     C: Array
+    considered: Array | None = None
+
+
+def gain(joint: Joint, inverse: Array) -> Array:
+    """K = C S^-1 (..., n, N) with S^-1 over the readings used; rows of considered states are 0."""
+    K = joint.C @ inverse
+    if joint.considered is not None:
+        K[..., joint.considered, :] = 0.0
+    return np.asarray(K)
+
+
+def consider(joint: Joint, x: Array, P: Array) -> tuple[Array, Array]:
+    """Return the update by the gain K with zero rows for the considered states, from x, P of the optimal gain (Schmidt 1966).
+
+    With x for the other states, theta for the considered ones and K_x = C_x S^-1, Joseph's form P - K C' - C K' + K S K' of
+    K = [K_x; 0] is
+
+        P_xx - K_x C_x',    P_x,theta - K_x C_theta',    P_theta,theta
+
+    so that only the mean and the own covariance of theta differ from those of the optimal gain: they stay as they were. Since
+    the gain is not the optimal one, innovations of successive steps are correlated: a test of one step keeps its rate of false
+    alarms, a test that accumulates steps exceeds it.
+    """
+    if joint.considered is None:
+        return x, P
+    theta = joint.considered
+    x, P = x.copy(), P.copy()
+    x[..., theta] = joint.x[..., theta]
+    P[..., theta[:, None], theta] = joint.P[..., theta[:, None], theta]
+    return x, P
 
 
 class Posterior(NamedTuple):
@@ -170,6 +197,7 @@ def condition(joint: Joint, y: Array, used: Array | None = None) -> Posterior:
 
         d = y - E[y],    x <- x + C S^-1 d,    P <- P - C S^-1 C'
 
+    but for considered states, see `consider`.
     With S^-1 = U U' and W = C U, the subtraction P - W W' errs by no more than about (n + N) eps of the prior variances.
     Four times that is added to the diagonal, which keeps P positive definite, and errs to the safe side, for readings as
     precise as 1e-7 of the prior standard deviation; of a scalar state, any.
@@ -190,4 +218,5 @@ def condition(joint: Joint, y: Array, used: Array | None = None) -> Posterior:
     np.einsum("...ii->...i", P)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
     count = np.sum(used, axis=-1)
     nis = np.where(count > 0, np.sum(whitened * whitened, axis=-1) / np.maximum(count, 1), np.nan)
-    return Posterior(joint.x + (W @ whitened[..., None])[..., 0], P, innovation, U @ Ut, used, nis)
+    x, P = consider(joint, joint.x + (W @ whitened[..., None])[..., 0], P)
+    return Posterior(x, P, innovation, U @ Ut, used, nis)

@@ -13,6 +13,7 @@ from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, exclude, readmit
 from fusion_sfdia.core.health import broken
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent
 from fusion_sfdia.filters.gaussian import Joint
@@ -66,6 +67,11 @@ class ExcludingBank(BatchDetector):
         """How many sensors may be excluded at once."""
         return self.max_faults or most_faults(self.plant)
 
+    @property
+    def model(self) -> Plant:
+        """The plant whose state the filter estimates."""
+        return self.plant
+
     def _conclude(
         self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, tested: SensorTests
     ) -> tuple[Exclusion, Decision]:
@@ -73,7 +79,7 @@ class ExcludingBank(BatchDetector):
 
         Return the exclusions and the Decision.
         """
-        plant, (x, p, prior, joint, found) = self.plant, update
+        plant, (x, p, prior, joint, found) = self.model, update
         expected = plant.output(now.t, x, u)
         h = plant.output_jacobian_at(now.t, x, u)
         variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov

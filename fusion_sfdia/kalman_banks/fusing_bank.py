@@ -20,7 +20,16 @@ from fusion_sfdia.core.detector import Decision, NotApplicableError, run
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.state import State, mapped
-from fusion_sfdia.filters.estimators import Core, Estimator, Prior, Reading, Unscented, require_filter, step_stream
+from fusion_sfdia.filters.estimators import (
+    Core,
+    Estimator,
+    Prior,
+    Reading,
+    Unscented,
+    require_filter,
+    require_none_considered,
+    step_stream,
+)
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks import mixing
 from fusion_sfdia.kalman_banks.leave_one_out import (
@@ -70,6 +79,7 @@ class FusingBank(BatchDetector):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_filter(self.estimator)
+        require_none_considered(self.plant, "a mixture of filters")
         n, count = len(self.plant.states), len(self.plant.sensors)
         if count < 2:
             raise NotApplicableError(f"plant {self.plant.name!r} has {count} sensors; leaving one out takes at least 2")

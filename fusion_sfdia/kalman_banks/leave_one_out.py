@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.filters.gaussian import Joint, half_inverse
+from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse
 
 Array = NDArray[Any]
 
@@ -83,15 +83,15 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
 def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     """Return estimate (..., n) and covariance (..., n, n) after the readings used: x + C u and P - C S^-1 C'.
 
-    As `gaussian.condition`, with W = C U. Four times the rounding of P - W W' is added to its diagonal, so that it stays
-    positive definite.
+    As `gaussian.condition`, with W = C U, and with considered states as there. Four times the rounding of P - W W' is added to
+    its diagonal, so that it stays positive definite.
     """
     x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
     w = joint.C @ (found.half if found.half is not None else half_inverse(joint.S, found.used))
     p = joint.P - w @ np.swapaxes(w, -1, -2)
     floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
     np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
-    return x, p
+    return consider(joint, x, p)
 
 
 def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:

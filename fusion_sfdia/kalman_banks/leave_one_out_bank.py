@@ -27,16 +27,20 @@ from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Best,
-    OnsetStatistics,
+    Effect,
+    Grid,
+    Weighed,
     Window,
     absorbed,
-    advance,
     best_onset,
     empty,
+    shifted,
+    updated,
     weigh,
 )
 
@@ -83,10 +87,15 @@ class LeaveOneOutBank(ExcludingBank):
         half = self.false_alarm / 2 / count
         return float((scale * ndtri(half / 2)) ** 2), float((scale * ndtri(half / (self.window - 1) / 2)) ** 2)
 
+    @property
+    def _grid(self) -> Grid:
+        """The onsets of the window: the present one, which is the one-sample test, and those before it."""
+        return Grid(self.window if self.window > 1 else 0)
+
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
         estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self.window - 1, n, count))
+        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self._grid, n, count))
 
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
         estimate, exclusion, window = memory
@@ -101,8 +110,10 @@ class LeaveOneOutBank(ExcludingBank):
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
-            onsets = weigh(window, tangent, plant.output_jacobian_at(t, prior.core.x, u), everything)
-            best = best_onset(onsets, usable, plant.sensor_cov)
+            window = shifted(window, self._grid, now.k)
+            effect = Effect(np.ones(self.window))
+            onsets = weigh(window, tangent, plant.output_jacobian_at(t, prior.core.x, u), everything, effect)
+            best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
             stronger = best.statistic / window_limit > everything.chi_square / one_limit
             residual = np.where(stronger, best.size, residual)
             threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
@@ -122,7 +133,7 @@ class LeaveOneOutBank(ExcludingBank):
         x, p = posterior(joint, found)
         if self.window > 1:
             restart = np.any(isolated, axis=-1) & self.accommodate
-            window = advance(onsets, joint.C @ found.inverse, found, restart)
+            window = updated(onsets, gain(joint, found.inverse), restart)
 
         update = Update(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)
@@ -152,7 +163,7 @@ def _only(sensor: Array, like: Array) -> Array:
     return np.asarray(np.arange(like.shape[-1]) == sensor[..., None])
 
 
-def _without_fault(prior: Prior, onsets: OnsetStatistics, best: Best, sensor: Array, chosen: Array) -> Prior:
+def _without_fault(prior: Prior, onsets: Weighed, best: Best, sensor: Array, chosen: Array) -> Prior:
     """The prior without the effect of the fault of `sensor` since its onset, plus the uncertainty of that effect."""
     x, p = prior.core
     moved = np.where(np.any(chosen, axis=-1)[..., None], absorbed(onsets, best, sensor), 0.0)

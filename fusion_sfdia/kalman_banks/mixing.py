@@ -47,7 +47,8 @@ def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Arr
 
 
 def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
-    """Return x_m, P_m of the N leave-one-out filters with a common prior for any joint Gaussian with positive P_f.
+    """Return x_m, P_m of the N leave-one-out filters with a common prior for any joint Gaussian with positive P_f, but for
+    states without variance, which stay as they are.
 
     With A = P_f, P_i^-1 = A^-1 - v_i v_i' / (w_i + K_i' v_i), v_i = A^-1 K_i (Sherman and Morrison), so with the
     Cholesky factor L of A and b_i = L^-1 K_i, P_m = L (N I - sum_i b_i b_i' / (w_i + |b_i|^2))^-1 L' and
@@ -55,11 +56,12 @@ def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array
     """
     x, a = posterior(joint, found)
     count = found.weight.shape[-1]
-    factor = cholesky(a)
+    exact = np.diagonal(a, axis1=-2, axis2=-1) == 0
+    factor = cholesky(a + exact[..., None] * np.eye(a.shape[-1]) if np.any(exact) else a)
     b = np.linalg.solve(factor, joint.C @ found.inverse)
     share = np.where(found.used, 1.0 / np.where(found.used, found.weight + np.sum(b * b, axis=-2), 1.0), 0.0)
     inner = count * np.eye(a.shape[-1]) - (b * share[..., None, :]) @ np.swapaxes(b, -1, -2)
     pull = b @ (share * found.whitened)[..., None]
     solved = factor @ np.linalg.solve(inner, np.concatenate([np.swapaxes(factor, -1, -2), pull], axis=-1))
-    p = solved[..., :-1]
+    p = np.where(exact[..., None] | exact[..., None, :], 0.0, solved[..., :-1])
     return x - solved[..., -1], (p + np.swapaxes(p, -1, -2)) / 2

@@ -21,6 +21,7 @@ from fusion_sfdia.core.arguments import whole
 from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
+from fusion_sfdia.filters import gaussian
 from fusion_sfdia.filters.estimators import GaussianState, step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
 from fusion_sfdia.kalman_banks.excluding_bank import SensorTests, Update
@@ -71,7 +72,7 @@ class MovingHorizon(LeaveOneOutBank):
         usable = np.isfinite(y) & ~exclusion.out
         found = statistics(joint, y, usable)
         x, p = posterior(joint, found)
-        gain = joint.C @ found.inverse
+        gain = gaussian.gain(joint, found.inverse)
         tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
         if now.k % (self.window // 2) == 0:
             past = moving_horizon.renew(past)

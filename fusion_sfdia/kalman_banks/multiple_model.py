@@ -33,7 +33,14 @@ from fusion_sfdia.core.arguments import number, probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, require_consistent, step_stream
+from fusion_sfdia.filters.estimators import (
+    Estimator,
+    Extended,
+    GaussianState,
+    require_consistent,
+    require_none_considered,
+    step_stream,
+)
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared, posterior, statistics
 
 Array = NDArray[Any]
@@ -63,6 +70,7 @@ class MultipleModel(BatchDetector):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_consistent(self.estimator)
+        require_none_considered(self.plant, "a mixture of modes")
         probability("fault_probability", self.fault_probability)
         for what in ("inflation", "duration"):
             if not 1 < number(what, getattr(self, what)) < np.inf:

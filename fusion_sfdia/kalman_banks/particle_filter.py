@@ -27,7 +27,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters import particle
-from fusion_sfdia.filters.estimators import step_stream
+from fusion_sfdia.filters.estimators import require_none_considered, step_stream
 from fusion_sfdia.filters.gaussian import add, whiten
 from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of
 from fusion_sfdia.filters.particle import Particles
@@ -59,6 +59,7 @@ class ParticleFilter(BatchDetector):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        require_none_considered(self.plant, "the weights of particles")
         if whole("size", self.size, least=1) < 2:
             raise ValueError(f"{self.size} particles; expected at least 2 for a covariance: give some hundreds")
         probability("false_alarm", self.false_alarm)

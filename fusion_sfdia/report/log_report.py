@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,8 +14,10 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.diagnose import Diagnosis, Event, diagnose_run
+from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
 from fusion_sfdia.evaluation.logs import read_log, write_log
+from fusion_sfdia.report.log_figures import process_size, time_line
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
 FILES = ("events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
@@ -48,49 +52,70 @@ def diagnose_log(
 
 
 def as_text(found: Diagnosis, detector: str) -> str:
-    """The events for people."""
+    """The events for people; of a detector that tests the process, too, the verdict first."""
     count = len(found.events)
-    lines = [f"{len(found.t)} readings, {count} event{'s' * (count != 1)} by {detector}"]
-    for e in found.events:
-        end = "end of the log" if e.open else f"{e.end:g} s"
-        lines.append(f"  {e.hypothesis}: {e.start:g} s to {end}, size {e.size:.4g} {e.unit}")
-    return "\n".join(lines)
+    lines = [found.verdict] if found.process_hypotheses else []
+    lines.append(f"{len(found.t)} readings, {count} event{'s' * (count != 1)} by {detector}")
+    return "\n".join([*lines, *(f"  {e}" for e in found.events)])
 
 
 def write_diagnosis(out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[np.float64], found: Diagnosis) -> None:
     """Write FILES into the folder: y (K, N) the readings as they came, u (K, m) the inputs."""
+    header, rows = found.table()
     with atomic_write(out / "events.csv") as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow(("sensor", "start_s", "end_s", "size", "unit", "open"))
-        for e in found.events:
-            table.writerow((e.hypothesis, repr(e.start), repr(e.end), repr(e.size), e.unit, str(e.open).lower()))
+        table.writerow(header)
+        table.writerows(map(_cell, row) for row in rows)
     write_log(out / "reconstructed.csv", plant, found.t, found.decisions.reconstruction, u)
     write_figure(out, "diagnosis", lambda: draw(plant, np.where(found.decisions.absurd, np.nan, y), found))
 
 
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, float) else str(value)
+
+
 def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
-    """Readings and reconstruction of the sensors with events, largest first; without events, of the first sensor."""
-    names = _by_size(plant, found.events)[:MOST_PANELS] or [plant.sensor_names[0]]
-    figure, axes = panels([_title(name, found.events) for name in names], columns=1, width=9.5, height=2.6)
-    for axis, name in zip(axes, names, strict=True):
+    """Readings and reconstruction of the sensors with events, largest first; without events, of the first sensor.
+
+    Of a detector that tests the process, too, first the verdict with all events on a time line, and how far the process is
+    from the model by each accepted hypothesis; of the sensors also those that are suspected.
+    """
+    process = list(dict.fromkeys(e.hypothesis for e in found.events if isinstance(e, ProcessEvent)))[:MOST_PANELS]
+    verdict = [fill(found.verdict, 80)] if found.process_hypotheses and found.events else []
+    names = _sensors(plant, found)[:MOST_PANELS] or [plant.sensor_names[0]]
+    titles = [*verdict, *(f"{name}: process or model" for name in process), *(_title(name, found) for name in names)]
+    figure, axes = panels(titles, columns=1, width=9.5, height=2.6)
+    for axis, name in zip(axes[-len(names) :], names, strict=True):
         i = plant.sensor_index(name)
         spans = [(e.start, e.end) for e in found.events if e.hypothesis == name]
         series = {"reading": y[:, i], "reconstructed": found.decisions.reconstruction[:, i]}
         time_series(axis, found.t, series, ylabel=f"{name} [{plant.sensors[i].unit}]", spans=spans)
         handles, labels = axis.get_legend_handles_labels()
         axis.legend(handles, ["isolated" if label == "fault acts" else label for label in labels], fontsize=8)
+    if verdict:
+        time_line(axes[0], found)
+        for axis, name in zip(axes[1:], process, strict=False):
+            process_size(axis, found, name)
+        for axis in axes[1:]:
+            axis.set_xlim(axes[0].get_xlim())
     return figure
 
 
-def _title(name: str, events: tuple[Event, ...]) -> str:
-    return f"{name}: " + (f"{sum(e.hypothesis == name for e in events)} event(s)" if events else "no sensor was isolated")
+def _title(name: str, found: Diagnosis) -> str:
+    count = sum(e.hypothesis == name for e in found.events)
+    if not found.events:
+        return f"{name}: {found.verdict if found.process_hypotheses else 'no sensor was isolated'}"
+    return f"{name}: {count} event(s)" if count or not found.process_hypotheses else f"{name}: not isolated"
 
 
-def _by_size(plant: Plant, events: tuple[Event, ...]) -> list[str]:
-    """Sensors with events, the largest in units of its noise first."""
+def _sensors(plant: Plant, found: Diagnosis) -> list[str]:
+    """Sensors with events, the largest in units of its noise first, and then those that are suspected in the end."""
     sigma = dict(zip(plant.sensor_names, plant.sensor_sigma, strict=True))
     size: dict[str, float] = {}
-    for e in events:
+    for e in found.events:
         if e.hypothesis in sigma:
             size[e.hypothesis] = max(size.get(e.hypothesis, 0.0), abs(e.size) / sigma[e.hypothesis])
-    return sorted(size, key=lambda name: -size[name])
+    suspects = [name for e in open_questions(found.events, found.t) for name in e.suspects if name in sigma]
+    return list(dict.fromkeys([*sorted(size, key=lambda name: -size[name]), *suspects]))

@@ -136,7 +136,7 @@ class PresentReadings:
         P = (W * noise) @ np.swapaxes(W, -1, -2)
         if not np.all(read):
             U = gaussian.half_inverse(joint.S, used)
-            gain = joint.C @ (U @ np.swapaxes(U, -1, -2))
+            gain = gaussian.gain(joint, U @ np.swapaxes(U, -1, -2))
             W = np.where(read[..., None], W, gain)
             innovation = np.where(used, given - joint.y, 0.0)
             estimate = np.where(read, estimate, joint.x + np.sum(W * innovation[..., None, :], axis=-1))

@@ -56,6 +56,17 @@ class PipelineParameters(NamedTuple):
     friction: float = 0.0  # Darcy friction factor; 0 for that of Colebrook and White, from the roughness
 
 
+UNKNOWN = ("roughness", "ambient", "heat_transfer", "gas_constant")  # which may be given for each state
+
+
+@equation
+def with_unknown(c: PipelineParameters, theta: Any) -> PipelineParameters:
+    """The parameters with other values theta (4,) of those in UNKNOWN."""
+    return PipelineParameters(
+        c.length, c.diameter, theta[0], theta[1], theta[2], c.viscosity, theta[3], c.z, c.cp0, c.friction
+    )  # fmt: skip
+
+
 @equation
 def gas(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any]:
     """z, alpha_1 = 1 + (T/z) z_T, alpha_2 = 1 - (p/z) z_p, C_p in J/(kg K), of one equation of state.
@@ -332,6 +343,88 @@ def advance_tangent(states: Any, inputs: Any, dt: float, substeps: int, c: Pipel
                 else:
                     g = weights[s] * h
                     tangent_slope(x + g * ks[s - 1], given, dx + g * dks[s - 1], dgiven, c, stencil, ks[s], dks[s])
+            x = x + h / 6.0 * (ks[0] + 2.0 * ks[1] + 2.0 * ks[2] + ks[3])
+            dx = dx + h / 6.0 * (dks[0] + 2.0 * dks[1] + 2.0 * dks[2] + dks[3])
+        result[b] = dx
+    return result
+
+
+@compiled
+def advance_each(
+    states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
+) -> Array:
+    """`advance` with the parameters theta (B, 4) of each state."""
+    result: Array = np.empty_like(states)
+    for b in range(states.shape[0]):
+        result[b] = advance(states[b : b + 1], inputs[b : b + 1], dt, substeps, with_unknown(c, theta[b]), stencil)[0]
+    return result
+
+
+@compiled
+def parameter_slope(x: Any, given: Any, which: Any, theta: Any, c: PipelineParameters, stencil: Array, dk: Any) -> None:
+    """Add to the last columns of dk (3n, M) the derivatives of dx/dt with respect to parameters `which` (p,) of theta (4,)."""
+    n, first_column = x.shape[0] // 3, dk.shape[1] - which.shape[0]
+    tiny = 1e-30
+    at, local = theta + 0j, np.empty(6)
+    nominal = with_unknown(c, theta)
+    for i in range(n):
+        first = min(max(i - 2, 0), n - 5)
+        row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
+        for v in range(3):
+            local[v] = x[v * n + i]
+            s = 0.0
+            for near in range(5):
+                s += stencil[row, near] * x[v * n + first + near]
+            local[3 + v] = s
+        p, m, T, p_s, m_s, T_s = local[0], local[1], local[2], local[3], local[4], local[5]
+        still = friction_factor(m, nominal) + 0j
+        for j in range(which.shape[0]):
+            at[which[j]] += 1j * tiny
+            d = with_unknown(c, at)
+            at[which[j]] = theta[which[j]]
+            f = friction_factor(m, d) if which[j] == 0 else still  # the roughness alone changes it
+            if i == 0:
+                _, m_t, _ = inlet_rates(p, m, T, p_s, m_s, T_s, f, given[0], given[1], d)
+                dk[n + i, first_column + j] += m_t.imag / tiny
+            elif i == n - 1:
+                p_t, _, T_t = outlet_rates(p, m, T, p_s, m_s, T_s, f, given[2], d)
+                dk[i, first_column + j] += p_t.imag / tiny
+                dk[2 * n + i, first_column + j] += T_t.imag / tiny
+            else:
+                s0, s1, s2, _, _, _, _, _, _, _ = rates(p, m, T, p_s, m_s, T_s, f, d)
+                dk[i, first_column + j] += s0.imag / tiny
+                dk[n + i, first_column + j] += s1.imag / tiny
+                dk[2 * n + i, first_column + j] += s2.imag / tiny
+
+
+@compiled
+def advance_sensitivity(
+    states: Any, inputs: Any, theta: Any, which: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
+) -> Array:
+    """Derivatives (B, 3n, 3n + 3 + p) of `advance_each` with respect to states, inputs and the parameters `which` (p,)."""
+    size = states.shape[1]
+    n, width = size // 3, size + 3 + which.shape[0]
+    result = np.empty((states.shape[0], size, width))
+    given = np.empty(3)
+    ks, dks = np.empty((4, size)), np.empty((4, size, width))
+    weights = np.array([0.0, 0.5, 0.5, 1.0])
+    h = dt / substeps
+    for b in range(states.shape[0]):
+        d = with_unknown(c, theta[b])
+        x = states[b].copy()
+        given[0] = (inputs[b, 0] - x[0]) / dt
+        given[1] = (inputs[b, 1] - x[2 * n]) / dt
+        given[2] = (inputs[b, 2] - x[2 * n - 1]) / dt
+        dx = np.eye(size, width)
+        dgiven = np.zeros((3, width))
+        dgiven[0, 0] = dgiven[1, 2 * n] = dgiven[2, 2 * n - 1] = -1.0 / dt
+        dgiven[0, size] = dgiven[1, size + 1] = dgiven[2, size + 2] = 1.0 / dt
+        for _ in range(substeps):
+            for s in range(4):
+                ahead = x.copy() if s == 0 else x + weights[s] * h * ks[s - 1]
+                along = dx.copy() if s == 0 else dx + weights[s] * h * dks[s - 1]
+                tangent_slope(ahead, given, along, dgiven, d, stencil, ks[s], dks[s])
+                parameter_slope(ahead, given, which, theta[b], c, stencil, dks[s])
             x = x + h / 6.0 * (ks[0] + 2.0 * ks[1] + 2.0 * ks[2] + ks[3])
             dx = dx + h / 6.0 * (dks[0] + 2.0 * dks[1] + 2.0 * dks[2] + dks[3])
         result[b] = dx

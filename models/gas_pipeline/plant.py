@@ -33,6 +33,7 @@ from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.uncertainty import Uncertainty, by_states_alone
 from fusion_sfdia.models.gas_pipeline import equations
 from fusion_sfdia.models.gas_pipeline.equations import PipelineParameters
 from fusion_sfdia.models.gas_pipeline.natural_gas import PRESSURES, TEMPERATURES
@@ -47,6 +48,7 @@ from fusion_sfdia.models.gas_pipeline.physics import (
     require_parameters,
     signals,
 )
+from fusion_sfdia.models.gas_pipeline.unknown import INPUT_ERRORS, unknown_of, unknown_parameters
 
 Array = NDArray[Any]
 
@@ -148,7 +150,11 @@ def gas_pipeline(
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
         numerics=Numerics(model.step_jacobian, model.output_jacobian, max_dt=limit * count),
         truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
-    )
+        uncertainty=Uncertainty(
+            unknown_parameters(c), model.step_at, None, model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS,
+            at_rest=True,
+        ),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +174,26 @@ class _Pipe:
         require_dense(self.nodes)
         return self._advance(equations.advance_tangent, x, u, dt)
 
+    @cached_property
+    def unknown(self) -> Array:
+        """Positions (p,) in equations.UNKNOWN of the parameters theta."""
+        return unknown_of(self.c)
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Nominal values (4,) of equations.UNKNOWN."""
+        return np.array([getattr(self.c, name) for name in equations.UNKNOWN])
+
+    def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        return self._advance(equations.advance_each, x, u, dt, theta)
+
+    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        require_dense(self.nodes)
+        return self._advance(equations.advance_sensitivity, x, u, dt, theta, self.unknown)
+
+    def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
+        return by_states_alone(self._readout, u, theta)
+
     def output(self, t: float, x: Array, u: Array) -> Array:
         return x[..., self.picks]
 
@@ -181,12 +207,17 @@ class _Pipe:
         selection[np.arange(self.picks.size), self.picks] = 1.0
         return selection
 
-    def _advance(self, function: Any, x: Array, u: Array, dt: float) -> Array:
-        kind, n = np.result_type(x, u, float), 3 * self.nodes
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        flat = np.ascontiguousarray(np.broadcast_to(x, (*batch, n)), dtype=kind).reshape(-1, n)
-        inputs = np.ascontiguousarray(np.broadcast_to(u, (*batch, 3)), dtype=kind).reshape(-1, 3)
-        result: Array = function(flat, inputs, float(dt), self.count, self.c, self.stencil)
+    def _advance(self, function: Any, x: Array, u: Array, dt: float, theta: Array | None = None, *which: Array) -> Array:
+        """The function of states, inputs and, where given, parameters theta (..., p), as matrices with a row for each."""
+        rows = [x, u]
+        if theta is not None:
+            rows.append(np.broadcast_to(self.nominal, (*theta.shape[:-1], self.nominal.size)).astype(theta.dtype))
+            rows[-1][..., self.unknown] = theta
+        kind, batch = np.result_type(*rows, float), np.broadcast_shapes(*(a.shape[:-1] for a in rows))
+        flat = (
+            np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1]) for a in rows
+        )
+        result: Array = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
         return result.reshape(*batch, *result.shape[1:])
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFault, ProcessFaultCase, PublishedDelay
 from fusion_sfdia.evaluation.faults import Fault
+from fusion_sfdia.evaluation.other_truths import double_spread, fluctuating, trending
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.models.marine_engine.faults import ProcessFault
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
@@ -23,6 +24,7 @@ from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, Offset
 
 Array = NDArray[Any]
 
+TREND = 5.0  # s, in which the turbine changes: as long as a run
 # name, module, unit of the offset, where it is found; in the order of THREE_FAULTS
 OFFSETS = (
     ("torque-offset", "M(2,3)", "N m", "K24, Fig. 4"),
@@ -40,6 +42,26 @@ def altered(parameter: str, factor: float) -> Plant:
 def less_fuel(t: float, start: float) -> Array:
     """The fuel setting (1,), a step down 0.1 s before the start."""
     return np.array([1.0 if t < start - 0.1 - 1e-9 else 0.95])
+
+
+def part_load(t: float, start: float) -> Array:
+    """The fuel setting (1,), down to 85 % within a second that ends 0.5 s after the start."""
+    return np.array([1.0 - 0.15 * float(np.clip(t - start + 0.5, 0.0, 1.0))])
+
+
+def partly_loaded(t: float, start: float) -> Array:
+    """The fuel setting (1,) about 90 %, with a sine of 4 % within 3 s, after a second from full load."""
+    return np.array([1.0 - (0.1 + 0.04 * np.sin(2 * np.pi * t / 3.0)) * float(np.clip(t, 0.0, 1.0))])
+
+
+def other_engine(**changes: float) -> Plant:
+    """The engine with other parameters of its equations."""
+    return marine_engine(parameters=engine_parameters()._replace(**changes))
+
+
+def changing_turbine(first: float, last: float) -> Plant:
+    """The engine whose turbine area goes from one factor of its value to another within TREND."""
+    return trending(altered("turbine_area", first), altered("turbine_area", last), TREND)
 
 
 def failing(kind: str, severity: float, onset: float) -> Plant:
@@ -61,6 +83,7 @@ def published_delay(detector: str, fault: str) -> PublishedDelay | None:
 
 
 CASES = ComparisonCases(
+    other_operation=partly_loaded,
     mismatch=(
         MismatchCase(
             "turbine area -5 %", "fouled turbine: deposits narrow the nozzle ring", partial(altered, "turbine_area", 0.95)
@@ -74,14 +97,56 @@ CASES = ComparisonCases(
             "heat of the fuel -2 %", "another fuel: heating values differ by some 5 %", partial(altered, "heat", 0.98)
         ),
         MismatchCase("fuel 100 to 95 %", "a step of the fuel setting 0.1 s before", inputs=less_fuel),
+        MismatchCase(
+            "exhaust back pressure +4 kPa",
+            "a fouled boiler behind the turbine",
+            partial(other_engine, p_exhaust=engine_parameters().p_exhaust + 4e3),
+            unseen=True,
+        ),
+        MismatchCase(
+            "turbine clears itself",
+            "from 3 % less area to 5 % more within 5 s, since runs are short; in the log it fouls",
+            partial(changing_turbine, 0.97, 1.05),
+            log=partial(changing_turbine, 1.0, 0.95),
+            unseen=True,
+        ),
+        MismatchCase(
+            "fuel fluctuates",
+            "by 3 %, correlated over 0.3 s: a governor that hunts",
+            partial(fluctuating, marine_engine, {"fuel_setting": 0.03}, 0.3),
+            unseen=True,
+        ),
+        MismatchCase("fuel 100 to 85 %", "a ramp of a second about the onset", inputs=part_load, unseen=True),
+        MismatchCase(
+            "double spread",
+            "load, heat, turbine, turbocharger and cooler two standard deviations off, in turn above and below",
+            partial(
+                double_spread,
+                marine_engine,
+                other_engine,
+                ("load", "heat", "turbine_area", "turbocharger_efficiency", "T_cooler"),
+            ),
+            unseen=True,
+        ),
     ),
     process_faults=(
-        ProcessFaultCase("turbine-fouling", "a tenth of the area is lost at once", partial(failing, "turbine-fouling", 0.1)),
         ProcessFaultCase(
-            "injector-loss", "a tenth of the fuel does not reach the cylinder", partial(failing, "injector-loss", 0.1)
+            "turbine-fouling",
+            "a tenth of the area is lost at once",
+            partial(failing, "turbine-fouling", 0.1),
+            named=("turbine_area",),
         ),
         ProcessFaultCase(
-            "heavy-propeller", "a tenth more load, of a line or of weather", partial(failing, "heavy-propeller", 0.1)
+            "injector-loss",
+            "a tenth of the fuel does not reach the cylinder",
+            partial(failing, "injector-loss", 0.1),
+            named=("fuel_setting", "fuel"),
+        ),
+        ProcessFaultCase(
+            "heavy-propeller",
+            "a tenth more load, of a line or of weather",
+            partial(failing, "heavy-propeller", 0.1),
+            named=("load",),
         ),
     ),
     paper_faults=tuple(

@@ -82,6 +82,23 @@ class EngineParameters(NamedTuple):
     inlet_effectiveness: float  # eps_inl
 
 
+UNKNOWN = ("load", "heat", "turbine_area", "turbocharger_efficiency", "T_cooler")  # which may be given for each state
+
+
+@equation
+def with_unknown(c: EngineParameters, theta: Any) -> EngineParameters:
+    """The parameters with other values theta (5,) of those in UNKNOWN."""
+    return EngineParameters(
+        c.fuel_delay, c.receiver_delay, c.charge_delay, c.full_injection, c.fuel_nominal, c.cylinders,
+        c.revolutions_per_cycle, theta[0], c.speed_nominal, c.volume, c.compression, c.expansion_end, theta[1],
+        c.X_cv_nominal, c.X_cv_gradient, c.X_ct_nominal, c.loss_nominal, c.loss_gradient, c.n_expansion, c.n_blowdown,
+        c.R_air, c.cp_air, c.kappa_air, c.R_gas, c.cp_gas, c.kappa_gas, c.slip_nominal, c.slip_temperature, theta[2],
+        c.turbine_efficiency, theta[3], c.efficiency_curvature, c.compressor_efficiency, c.p_receiver_nominal,
+        c.p_charge_nominal, c.T_charge_nominal, c.p_ambient, c.p_exhaust, c.T_ambient, theta[4], c.T_inlet,
+        c.inlet_effectiveness,
+    )  # fmt: skip
+
+
 @equation
 def fuel_inflow(fuel_setting: Any, c: EngineParameters) -> Any:
     """h(1) = x_nom u / tau_X, kg/s (27). The setting u is a fraction, where the text states percent."""
@@ -478,6 +495,24 @@ def algebraic(states: Any, c: EngineParameters, law: bool) -> Array:
         z = variables(states[b, 0], states[b, 1], states[b, 2], c, law)
         result[b, 0], result[b, 1], result[b, 2] = z[0], z[1], z[2]
         result[b, 3], result[b, 4], result[b, 5], result[b, 6] = z[3], z[4], z[5], z[6]
+    return result
+
+
+@compiled
+def advance_each(states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: EngineParameters, law: bool) -> Array:
+    """`advance` with the parameters theta (B, 5) of each state."""
+    result: Array = states.copy()
+    for b in range(states.shape[0]):
+        result[b] = advance(states[b : b + 1], inputs[b : b + 1], dt, substeps, with_unknown(c, theta[b]), law)[0]
+    return result
+
+
+@compiled
+def algebraic_each(states: Any, theta: Any, c: EngineParameters, law: bool) -> Array:
+    """`algebraic` with the parameters theta (B, 5) of each state."""
+    result = np.empty((states.shape[0], 7), states.dtype)
+    for b in range(states.shape[0]):
+        result[b] = algebraic(states[b : b + 1], with_unknown(c, theta[b]), law)[0]
     return result
 
 

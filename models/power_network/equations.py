@@ -76,19 +76,19 @@ def area_rates(
 def area_matrices(stiffness: Any, constants: Any) -> Any:
     """(M, 4, 6): the columns of A_ii, of B_i for the reference and of the external power; the equations at unit vectors.
 
-    stiffness (M,); constants (M, 5): inertia, droop, damping, turbine time, governor time.
+    stiffness (M,); constants (M, 5): inertia, droop, damping, turbine time, governor time; both of floats, or complex.
     """
     count = stiffness.size
-    result = np.zeros((count, 4, 6))
+    result = np.zeros((count, 4, 6), constants.dtype)
     unit = np.zeros(6)
     for i in range(count):
         H, R, D, T_t, T_g = constants[i]
         for column in range(6):
             unit[:] = 0.0
             unit[column] = 1.0
-            rates = area_rates(unit[0], unit[1], unit[2], unit[3], unit[4], unit[5], stiffness[i], H, R, D, T_t, T_g)
-            for row in range(4):
-                result[i, row, column] = rates[row]
+            result[i, 0, column], result[i, 1, column], result[i, 2, column], result[i, 3, column] = area_rates(
+                unit[0], unit[1], unit[2], unit[3], unit[4], unit[5], stiffness[i], H, R, D, T_t, T_g
+            )
     return result
 
 
@@ -100,7 +100,12 @@ def hold(matrices: Any, dt: Any) -> Any:
     not depend on which other areas are computed.
     """
     result = np.empty_like(matrices)
-    unit, scaled, now, following = np.eye(4, 6), np.empty((4, 6)), np.empty((4, 6)), np.empty((4, 6))
+    unit, scaled, now, following = (
+        np.eye(4, 6),
+        np.empty_like(matrices[0]),
+        np.empty_like(matrices[0]),
+        np.empty_like(matrices[0]),
+    )
     for i in range(matrices.shape[0]):
         scaled[:] = matrices[i] * dt
         norm = np.max(np.sum(np.abs(scaled), axis=1))

@@ -24,7 +24,7 @@ loop, with references by control.generation_control.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -48,6 +48,7 @@ from fusion_sfdia.models.power_network.parameters import (
     load_network,
     load_steps,
 )
+from fusion_sfdia.models.power_network.unknown import network_uncertainty, rebuilt_uncertainty
 
 Array = NDArray[Any]
 
@@ -95,7 +96,7 @@ def power_network(
         power_network, c, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, faults=faults,
         switches=switches,
     )  # fmt: skip
-    return Plant(
+    plant = Plant(
         name="power-network",
         states=states,
         inputs=(*(Signal(f"reference_{i}") for i in names), *(Signal(f"load_{i}") for i in names)),
@@ -115,6 +116,14 @@ def power_network(
         ),
         structure=Structure(areas=network_areas(model)),
     )
+    if faults:
+        return plant
+    if discretisation == "exact":
+        again = partial(
+            power_network, unplugged=away, dt=dt, noise=noise, discretisation="exact", loads=loads, switches=switches
+        )
+        return replace(plant, uncertainty=rebuilt_uncertainty(plant, c, again))
+    return replace(plant, uncertainty=network_uncertainty(c, running.condition, readout))
 
 
 @dataclass(frozen=True, eq=False)

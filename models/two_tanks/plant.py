@@ -1,7 +1,7 @@
 """Two water tanks in series, checkable by hand.
 
-    area d level_1 / dt = inflow - flow_12        flow_12  = outlet sqrt(level_1)
-    area d level_2 / dt = flow_12 - flow_out      flow_out = outlet sqrt(level_2)
+    area d level_1 / dt = inflow - flow_12               flow_12  = outlet_1 sqrt(level_1)
+    area d level_2 / dt = flow_12 - flow_out - leak      flow_out = outlet_2 sqrt(level_2)
 
 An outlet obeys Torricelli's law v = sqrt(2 g level), so that outlet = (discharge coefficient) (bore area) sqrt(2 g). Both tanks
 are equal: at rest inflow = flow_12 = flow_out and level_1 = level_2 = (inflow / outlet)^2. About that level a tank follows its
@@ -35,6 +35,7 @@ from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.uncertainty import Parameter
 
 Array = NDArray[Any]
 
@@ -49,6 +50,10 @@ STEP = 5.0  # s
 VISCOUS = 0.02  # share of the head that friction in the outlets takes at rest
 TOLERANCE = 0.001  # deviation of each outlet from its nominal value: a bore is accurate to half a thousandth of its diameter
 DELIVERY = 0.002  # of the inflow: the flow meters that set pumps have errors of some tenths of a percent
+DISCHARGE = 0.05  # standard deviation of each outlet over its nominal value
+FOULING = 2e-4  # its change within an hour
+LEAK = 0.05  # of the inflow
+SETTING = 0.01  # of the inflow: standard deviation of the error of a pump's setting, our choice
 FINER = 4  # substeps of the high-fidelity model in one of the model
 STATES = ("level_1", "level_2")
 ALGEBRAIC = ("flow_12", "flow_out")
@@ -58,7 +63,9 @@ class Tanks(NamedTuple):
     """Parameters of both tanks."""
 
     area: float = 0.05  # m2
-    outlet: float = 6e-4  # m2.5/s, flow per root of level
+    outlet_1: float = 6e-4  # m2.5/s, flow per root of level
+    outlet_2: float = 6e-4  # m2.5/s
+    leak: float = 0.0  # m3/s, out of the lower tank beside its outlet
 
 
 NOMINAL = Tanks()
@@ -73,19 +80,19 @@ def level_1(inflow: Any, flow_12: Any, c: Tanks) -> Any:
 @equation
 def level_2(flow_12: Any, flow_out: Any, c: Tanks) -> Any:
     """Rise of the lower level, m/s."""
-    return (flow_12 - flow_out) / c.area
+    return (flow_12 - flow_out - c.leak) / c.area
 
 
 @equation
 def flow_12(level_1: Any, c: Tanks) -> Any:
     """From the upper into the lower tank, m3/s."""
-    return c.outlet * np.sqrt(level_1)
+    return c.outlet_1 * np.sqrt(level_1)
 
 
 @equation
 def flow_out(level_2: Any, c: Tanks) -> Any:
     """Out of the lower tank, m3/s."""
-    return c.outlet * np.sqrt(level_2)
+    return c.outlet_2 * np.sqrt(level_2)
 
 
 EQUATIONS: Mapping[str, Callable[..., Any]] = {
@@ -123,7 +130,7 @@ def tank_modules(c: Tanks = NOMINAL) -> Modules:
     return Modules(
         equations=EQUATIONS,
         rates=np.zeros(len(STATES)),
-        nominal=dict.fromkeys(STATES, (INFLOW / c.outlet) ** 2) | dict.fromkeys(ALGEBRAIC, INFLOW),
+        nominal=dict.fromkeys(STATES, (INFLOW / c.outlet_1) ** 2) | dict.fromkeys(ALGEBRAIC, INFLOW),
         parameters=c,
         inputs=("inflow",),
         names={"level_1": "M(1,1)", "flow_12": "M(1,2)", "level_2": "M(2,1)", "flow_out": "M(2,2)"},
@@ -131,9 +138,29 @@ def tank_modules(c: Tanks = NOMINAL) -> Modules:
     )
 
 
+def unknown(c: Tanks) -> tuple[Parameter, ...]:
+    """What a test rig's data sheet leaves open; a leak of the upper tank is an error of the inflow, one of the same sign.
+
+    At rest q12, the level l1 and the inflow give outlet_1 and the error of the inflow, q2 and l2 outlet_2 and the leak.
+    """
+    return (
+        *(
+            Parameter(
+                name, "m2.5/s", getattr(c, name), DISCHARGE * getattr(c, name), FOULING * getattr(c, name),
+                source="coefficients of discharge are tabulated to some 5 %; deposits of 0.02 % an hour, our choice",
+            )
+            for name in ("outlet_1", "outlet_2")
+        ),
+        Parameter(
+            "leak", "m3/s", c.leak, LEAK * INFLOW, treatment="frozen",
+            source="a healthy tank has none; a twentieth of the flow is our choice of what matters",
+        ),
+    )  # fmt: skip
+
+
 def true_outlets(c: Tanks) -> Array:
     """The outlets of the high-fidelity model (2,), m2.5/s."""
-    return c.outlet * np.array([1.0 + TOLERANCE, 1.0 - TOLERANCE])
+    return np.array([c.outlet_1 * (1.0 + TOLERANCE), c.outlet_2 * (1.0 - TOLERANCE)])
 
 
 def _true_flows(t: float, x: Array, z: Array, u: Array, c: Tanks) -> Array:
@@ -166,7 +193,7 @@ def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
         raise ValueError(f"swing is {swing}; expected a share of the nominal inflow from 0 to 0.5")
     if not 0.8 <= outlet <= 1.2:
         raise ValueError(f"outlet is {outlet}; expected a factor of the nominal outlets from 0.8 to 1.2")
-    c = NOMINAL._replace(outlet=outlet * NOMINAL.outlet)
+    c = NOMINAL._replace(outlet_1=outlet * NOMINAL.outlet_1, outlet_2=outlet * NOMINAL.outlet_2)
     sensors = [
         Sensor(name, variable, unit, sigma=NOISE * value, bound=BOUND * NOISE * value, owner=owner, quantity=quantity)
         for name, variable, unit, value, owner, quantity in (
@@ -178,10 +205,14 @@ def two_tanks(*, swing: float = 0.0, outlet: float = 1.0) -> Plant:
     ]
     start, change = np.full(2, (NOISE * LEVEL) ** 2), np.full(2, (0.1 * NOISE * LEVEL) ** 2)
     operation = partial(_inflow, swing) if swing else None
-    physics, x0 = replace(tank_physics(), parameters=c), np.full(2, (INFLOW / c.outlet) ** 2)
-    plant = discretise(physics, sensors, dt=STEP, x0=x0, initial_cov=start, process_cov=change)
+    physics, x0 = replace(tank_physics(), parameters=c), np.full(2, (INFLOW / c.outlet_1) ** 2)
+    plant = discretise(
+        physics, sensors, dt=STEP, x0=x0, initial_cov=start, process_cov=change, unknown=unknown(c),
+        input_errors={"inflow": SETTING * INFLOW},
+    )  # fmt: skip
     truth = Truth(operation=operation, finer=partial(with_same_states, partial(_truth, plant, c, operation)))
-    return replace(plant, truth=truth, structure=Structure(modules=tank_modules(c)))
+    uncertainty = replace(plant.uncertainty, at_rest=True)
+    return replace(plant, truth=truth, structure=Structure(modules=tank_modules(c)), uncertainty=uncertainty)
 
 
 def _truth(plant: Plant, c: Tanks, operation: Callable[[float], Array] | None) -> Plant:

@@ -8,10 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from toy_plants import Array, chain, changed
+from process_bank import OUTLET, ProcessBank
+from toy_plants import Array, chain, changed, tanks
 
 from fusion_sfdia import BatchDetector, CentralFilter, Decision, Plant, State, TimeStep, check_detector, check_plant
+from fusion_sfdia.core.detector import ProcessHypothesis
 from fusion_sfdia.core.state import leaves
+from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 
 CHAIN = chain(3)
 LOW_STATES = tuple(replace(state, low=-0.5, high=0.5) for state in CHAIN.states)
@@ -31,6 +34,15 @@ def wrong_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
     return np.broadcast_to(-0.95 * np.eye(3) - 0.03 * np.eye(3, k=1), (*x.shape[:-1], 3, 3))
 
 
+def shifted(t: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+    """The step of CHAIN at theta = 1."""
+    return np.asarray(CHAIN.step(t, x, u, dt) + theta - 1.0)
+
+
+def wrong_at_other(t: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+    return np.broadcast_to(np.ones((3, 4)), (*x.shape[:-1], 3, 4))
+
+
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
@@ -39,6 +51,11 @@ def wrong_jacobian(t: float, x: Array, u: Array, dt: float) -> Array:
         (changed(CHAIN, step_jacobian=wrong_jacobian), "step_jacobian of plant 'chain' is not the derivative of step"),
         (changed(CHAIN, output=lambda t, x, u: x), "plant 'chain' cannot be pickled .* no closures or lambdas"),
         (replace(CHAIN, x0=np.ones(3), states=LOW_STATES), "x0 of plant 'chain' is outside"),
+        (replace(CHAIN, uncertainty=Uncertainty((Parameter("a"),), shifted)), "at the nominal parameters is not the plant's"),
+        (
+            replace(CHAIN, uncertainty=Uncertainty((Parameter("a", nominal=1.0),), shifted, step_jacobian=wrong_at_other)),
+            "step_jacobian of plant 'chain augmented' is not the derivative of step",
+        ),
     ],
 )  # fmt: skip
 def test_a_plant_that_breaks_the_contract_fails(plant: Plant, message: str) -> None:
@@ -133,6 +150,59 @@ def test_a_mistake_is_stated_with_its_cure(way: str, message: str) -> None:
 
 def test_fixed_limits_without_a_mistake_pass() -> None:
     check_detector(Fixed, CHAIN)
+
+
+@dataclass(frozen=True)
+class BrokenVerdicts(ProcessBank):
+    """A bank that tests the process, too, and breaks the contract in one way."""
+
+    way: str = ""
+
+    @property
+    def process_hypotheses(self) -> tuple[ProcessHypothesis, ...]:
+        first, second = super().process_hypotheses
+        if self.way == "one name":
+            return first, second._replace(name=self.plant.sensor_names[0])
+        return first, second._replace(kind="leak") if self.way == "kind" else second
+
+    def step(self, state: State, t: float, y: Array, u: Array) -> tuple[State, Decision]:
+        state, decision = super().step(state, t, y, u)
+        process, probability = decision.process, decision.probability
+        assert process is not None and probability is not None
+        changes: dict[str, Any] = {
+            "silent": {"process": None},
+            "one sensor": {"suspect": decision.isolated},
+            "sized": {"process_size": np.zeros(process.shape)},
+            "no spread": {"process_sd": np.full(process.shape, np.nan)},
+            "negative": {"process_sd": np.where(process, -1.0, np.nan)},
+            "percent": {"probability": 100 * probability},
+            "too likely": {"probability": np.ones_like(probability)},
+        }.get(self.way, {})
+        return state, replace(decision, **changes)
+
+
+@pytest.mark.parametrize(
+    ("way", "message"),
+    [
+        ("one name", "names of all hypotheses differ"),
+        ("kind", "a ProcessHypothesis of a kind of"),
+        ("silent", r"process has the shape \(2,\)"),
+        ("one sensor", r"suspect has the shape \(6,\)"),
+        ("sized", "process_size is NaN just where nothing is accepted"),
+        ("no spread", "process_sd is NaN just where nothing is accepted"),
+        ("negative", "standard deviations are finite and not negative"),
+        ("percent", "probabilities are from 0 to 1"),
+        ("too likely", "probabilities of hypotheses add up to at most 1"),
+    ],
+)
+def test_verdicts_on_the_process_that_break_the_contract_fail(way: str, message: str) -> None:
+    with pytest.raises(AssertionError, match=message):
+        check_detector(partial(BrokenVerdicts, way=way))
+
+
+def test_a_detector_that_tests_the_process_passes() -> None:
+    check_detector(partial(ProcessBank, doubt=(2, 9), between=(0, 5)))
+    assert OUTLET in ProcessBank(tanks()).process_hypotheses
 
 
 def test_a_detector_that_keeps_it_passes() -> None:

@@ -16,13 +16,14 @@ from typing import NoReturn
 import numpy as np
 import pytest
 
-from fusion_sfdia import __version__, scenarios
+from fusion_sfdia import __version__, registry, scenarios
 from fusion_sfdia.cli import listing, runs
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
 PLANT = gas_pipeline()
+HELPERS = Path(__file__).resolve().parents[1] / "helpers"
 
 
 @pytest.fixture(autouse=True)
@@ -54,6 +55,20 @@ def test_list(capsys: pytest.CaptureFixture[str]) -> None:
     assert [line for line in out.splitlines() if not line.startswith(" ")] == ["plants:", "detectors:", "faults:", "scenarios:"]
     assert [e["use"].split(",")[0] for e in found["faults"] if e["name"] in ("weak-bias", "bias")] == ["at random", "kinds"]
     assert [line for line in out.splitlines() if re.match(r" \w", line)] == [f" {listing.DRAWN}:", f" {listing.LISTED}:"]
+
+
+def test_the_list_marks_detectors_that_test_the_process(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    registered = dict(registry.detectors())
+    monkeypatch.setattr(registry, "_DETECTORS", registered)
+    detector = f"{HELPERS / 'process_bank.py'}:ProcessBank"
+    registry.register_detector("process-bank", "by a fixed rule", detector, tests_process=True)
+    code, out, _ = call(capsys, "list", "detectors")
+    assert code == 0 and re.search(r"^  process-bank +by a fixed rule \[tests the process, too\]", out, re.MULTILINE)
+    assert not re.search(r"^  loo-glr .*tests the process", out, re.MULTILINE)
+    listed = {e["name"]: e["tests"] for e in json.loads(call(capsys, "list", "detectors", "--json")[1])["detectors"]}
+    assert (listed["loo-glr"], listed["process-bank"]) == ("sensors", "sensors and process")
 
 
 def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -191,6 +206,19 @@ def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert {e["hypothesis"]: e["start"] for e in events} == {f["sensor"]: f["onset"] for f in drawn}
     code, out, _ = call(capsys, "diagnose", "--force", "--data", "log.csv", "--detector", "loo-chi2")
     assert out.splitlines()[0] == "120 readings, 2 events by loo-chi2"
+
+
+def test_a_diagnosis_begins_with_the_process(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Of a detector that tests it, too: the verdict, then the events with their kind."""
+    detector = f"{HELPERS / 'process_bank.py'}:ProcessBank"
+    assert call(capsys, "simulate", "--plant", "two-tanks", "--steps", "20", "--out", "log.csv")[0] == 0
+    chosen = ("diagnose", "--force", "--plant", "two-tanks", "--data", "log.csv", "--detector", detector)
+    code, out, _ = call(capsys, *chosen)
+    assert code == 0 and out.splitlines()[0] == "process or model: outlet"
+    assert out.splitlines()[2] == "  outlet 5.0 % +- 0.8 below the model since 15 s: not a sensor"
+    code, out, _ = call(capsys, *chosen, "--json")
+    (event,) = json.loads(out)
+    assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)
 
 
 def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -157,6 +157,13 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
 
 
 @pytest.mark.parametrize("name", registry.detectors())
+def test_a_detector_that_tests_the_process_is_registered_as_such(name: str) -> None:
+    if name in WITHOUT:
+        pytest.skip("needs faultdiagnosistoolbox")
+    assert hasattr(detector_of("two-tanks", name), "process_hypotheses") == registry.detectors()[name].tests_process
+
+
+@pytest.mark.parametrize("name", registry.detectors())
 def test_a_state_has_named_and_documented_fields_and_the_time_of_the_last_reading(name: str, tmp_path: Path) -> None:
     if name in WITHOUT:
         pytest.skip("needs faultdiagnosistoolbox")

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from process_bank import ProcessBank
 from toy_plants import Array, chain, readings, tanks
 
 from fusion_sfdia.core.detector import Decision, Detector, run
@@ -38,6 +39,7 @@ DETECTORS: dict[str, Detector] = {
     "fusing-literal-ekf": FusingBank(PLANT, Extended(), thresholds=LEVELS, literal=True),
     "fusing-literal-enkf": FusingBank(PLANT, ROOT, thresholds=LEVELS, literal=True),
     "particles": ParticleFilter(PLANT, size=200),
+    "process-bank": ProcessBank(PLANT, window=5, doubt=(2, 9**9), between=(0, 5)),
 }
 every_detector = pytest.mark.parametrize("detector", DETECTORS.values(), ids=DETECTORS)
 NUMBERS = ("estimate", "reconstruction", "residual", "threshold", "fault_size", "nis")
@@ -69,9 +71,13 @@ def test_it_is_diverged_from_there_on_and_alone(detector: Detector, what: str, v
         assert np.isnan(getattr(lost, name)[8:, 1]).all(), name
     assert lost.covariance is not None and np.isnan(lost.covariance[8:, 1]).all()
     assert not lost.isolated[8:, 1].any() and not lost.alarm[8:, 1].any()
+    for name in ("process", "suspect"):
+        assert (verdict := getattr(lost, name)) is None or (not verdict[8:, 1].any() and verdict[8:, 0].any()), name
+    for name in ("process_size", "process_sd", "probability"):
+        assert (numbers := getattr(lost, name)) is None or np.isnan(numbers[8:, 1]).all(), name
     assert np.any(lost.isolated[12:, [0, 2]], axis=(0, 2)).all()  # the others have their event
     for f in fields(Decision):
-        if f.name != "covariance":
+        if f.name != "covariance" and getattr(lost, f.name) is not None:
             np.testing.assert_array_equal(getattr(lost, f.name)[:, [0, 2]], getattr(sound, f.name)[:, [0, 2]], err_msg=f.name)
             np.testing.assert_array_equal(getattr(lost, f.name)[:8], getattr(sound, f.name)[:8], err_msg=f.name)
 

@@ -18,7 +18,7 @@ from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.plots import style
 from fusion_sfdia.scenarios import GROUPS, SCENARIOS, scenario
 
-NAMES = [name for name in SCENARIOS if name != "comparison"]  # has tests of its own
+NAMES = [name for name in SCENARIOS if name not in ("comparison", "robustness")]  # they have tests of their own
 PLANTS = {
     "pipeline": "gas-pipeline", "engine": "marine-engine", "network": "power-network", "chemical": "tennessee-eastman",
 }  # fmt: skip

@@ -23,7 +23,7 @@ def page(root: Path) -> str:
 def folder(page: str, tmp_path: Path) -> Path:
     """A folder with the files of the page."""
     files = FILE.findall(page)
-    assert [name for name, _ in files] == ["tank.py", "mine.py", "study.py"]
+    assert [name for name, _ in files] == ["tank.py", "unsure.py", "mine.py", "study.py"]
     for name, text in files:
         (tmp_path / name).write_text(text, encoding="utf-8")
     return tmp_path
@@ -40,6 +40,13 @@ def output_of(root: Path, folder: Path, *arguments: str) -> str:
 def test_the_plant_is_simulated_and_diagnosed(root: Path, folder: Path, page: str) -> None:
     assert output_of(root, folder, "tank.py") == "level_2 from 3060 s, 0.10 m\n"
     assert "# level_2 from 3060 s, 0.10 m\n" in page
+
+
+def test_an_unknown_outflow_is_estimated(root: Path, folder: Path) -> None:
+    names, found = output_of(root, folder, "unsure.py").splitlines()
+    assert names == "level, temperature, outflow, error of inflow"
+    value = re.fullmatch(r"outflow (\+\d\.\d)% of its nominal value", found)
+    assert value and abs(float(value[1]) - 5.0) < 2.0  # the error of the inflow, 1 %, moves the level as the outflow does
 
 
 def test_the_commands_for_the_plant_run(root: Path, folder: Path, page: str) -> None:

@@ -60,7 +60,7 @@ def test_a_run_may_be_cut_anywhere() -> None:
     middle, first = run(detector, detector.init((2,)), t[:5], y[:5], u[:5])
     _, second = run(detector, middle, t[5:], y[5:], u[5:])
     for f in fields(Decision):
-        if f.name != "covariance":
+        if getattr(whole, f.name) is not None:
             joined = np.concatenate([getattr(first, f.name), getattr(second, f.name)])
             np.testing.assert_array_equal(joined, getattr(whole, f.name))
 

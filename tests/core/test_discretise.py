@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.uncertainty import Parameter
 
 EPS = np.finfo(float).eps
 NONE = np.zeros(0)
@@ -266,3 +267,51 @@ def test_the_largest_step_keeps_a_tenth_of_its_noise() -> None:
     # two tanks at rest, checked by hand: |A| of [[-r, 0], [r, -r]] is r (1 + sqrt 5) / 2, with r = 1 / 167 s
     r = 6e-4 / (2 * 0.05)
     assert tanks().numerics.max_dt == pytest.approx(0.1 / (r * (1 + np.sqrt(5)) / 2), rel=1e-7)
+
+
+class Spring(NamedTuple):
+    """Of a mass on a spring, with an algebraic force."""
+
+    stiffness: float = 4.0
+    mass: float = 2.0
+
+
+def spring(c: Spring) -> Physics:
+    return Physics(
+        name="spring",
+        states=(
+            Signal("place", nominal=1.0, initial_sigma=0.1, process_sigma=0.1),
+            Signal("speed", initial_sigma=0.1, process_sigma=0.1),
+        ),
+        f=lambda t, x, z, u, c: np.stack([x[..., 1], z[..., 0] / c.mass], axis=-1),
+        algebraic=(Signal("force", nominal=-4.0),),
+        phi=lambda t, x, z, u, c: -(c.stiffness * x[..., 0])[..., None],
+        parameters=c,
+    )
+
+
+SENSORS = (Sensor("s", "place", sigma=0.1), Sensor("f", "force", sigma=0.1))
+
+
+def test_unknown_parameters_are_those_of_the_physics_for_each_of_a_batch() -> None:
+    unknown = (Parameter("mass", "kg", 2.0, 0.1), Parameter("stiffness", "N/m", 4.0, 0.4))
+    known = discretise(spring(Spring()), SENSORS, dt=0.1, unknown=unknown).uncertainty
+    assert known.step is not None and known.output is not None and known.parameters == unknown
+    theta = np.array([[2.0, 4.0], [2.5, 3.0], [1.0, 5.0]])
+    x = np.array([1.0, -0.5])
+    for k, (mass, stiffness) in enumerate(theta):
+        other = discretise(spring(Spring(stiffness, mass)), SENSORS, dt=0.1)
+        np.testing.assert_allclose(known.step(0.0, x, NONE, 0.1, theta)[k], other.step(0.0, x, NONE, 0.1), rtol=8 * EPS)
+        np.testing.assert_allclose(known.output(0.0, x, NONE, theta)[k], other.output(0.0, x, NONE), rtol=8 * EPS)
+
+
+@pytest.mark.parametrize(
+    ("unknown", "message"),
+    [
+        (Parameter("damping"), "unknown has 'damping', which the parameters of 'spring' do not; they are stiffness, mass"),
+        (Parameter("mass", nominal=1.0), "parameter 'mass' is nominally 1.0, but 2.0 in the physics"),
+    ],
+)
+def test_an_unknown_parameter_is_one_of_the_physics_with_its_value(unknown: Parameter, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        discretise(spring(Spring()), SENSORS, dt=0.1, unknown=(unknown,))

@@ -45,8 +45,10 @@ def test_broken_runs_are_replaced_and_the_others_stay() -> None:
 
 def test_a_decision_of_a_broken_run_has_no_number_and_isolates_nothing() -> None:
     numbers = {"estimate": 2, "reconstruction": 3, "residual": 3, "threshold": 3, "fault_size": 4}
+    numbers |= {"process_size": 2, "process_sd": 2, "probability": 6}
     given = Decision(
         **{name: np.ones((2, width)) for name, width in numbers.items()},
+        process=np.ones((2, 2), bool), suspect=np.ones((2, 6), bool),
         isolated=np.ones((2, 4), bool), diverged=np.zeros(2, bool), guarded=np.ones(2, bool), nis=np.ones(2),
         covariance=np.ones((2, 2, 2)), capped=np.ones(2, bool),
     )  # fmt: skip
@@ -54,11 +56,16 @@ def test_a_decision_of_a_broken_run_has_no_number_and_isolates_nothing() -> None
     for name in (*numbers, "nis", "covariance"):
         assert np.isnan(getattr(found, name)[0]).all(), name
     assert not found.isolated[0].any() and not found.capped[0] and not found.alarm[0]
+    assert found.process is not None and not found.process[0].any()
+    assert found.suspect is not None and not found.suspect[0].any()
     assert found.guarded.tolist() == [True, True] and found.diverged.tolist() == [True, False]
     for field in fields(Decision):
         if field.name not in ("diverged", "absurd", "absurd_input"):
             np.testing.assert_array_equal(getattr(found, field.name)[1], getattr(given, field.name)[1], field.name)
     assert without_broken(replace(given, covariance=None), np.array([True, False])).covariance is None
+    of_sensors = replace(given, process=None, process_size=None, process_sd=None, suspect=None, probability=None)
+    lost = without_broken(of_sensors, np.array([True, False]))
+    assert lost.process is lost.process_size is lost.process_sd is lost.suspect is lost.probability is None
     sound = without_broken(given, np.zeros(2, bool))
     assert sound.estimate is given.estimate and not sound.diverged.any()
     assert not without_broken(replace(given, diverged=np.ones(2, bool)), np.zeros(2, bool)).diverged.any()

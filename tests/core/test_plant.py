@@ -9,6 +9,7 @@ import pytest
 from toy_plants import chain, changed, tank_physics, tanks
 
 from fusion_sfdia import registry
+from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.covariance import diagonal, require_covariance
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.equation import complex_step_jacobian
@@ -16,6 +17,7 @@ from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.uncertainty import Disturbance, Parameter, secants
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 
 NAN, INF = float("nan"), float("inf")
@@ -123,6 +125,19 @@ def test_another_unit_is_the_same_plant(scale: float) -> None:
     np.testing.assert_array_equal(other.output_jacobian_at(0.0, x, u), plant.output_jacobian_at(0.0, x, u) * factor[:, None])
     np.testing.assert_allclose(other.sensor_sigma, plant.sensor_sigma * np.abs(factor))
     assert other.sensors[0].unit == "cm" and other.sensors[1:] == plant.sensors[1:]
+
+
+def test_another_unit_scales_what_the_plant_does_not_know() -> None:
+    """An uncertain plant in other units, augmented, is the augmented plant in other units."""
+    off = Disturbance("offset", np.array([0.1, 0.0]), np.array([0.0, 0.2, 0.0, 1e-5]))
+    outlet = Parameter("outlet", "1", 1.0, 0.05)
+    plant = replace(tanks(), uncertainty=secants(tanks(), (outlet,), tanks, inputs={"inflow": 3e-5}, disturbances=(off,)))
+    units = {"l1": ("cm", 1e2), "q2": ("l/h", 3.6e6)}
+    one, two = augment(plant).in_units(units), augment(plant.in_units(units))
+    z, u = np.array([1.0, 0.9, 1.03, 2e-5, 0.4]), plant.input_at(0.0)
+    np.testing.assert_allclose(two.output(0.0, z, u), one.output(0.0, z, u), rtol=1e-14)
+    np.testing.assert_allclose(two.output_jacobian_at(0.0, z, u), one.output_jacobian_at(0.0, z, u), rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(two.step(0.0, z, u, 5.0), one.step(0.0, z, u, 5.0))
 
 
 def test_another_unit_scales_bounds_and_stated_jacobians_and_refuses_no_scale() -> None:

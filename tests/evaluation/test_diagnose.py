@@ -7,7 +7,7 @@ import pytest
 from toy_plants import chain, changed, readings, tanks
 
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, spans
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.simulate import simulate
@@ -121,23 +121,6 @@ def test_shapes_and_times_that_do_not_fit_are_refused() -> None:
     for times in (t[::-1], np.array([5.0, 10, 10, 15, 20, 25]), np.array([5.0, 10, np.nan, 20, 25, 30])):
         with pytest.raises(ValueError, match="times must be finite and increase"):
             diagnose(detector, times, y, u)
-
-
-@pytest.mark.parametrize(
-    ("held", "gap", "expected"),
-    [
-        ("", 1, []),
-        ("....", 3, []),
-        ("####", 1, [(0, 3)]),
-        ("#..#", 1, [(0, 0), (3, 3)]),
-        ("#..#", 2, [(0, 0), (3, 3)]),
-        ("#..#", 3, [(0, 3)]),
-        (".##.#...#.", 2, [(1, 4), (8, 8)]),
-        ("#.#.#", 2, [(0, 4)]),
-    ],
-)
-def test_spans(held: str, gap: int, expected: list[tuple[int, int]]) -> None:
-    assert spans(np.array([c == "#" for c in held], dtype=bool), gap) == expected
 
 
 @pytest.mark.parametrize("limits", [{"max_dt": 6.0}, {"fixed_dt": True}], ids=str)

@@ -183,3 +183,45 @@ def test_a_diffuse_scalar_prior_is_safe() -> None:
         x, P = condition(Joint(x, P, x, P + R, P), np.array([5.0]))[:2]
         assert P[0, 0] >= R / k * (1 - 1e-9)
         assert x == pytest.approx(5.0)
+
+
+def considering(joint: Joint, y: Array, theta: Array) -> tuple[Array, Array, Array]:
+    """Estimate, covariance and gain after Schmidt, by Joseph's form: the optimal gain with the rows of theta set to 0."""
+    used = np.isfinite(y)
+    K = np.zeros(joint.C.shape)
+    K[:, used] = joint.C[:, used] @ np.linalg.inv(joint.S[np.ix_(used, used)])
+    K[theta] = 0.0
+    P = joint.P - K @ joint.C.T - joint.C @ K.T + K @ joint.S @ K.T
+    return joint.x + K @ np.where(used, y - joint.y, 0.0), P, K
+
+
+@pytest.mark.parametrize("missing", [(), (1, 3)])
+@pytest.mark.parametrize("theta", [(4,), (1, 3), (0, 1, 2, 3, 4)])
+def test_considered_states_are_those_of_josephs_form(theta: tuple[int, ...], missing: tuple[int, ...]) -> None:
+    joint, *_, y = joints(11, (), 5, 6)
+    y[list(missing)] = NAN
+    held = np.array(theta)
+    x, P, K = considering(joint, y, held)
+    given = joint._replace(considered=held)
+    found = condition(given, y)
+    tolerance = rounding(np.linalg.cond(joint.S), 60) * np.abs(joint.P).max()
+    np.testing.assert_allclose(found.x, x, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(found.P, P, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(gaussian.gain(given, found.inverse), K, rtol=0, atol=tolerance)
+    np.testing.assert_array_equal(found.x[held], joint.x[held])
+    np.testing.assert_array_equal(found.P[np.ix_(held, held)], joint.P[np.ix_(held, held)])
+    # never better than the optimal gain, and no less than a covariance
+    assert np.linalg.eigvalsh(found.P - condition(joint, y).P).min() > -tolerance
+    assert np.linalg.eigvalsh(found.P).min() > 0
+
+
+def test_the_given_joint_is_left_as_it_is_and_a_batch_is_its_elements() -> None:
+    joint, *_, y = joints(12, (3,), 4, 5)
+    given = joint._replace(considered=np.array([3]))
+    before = joint.P.copy()
+    together = condition(given, y)
+    np.testing.assert_array_equal(joint.P, before)
+    for b in range(3):
+        alone = condition(Joint(*(a[b] for a in joint[:5]), given.considered), y[b])
+        tolerance = rounding(np.linalg.cond(joint.S).max(), 40) * np.abs(joint.P).max()
+        np.testing.assert_allclose(together.P[b], alone.P, rtol=0, atol=tolerance)

@@ -36,6 +36,20 @@ def test_mixture_in_closed_form_equals_the_printed_sum_of_inverses(missing: tupl
         np.testing.assert_allclose(got_p, p, rtol=0, atol=tolerance)
 
 
+def test_a_state_without_variance_stays_as_it_is_and_changes_nothing_else() -> None:
+    joint, _ = random_joint(np.random.default_rng(6), 4, 5)
+    wide = [np.insert(joint.x, 2, 7.0), np.insert(np.insert(joint.P, 2, 0.0, -1), 2, 0.0, -2), np.insert(joint.C, 2, 0.0, 0)]
+    y = joint.y + 1.0
+    found = statistics(joint, y, np.ones(5, bool))
+    x, p = mixing.mixture_of_any_joint(joint, found)
+    more_x, more_p = mixing.mixture_of_any_joint(Joint(wide[0], wide[1], joint.y, joint.S, wide[2]), found)
+    rest = np.arange(5) != 2
+    assert more_x[2] == 7.0 and not more_p[2].any() and not more_p[:, 2].any()
+    tolerance = np.linalg.cond(p) * of_update(joint, y)
+    np.testing.assert_allclose(more_x[rest], x, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(more_p[np.ix_(rest, rest)], p, rtol=0, atol=tolerance)
+
+
 def test_federated_factors_make_the_mixture_the_central_filter() -> None:
     """Carlson's information sharing: local priors N P and noises (N - 1) R fuse to the central filter with all readings."""
     rng = np.random.default_rng(4)

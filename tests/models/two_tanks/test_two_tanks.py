@@ -53,7 +53,7 @@ def test_an_empty_inflow_drains_the_upper_tank_by_torricelli() -> None:
     for k in range(20):
         x = plant.step(5.0 * k, x, np.zeros(1), 5.0)
     # RK4 with h / tau = 5 / 167: 20 local errors of (h / tau)^5 / 120 at most
-    assert x[0] == pytest.approx((1.0 - c.outlet * t / (2 * c.area)) ** 2, abs=20 * (5 / 60) ** 5 / 120)
+    assert x[0] == pytest.approx((1.0 - c.outlet_1 * t / (2 * c.area)) ** 2, abs=20 * (5 / 60) ** 5 / 120)
 
 
 def test_the_equations_accept_intervals() -> None:

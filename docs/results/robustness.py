@@ -1,0 +1,82 @@
+"""Writes robustness.csv and when-the-model-is-wrong.md: python docs/results/robustness.py METRICS...
+
+METRICS: metrics.csv of runs of the scenario robustness; of a variant in several of them the first counts. The page holds what
+robustness.csv holds; a test renders it again.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from fusion_sfdia.evaluation.results import Row, read_rows, write_rows
+from fusion_sfdia.report.content import Table
+from fusion_sfdia.robustness.report import METHOD, cases_table, findings
+from fusion_sfdia.robustness.rows import SCENARIO, variants_of
+from fusion_sfdia.robustness.tables import tables_of
+
+HERE = Path(__file__).parent
+NUMBERS, PAGE = HERE / "robustness.csv", HERE / "when-the-model-is-wrong.md"
+LEFT_OUT = ("step_time", "threshold_scale", "diverged")  # metrics that the page does not show
+DIGITS = 3
+
+ABOUT = """# When the model is wrong
+
+`fusion-sfdia run robustness`: no plant is its model. The tables show what detectors do with a model that is right, with one
+that is wrong, under faults of the process and under slow drifts, and what commissioning on a healthy log of the real plant
+changes. In brackets 95 % intervals over seeds.
+"""
+
+
+def rounded(row: Row) -> Row:
+    """Numbers to three digits."""
+    return replace(row, **{c: float(f"{getattr(row, c):.{DIGITS}g}") for c in ("value", "low", "high")})
+
+
+def load(paths: Sequence[Path]) -> list[Row]:
+    """The rows that the page shows."""
+    found: dict[tuple[str, ...], Row] = {}
+    for path in paths:
+        for row in read_rows(path):
+            key = (row.plant, row.detector, row.fault, row.condition, row.metric)
+            if row.scenario == SCENARIO and row.metric not in LEFT_OUT:
+                found.setdefault(key, rounded(row))
+    return list(found.values())
+
+
+def cell(value: object) -> str:
+    """A cell in Markdown: text, a number, or a number with its interval."""
+    if isinstance(value, tuple):
+        number, low, high, _ = value
+        return f"{number:.{DIGITS}g}" + (f" [{low:.{DIGITS}g}, {high:.{DIGITS}g}]" if low == low else "")
+    return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(value).replace("|", "\\|")
+
+
+def markdown(table: Table) -> str:
+    """A table with its title and what is to be known of it."""
+    lines = [table.header, ["---"] * len(table.header), *([cell(c) for c in row] for row in table.rows)]
+    body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return "\n\n".join(part for part in (f"### {table.title}", table.caption, table.method, body) if part)
+
+
+def render(rows: Sequence[Row]) -> str:
+    """The page."""
+    parts = [ABOUT, *METHOD]
+    for plant in dict.fromkeys(row.plant for row in rows):
+        if variants_of(rows, plant):
+            parts += [f"## {plant}", "\n".join(f"- {line}" for line in findings(rows, plant))]
+            parts += [markdown(table) for table in (*tables_of(rows, plant), cases_table(plant))]
+    return "\n\n".join(parts) + "\n"
+
+
+def main(paths: Sequence[Path]) -> None:
+    """Write both files."""
+    rows = load(paths)
+    write_rows(NUMBERS, rows)
+    PAGE.write_text(render(rows), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main([Path(path) for path in sys.argv[1:]])

@@ -1,0 +1,204 @@
+"""From Decisions of one run to events, and events in words: sensors, process or model, or no decision between hypotheses."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.detector import Decision, Detector, ProcessHypothesis
+
+Array = NDArray[Any]
+
+MOST_NAMES = 4  # in a sentence
+LASTING = 3  # samples
+
+
+@dataclass(frozen=True)
+class Event:
+    """A sensor that is isolated from start to end (s).
+
+    size: the median over the event, in the sensor's unit. open: whether it is still isolated at the end of the data.
+    """
+
+    kind: ClassVar[str] = "sensor"
+    hypothesis: str
+    start: float
+    end: float
+    size: float
+    unit: str
+    open: bool
+
+    def __str__(self) -> str:
+        end = "end of the log" if self.open else f"{self.end:g} s"
+        return f"{self.hypothesis}: {self.start:g} s to {end}, size {self.size:.4g} {self.unit}"
+
+    @property
+    def period(self) -> str:
+        """When, in words."""
+        if self.open:
+            return f"since {self.start:g} s"
+        return f"at {self.start:g} s" if self.start == self.end else f"from {self.start:g} s to {self.end:g} s"
+
+
+@dataclass(frozen=True)
+class OtherEvent(Event):
+    """Another hypothesis than a sensor that a detector isolates; it has no unit."""
+
+    kind: ClassVar[str] = "other"
+
+
+@dataclass(frozen=True)
+class ProcessEvent(Event):
+    """A process hypothesis that is accepted from start to end (s).
+
+    size, sd: how far the process is above the model and the standard deviation of that, medians over the event. nominal: the
+    value of the model, NaN where there is none. All in the unit of the hypothesis.
+    """
+
+    kind: ClassVar[str] = "process"
+    sd: float
+    nominal: float
+
+    def __str__(self) -> str:
+        return f"{self.difference} {self.period}: not a sensor"
+
+    @property
+    def difference(self) -> str:
+        """How far the process is from the model, in percent of the nominal value where that is not 0."""
+        share = np.isfinite(self.nominal) and self.nominal != 0
+        scale, unit = (100.0 / abs(self.nominal), "%") if share else (1.0, self.unit)
+        size, sd = with_spread(abs(self.size) * scale, self.sd * scale)
+        return f"{self.hypothesis} {size} {unit} +- {sd} {'below' if self.size < 0 else 'above'} the model"
+
+
+@dataclass(frozen=True)
+class UndecidedEvent(Event):
+    """An alarm from start to end (s) that no hypothesis explains clearly better than others; it has no size.
+
+    suspects: the names of those that stood together longest, the most probable first.
+    """
+
+    kind: ClassVar[str] = "undecided"
+    suspects: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"cannot tell: {listed(self.suspects, ' or ')}, {self.period}"
+
+
+def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tuple[Event, ...]:
+    """Events of Decisions (K, ...) at times t (K,) s: the process first, then what is undecided, then sensors and others; of
+    each in order of their start.
+
+    Events of one hypothesis less than `gap` samples apart are one.
+    """
+    sensors = detector.plant.sensors
+    found: list[Event] = []
+    for i, name in enumerate(detector.hypotheses):
+        kind, unit = (Event, sensors[i].unit) if i < len(sensors) else (OtherEvent, "")
+        for a, b in spans(decisions.isolated[:, i], gap):
+            found.append(kind(name, *_when(t, a, b), median(decisions.fault_size[a : b + 1, i]), unit, b == len(t) - 1))
+    found.sort(key=lambda e: (e.start, e.hypothesis))
+    tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
+    names = (*detector.hypotheses, *(h.name for h in tested))
+    return (*_process(tested, t, decisions, gap), *_undecided(names, t, decisions, gap), *found)
+
+
+def _process(tested: Sequence[ProcessHypothesis], t: Array, decisions: Decision, gap: int) -> list[Event]:
+    if decisions.process is None or decisions.process_size is None or decisions.process_sd is None:
+        return []
+    found: list[Event] = []
+    for j, h in enumerate(tested):
+        for a, b in spans(decisions.process[:, j], gap):
+            size, sd = (median(values[a : b + 1, j]) for values in (decisions.process_size, decisions.process_sd))
+            found.append(ProcessEvent(h.name, *_when(t, a, b), size, h.unit, b == len(t) - 1, sd, h.nominal))
+    return sorted(found, key=lambda e: (e.start, e.hypothesis))
+
+
+def _undecided(names: Sequence[str], t: Array, decisions: Decision, gap: int) -> list[Event]:
+    if decisions.suspect is None:
+        return []
+    found: list[Event] = []
+    for a, b in spans(np.any(decisions.suspect, axis=-1), gap):
+        sets = [tuple(np.flatnonzero(held).tolist()) for held in decisions.suspect[a : b + 1] if np.any(held)]
+        chosen = list(Counter(reversed(sets)).most_common(1)[0][0])  # the later one at a tie
+        likely = np.zeros(len(names)) if decisions.probability is None else decisions.probability[a : b + 1].mean(axis=0)
+        suspects = tuple(names[i] for i in sorted(chosen, key=lambda i: -likely[i]))
+        when = _when(t, a, b)
+        found.append(UndecidedEvent(" or ".join(suspects), *when, float("nan"), "", b == len(t) - 1, suspects))
+    return found
+
+
+def _when(t: Array, a: int, b: int) -> tuple[float, float]:
+    return float(t[a]), float(t[b])
+
+
+def verdict(events: Sequence[Event], t: Array) -> str:
+    """What the events of readings at times t (K,) say together: process or model, what cannot be told, sensors, or no fault."""
+    parts = []
+    if process := [e.hypothesis for e in events if e.kind == "process"]:
+        parts.append(f"process or model: {listed(process)}")
+    for suspects in dict.fromkeys(e.suspects for e in open_questions(events, t)):
+        parts.append(f"cannot tell: {listed(suspects, ' or ')}")
+    for kind, word in (("sensor", "sensor"), ("other", "fault")):
+        if named := [e.hypothesis for e in events if e.kind == kind]:
+            parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
+    return "; ".join(parts) or "no fault"
+
+
+def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:
+    """What the readings at times t (K,) leave undecided.
+
+    Not an alarm that ends within LASTING samples, as noise may raise one; nor one of whose suspects one is isolated or accepted
+    while it lasts or in the sample after.
+    """
+    found = []
+    for e in events:
+        if isinstance(e, UndecidedEvent):
+            first, last = np.searchsorted(t, (e.start, e.end))
+            after = t[min(last + 1, len(t) - 1)]
+            decided = any(o.hypothesis in e.suspects and o.start <= after and o.end >= e.start for o in events)
+            if not decided and (e.open or last - first >= LASTING - 1):
+                found.append(e)
+    return found
+
+
+def listed(names: Sequence[str], between: str = ", ", most: int = MOST_NAMES) -> str:
+    """Names in a sentence, each once, of many the first few."""
+    once = list(dict.fromkeys(names))
+    more = len(once) - most
+    return between.join(once) if more < 2 else f"{between.join(once[:most])}{between}{more} more"
+
+
+def with_spread(value: float, sd: float) -> tuple[str, str]:
+    """A value and its standard deviation as text, to the first digit of the latter, or the second after a 1."""
+    if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
+        return f"{value:.3g}", f"{sd:.3g}"
+    places = -math.floor(math.log10(sd))
+    places += round(sd, places) < 2 * 10.0**-places  # of 0.0149 and 1.49 the second digit, too
+    if not -6 < places < 6:
+        return f"{value:.3g}", f"{sd:.1g}"
+    return f"{round(value, places):.{max(places, 0)}f}", f"{round(sd, places):.{max(places, 0)}f}"
+
+
+def spans(held: Array, gap: int = 1) -> list[tuple[int, int]]:
+    """Return first and last index of each run of True in held (K,); runs less than `gap` samples apart are joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
+    joined: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
+        if joined and a - joined[-1][1] - 1 < gap:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined
+
+
+def median(sizes: Array) -> float:
+    """The median of the numbers that are finite, NaN without any."""
+    known = sizes[np.isfinite(sizes)]
+    return float(np.median(known)) if known.size else float("nan")

@@ -1,0 +1,183 @@
+"""The decision between sensor and process, from the evidence of competing hypotheses.
+
+The evidence of a hypothesis is twice the logarithm of its likelihood ratio to "nothing", averaged over its size (see
+`likelihood_window.best_onset`). A cause is accepted where its statistic exceeds its limit and its evidence that of the best
+cause of the other kind by a margin. Where no cause is accepted, those within the margin of the best are suspects.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate
+from fusion_sfdia.kalman_banks.likelihood_window import Best
+
+Array = NDArray[Any]
+
+ABSORBED = 2.0  # evidence by which an earlier onset is preferred to the present sample
+PRIOR = 1e-3  # probability of each hypothesis before any reading
+
+
+class Limits(NamedTuple):
+    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence of both kinds."""
+
+    one: float
+    window: float
+    process: float
+    sensor_margin: Array
+    process_margin: float
+
+
+class Evidence(NamedTuple):
+    """The best explanation by each sensor (..., N) and by each process hypothesis (..., P).
+
+    slow_sensor (..., N), slow_process (..., p): whether it is a ramp or drift. statistic_s, size_s, information_s (..., N), of
+    the windows; statistic_p, size_p, information_p (..., P). sensor, one_sample (..., N): evidence of the windows and of the
+    present sample; process (..., P).
+    """
+
+    slow_sensor: Array
+    statistic_s: Array
+    size_s: Array
+    information_s: Array
+    sensor: Array
+    one_sample: Array
+    slow_process: Array
+    statistic_p: Array
+    size_p: Array
+    information_p: Array
+    process: Array
+
+    @property
+    def best_process(self) -> Array:
+        """Evidence of the best process hypothesis (...); -inf without any."""
+        return np.asarray(np.max(self.process, axis=-1, initial=-np.inf))
+
+    @property
+    def of_sensors(self) -> Array:
+        """Evidence of each sensor by the windows or the present sample (..., N)."""
+        return np.maximum(self.sensor, self.one_sample)
+
+    @property
+    def probability(self) -> Array:
+        """Probability of each hypothesis (..., N + P), if at most one is true."""
+        half = np.concatenate([self.of_sensors, self.process], axis=-1) / 2 + np.log(PRIOR)
+        top = np.maximum(np.max(half, axis=-1, keepdims=True), 0.0)
+        weight = np.exp(half - top)
+        return np.asarray(weight / (np.sum(weight, axis=-1, keepdims=True) + np.exp(-top)))
+
+
+def one_sample_evidence(found: LeaveOneOut, size: Array) -> Array:
+    """Evidence of a bias of the present sample alone (..., N), of a size N(0, size^2), size (N,); -inf where not used."""
+    known = found.weight * size**2
+    evidence = found.chi_square * (known / (1 + known)) - np.log1p(known)
+    return np.where(found.used, evidence, -np.inf)
+
+
+def gathered(recent: Best, slow: Best, one_sample: Array, handicap: Array) -> Evidence:
+    """The evidence of all hypotheses from the two windows, less a handicap of those of the process (P,)."""
+    count, both = one_sample.shape[-1], slow.evidence.shape[-1]
+    far = slow.evidence > recent.evidence[..., :both]
+    merged = [np.where(far, s, r[..., :both]) for s, r in zip(slow[:4], recent[:4], strict=True)]
+    whole = [np.concatenate([m, r[..., both:]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
+    statistic, size, information, evidence = whole
+    evidence[..., count:] -= handicap
+    return Evidence(
+        far[..., :count], statistic[..., :count], size[..., :count], information[..., :count], evidence[..., :count],
+        one_sample,
+        far[..., count:], statistic[..., count:], size[..., count:], information[..., count:], evidence[..., count:],
+    )  # fmt: skip
+
+
+class Present(NamedTuple):
+    """Process hypotheses that begin now: M (..., N, P); sizes (N + P,) of sensors and process; handicap (..., P)."""
+
+    M: Array
+    sizes: Array
+    handicap: Array
+
+
+def eliminated(
+    found: LeaveOneOut, evidence: Evidence, present: Present, limits: Limits, room: Array
+) -> tuple[LeaveOneOut, Array, Array]:
+    """Eliminate the worst sensor of the present sample while it explains the sample better than the process does.
+
+    The first sensor competes by all its evidence, each further one by the readings that are left, with process hypotheses that
+    begin now. room (...): sensors that may still be left out. Return the statistics of the other sensors, the eliminated
+    sensors (..., N), and whether another is above the limit (...).
+    """
+    count = found.used.shape[-1]
+    isolated = np.zeros(found.used.shape, bool)
+    of_sensors, of_process = evidence.of_sensors, evidence.best_process
+    while True:
+        chi_square = found.chi_square
+        worst = np.argmax(chi_square, axis=-1)
+        above = np.max(chi_square, axis=-1) > limits.one
+        lead = np.take_along_axis(of_sensors, worst[..., None], axis=-1)[..., 0] - of_process
+        free = np.sum(isolated, axis=-1) < room
+        where = above & free & (lead > limits.sensor_margin)
+        if not np.any(where):
+            return found, isolated, above & ~free
+        isolated = isolated | (where[..., None] & (np.arange(count) == worst[..., None]))
+        found = eliminate(found, worst, where)
+        of_sensors = np.where(where[..., None], one_sample_evidence(found, present.sizes[:count]), of_sensors)
+        of_process = np.where(where, _beginning_now(found, present), of_process)
+
+
+def _beginning_now(found: LeaveOneOut, present: Present) -> Array:
+    """Evidence of the best process hypothesis that begins with the present sample (...)."""
+    M, size = present.M, present.sizes[found.used.shape[-1] :]
+    a = (np.swapaxes(M, -1, -2) @ found.whitened[..., None])[..., 0]
+    b = np.einsum("...ij,...ij->...j", M, found.inverse @ M)
+    known = b * size**2
+    evidence = a**2 * size**2 / (1 + known) - np.log1p(known) - present.handicap
+    return np.asarray(np.max(evidence, axis=-1, initial=-np.inf))
+
+
+def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array:
+    """Whether the isolated sensor (...) has more evidence by the windows than by the sample: the filter has absorbed it."""
+    at = sensor[..., None]
+    with np.errstate(invalid="ignore"):  # -inf - -inf of a sensor that is not used
+        more = np.take_along_axis(evidence.sensor - evidence.one_sample, at, axis=-1)[..., 0] > ABSORBED
+    return np.asarray(np.take_along_axis(isolated, at, axis=-1)[..., 0] & more)
+
+
+def led_by(led: Array, leads: Array, fault: Array) -> Array:
+    """Samples in a row in which a sensor leads (..., N), with the sign of its fault, so far `led`."""
+    sign = np.where(fault < 0, -1.0, 1.0)
+    return np.where(leads, np.where(led * sign > 0, led + sign, sign), 0.0)
+
+
+class Accepted(NamedTuple):
+    """What the windows accept: the sensor and the process hypothesis with the most evidence (...), and whether they are."""
+
+    sensor: Array
+    is_sensor: Array
+    process: Array
+    is_process: Array
+
+
+def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
+    """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
+    sensor = np.argmax(evidence.sensor, axis=-1)
+    of_sensor, statistic = (
+        np.take_along_axis(v, sensor[..., None], -1)[..., 0] for v in (evidence.sensor, evidence.statistic_s)
+    )
+    is_sensor = where & (statistic > limits.window) & (of_sensor - evidence.best_process > limits.sensor_margin)
+    process = np.argmax(evidence.process, axis=-1)
+    of_process, statistic = (
+        np.take_along_axis(v, process[..., None], -1)[..., 0] for v in (evidence.process, evidence.statistic_p)
+    )
+    lead = of_process - np.max(evidence.of_sensors, axis=-1)
+    is_process = where & (statistic > limits.process) & (lead > limits.process_margin)
+    return Accepted(sensor, is_sensor, process, is_process)
+
+
+def suspects(evidence: Evidence, undecided: Array, margin: float) -> Array:
+    """The hypotheses (..., N + P) within the margin of the best, where an alarm is undecided (...)."""
+    every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
+    top = np.max(every, axis=-1, keepdims=True)
+    return np.asarray(undecided[..., None] & (every > top - margin))

@@ -1,0 +1,43 @@
+"""A test for readings that are too quiet: frozen, or with less noise than the sensor has.
+
+Half the squared difference of two successive readings over the variance of the noise is at least chi-square distributed with 1
+degree of freedom, more where the measured variable changes. The sum over pairs that share no reading is therefore below the
+lower quantile of the chi-square distribution with at most its probability. A constant reading has the sum 0.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+Array = NDArray[Any]
+
+PAIRS = 8  # with which a sum has a lower quantile well above that of a frozen, rounded reading
+
+
+class Pairs(NamedTuple):
+    """The first reading of a pair (..., N), NaN for none, and the squares of the last pairs (..., PAIRS, N), inf for none."""
+
+    first: Array
+    squares: Array
+
+
+def no_pairs(batch: tuple[int, ...], sensors: int) -> Pairs:
+    """Return the memory before the first readings."""
+    return Pairs(np.full((*batch, sensors), np.nan), np.full((*batch, PAIRS, sensors), np.inf))
+
+
+def paired(now: Pairs, y: Array, sigma: Array) -> Pairs:
+    """Add the readings y (..., N), NaN where missing; sigma (N,) of their noise."""
+    square = (y - now.first) ** 2 / (2 * sigma**2)
+    complete = np.isfinite(square)
+    squares = np.concatenate([square[..., None, :], now.squares[..., :-1, :]], axis=-2)
+    return Pairs(np.where(complete, np.nan, y), np.where(complete[..., None, :], squares, now.squares))
+
+
+def too_quiet(now: Pairs, false_alarm: float) -> Array:
+    """Whether the pairs of each sensor are too quiet (..., N), with at most that probability for one with its noise."""
+    return np.asarray(np.sum(now.squares, axis=-2) < chi2.ppf(false_alarm, PAIRS))

@@ -1,0 +1,315 @@
+"""Detector: leave-one-out bank on the augmented plant, where faults of sensors compete with differences of the plant.
+
+The central filter estimates what the plant declares as unknown (`core.augment`). On its innovations the hypotheses of
+`hypotheses` compete; `competition` decides between sensor, process and "cannot tell".
+
+- A sensor is isolated by the present sample, or by the windows, where it explains the readings better than any difference of
+  the plant, by a margin. What it has done to the estimate is removed.
+- A process hypothesis is accepted in the same way. The estimate is moved to it, with its uncertainty, the windows restart, and
+  sensors that were isolated in the recent past are used again: the diagnosis of sensors continues. While the hypothesis stands
+  a sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples in a row.
+- Otherwise an alarm is undecided, and its suspects are reported.
+- A sensor whose readings are too quiet is isolated, too (`quiet`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from fusion_sfdia.core.arguments import number, whole
+from fusion_sfdia.core.batch_detector import TimeStep
+from fusion_sfdia.core.detector import Decision, ProcessHypothesis
+from fusion_sfdia.core.exclusion import Exclusion, none_excluded, restored
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
+from fusion_sfdia.filters.gaussian import gain
+from fusion_sfdia.kalman_banks.competition import (
+    Accepted,
+    Evidence,
+    Limits,
+    Present,
+    absorbed_before,
+    accepted,
+    eliminated,
+    gathered,
+    led_by,
+    one_sample_evidence,
+    suspects,
+)
+from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
+from fusion_sfdia.kalman_banks.hypotheses import SLOW_STEP, Hypotheses
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
+from fusion_sfdia.kalman_banks.likelihood_window import (
+    Best,
+    Grid,
+    Weighed,
+    Window,
+    absorbed,
+    best_onset,
+    empty,
+    shifted,
+    updated,
+    weigh,
+)
+from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
+from fusion_sfdia.kalman_banks.standing import DOUBT, Standing, added_noise, followed, nothing, sizes, with_accepted
+
+Array = NDArray[Any]
+
+QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
+PERSISTENT = 3  # samples in a row that isolate a sensor soon after the process has changed
+
+
+class RobustMemory(NamedTuple):
+    """Estimate of the augmented state, sensors left out and for how many samples (..., N), windows, accepted hypotheses.
+
+    led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
+    """
+
+    estimate: GaussianState
+    exclusion: Exclusion
+    out_for: Array
+    led: Array
+    recent: Window
+    slow: Window
+    standing: Standing
+    pairs: Pairs
+
+
+class Tested(NamedTuple):
+    """Both windows with the present readings, and their best onsets."""
+
+    recent: Weighed
+    slow: Weighed
+    best_recent: Best
+    best_slow: Best
+
+
+@dataclass(frozen=True)
+class RobustBank(ExcludingBank):
+    """Leave-one-out bank with competing hypotheses about sensors and process.
+
+    window, memory: samples in which the onset of a bias, jump or error of an equation, and that of a ramp or drift, is sought.
+    false_alarm: probability that an alarm of the sensors begins in one step, as of `LeaveOneOutBank`: a tenth for readings that
+    are too quiet, the rest in equal parts for the sample and the windows; process_false_alarm: the same of the process
+    hypotheses. By Bonferroni both are bounds, for a correct model. sensor_margin, process_margin: by how
+    much the evidence (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process, and the reverse.
+    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows).
+    accommodate: leave out isolated sensors and follow the process; without it the statistics are those of one filter, for
+    sweeps over the threshold.
+    """
+
+    window: int = 32
+    memory: int = 256
+    false_alarm: float = 1e-3
+    process_false_alarm: float = 1e-5
+    sensor_margin: float = 3.0
+    process_margin: float = 10.0
+    max_faults: int | None = None
+    accommodate: bool = True
+    estimator: Extended = field(default_factory=Extended)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        whole("window, in samples,", self.window, least=4)
+        whole("memory, in samples,", self.memory, least=4 * SLOW_STEP)
+        for what in ("sensor_margin", "process_margin"):
+            if not 0 <= number(what, getattr(self, what)) < np.inf:
+                raise ValueError(f"{what} is {getattr(self, what)}; expected a finite number of at least 0")
+
+    @cached_property
+    def _hypotheses(self) -> Hypotheses:
+        return Hypotheses(self.plant)
+
+    @property
+    def model(self) -> Plant:
+        """The augmented plant, which the filter estimates."""
+        return self._hypotheses.model
+
+    @property
+    def process_hypotheses(self) -> tuple[ProcessHypothesis, ...]:
+        """What of the plant may differ from the model, in the order of `Decision.process`."""
+        return self._hypotheses.process
+
+    @cached_property
+    def _grids(self) -> tuple[Grid, Grid]:
+        return Grid.spanning(self.window), Grid.spanning(self.memory, SLOW_STEP)
+
+    @cached_property
+    def _limits(self) -> Limits:
+        """Quantiles of normal variables, shared by sensors or process hypotheses and by the onsets."""
+        scale, onsets = self.threshold_scale, sum(grid.slots for grid in self._grids)
+        half = (1 - QUIET_SHARE) * self.false_alarm / 2 / len(self.plant.sensors)
+        shares = (half, half / onsets, self.process_false_alarm / len(self.process_hypotheses) / onsets)
+        one, window, process = (float((scale * ndtri(s / 2)) ** 2) for s in shares)
+        return Limits(one, window, process, np.array(self.sensor_margin), self.process_margin)
+
+    def _start(self, batch: tuple[int, ...], seed: int) -> RobustMemory:
+        of, count = self._hypotheses, len(self.plant.sensors)
+        n, p, states = len(self.plant.states), of.added, len(of.model.states)
+        near, far = self._grids
+        return RobustMemory(
+            self.estimator.start(of.model, batch, step_stream(seed, 0)),
+            none_excluded(batch, count),
+            np.zeros((*batch, count)),
+            np.zeros((*batch, count)),
+            empty(batch, near, states, count + p + n),
+            empty(batch, far, states, count + p),
+            nothing(batch, p, n),
+            no_pairs(batch, count),
+        )
+
+    def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
+        estimate, exclusion, out_for, led, *windows, standing, pairs = memory
+        of, est, count = self._hypotheses, self.estimator, y.shape[-1]
+        changing = np.any(standing.accepted, axis=-1) | (standing.since <= self.window)
+        limits = self._limits._replace(sensor_margin=np.where(changing, self.process_margin, self.sensor_margin))
+        handicap = np.where(changing[..., None], 0.0, of.handicap)
+        prior = self._predict(estimate, standing, now, u)
+        joint = est.joint(of.model, prior, now.t, u)
+        usable = np.isfinite(y) & ~exclusion.out
+        everything = statistics(joint, y, usable)
+        tested = self._test(windows, prior, now, u, everything)
+        evidence = gathered(
+            tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), handicap
+        )
+        room = self.most_faults - np.sum(exclusion.out, axis=-1)
+        present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, handicap)
+        found, isolated, capped = eliminated(everything, evidence, present, limits, room)
+        by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
+        capped = capped | (by_windows.is_sensor & (room < 1))
+        sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
+        isolated = isolated | (sensor[..., None] & _only(by_windows.sensor, count))
+        led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
+        isolated = isolated & (np.abs(led) >= np.where(standing.since <= self.window, PERSISTENT, 1)[..., None])
+        freed = absorbed_before(evidence, isolated, by_windows.sensor)
+        if self.accommodate and np.any(freed | process):
+            standing = self._stand(standing, by_windows, evidence, prior)
+            prior = _moved(prior, tested, evidence, by_windows, freed)
+            joint = est.joint(of.model, prior, now.t, u)
+        if np.any(changing) or np.any(freed | process):
+            found = statistics(joint, y, usable & ~isolated)
+        if not self.accommodate:
+            found = everything
+        x, p = posterior(joint, found)
+        restart = (np.any(isolated, axis=-1) | process) & self.accommodate
+        K = gain(joint, found.inverse)
+        recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
+
+        pairs = paired(pairs, y, self.plant.sensor_sigma)
+        quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count) & (exclusion.out | (room > 0)[..., None])
+        if self.accommodate:
+            exclusion = restored(exclusion, process[..., None] & (out_for <= self.window))
+        update = Update(x, p, prior, joint, found)
+        exclusion, decision = self._conclude(
+            now, y, u, exclusion, update, self._shown(everything, evidence, usable, isolated | quiet, capped)
+        )
+        added = slice(len(self.plant.states), None)
+        variance = np.diagonal(p, axis1=-2, axis2=-1)[..., added]
+        standing = followed(standing, x[..., added], variance)
+        memory = RobustMemory(
+            GaussianState(x, p), exclusion, np.where(exclusion.out, out_for + 1, 0.0), led, recent, slow, standing, pairs
+        )
+        undecided = decision.alarm & ~np.any(decision.isolated, axis=-1) & ~process
+        return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))
+
+    def _predict(self, estimate: GaussianState, standing: Standing, now: TimeStep, u: Array) -> Prior:
+        """The prediction of the augmented state, with process noise by errors of equations."""
+        of = self._hypotheses
+        prior = self.estimator.predict(of.model, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # draws nothing
+        x, p = prior.core
+        if (noise := added_noise(standing, of.rates, x[..., len(self.plant.states) :])) is None:
+            return prior
+        return prior._replace(core=GaussianState(x, p + noise))
+
+    def _test(self, windows: Sequence[Window], prior: Prior, now: TimeStep, u: Array, found: LeaveOneOut) -> Tested:
+        """Add the present readings to both windows."""
+        of, F = self._hypotheses, prior.tangent
+        assert F is not None
+        recent, slow = (shifted(w, grid, now.k) for w, grid in zip(windows, self._grids, strict=True))
+        H = of.model.output_jacobian_at(now.t, prior.core.x, u)
+        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]))
+        slowly = weigh(slow, F, H, found, of.slow(F, slow.age))
+        every = np.concatenate([found.used, np.ones((*found.used.shape[:-1], len(of.process)), bool)], axis=-1)
+        best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
+        return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
+
+    def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior) -> Standing:
+        """The process hypotheses that stand, with those accepted now."""
+        which = by_windows.is_process[..., None] & _only(by_windows.process, evidence.process.shape[-1])
+        z = prior.core.x[..., len(self.plant.states) :]
+        return with_accepted(standing, which, z, evidence.size_p, np.sqrt(1.0 / evidence.information_p))
+
+    def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
+        """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
+        one, window, *_ = self._limits
+        stronger = evidence.statistic_s / window > everything.chi_square / one
+        residual = np.where(stronger, evidence.size_s, everything.innovation)
+        threshold = np.sqrt(np.where(stronger, window / evidence.information_s, one * everything.variance))
+        return SensorTests(usable, isolated, residual, threshold, residual, capped, one)
+
+    def _with_process(
+        self, decision: Decision, evidence: Evidence, standing: Standing, undecided: Array, added: tuple[Array, Array]
+    ) -> Decision:
+        """The decision with the process hypotheses and the suspects; estimate and covariance of the plant's own states."""
+        n, (z, variance) = len(self.plant.states), added
+        nominal = self._hypotheses.model.x0[n:]
+        size, sd = sizes(standing, z - nominal, variance)
+        assert decision.covariance is not None
+        return replace(
+            decision,
+            estimate=decision.estimate[..., :n],
+            covariance=decision.covariance[..., :n, :n],
+            process=standing.accepted,
+            process_size=size,
+            process_sd=sd,
+            suspect=suspects(evidence, undecided, self.process_margin),
+            probability=evidence.probability,
+        )
+
+
+def _only(index: Array, count: int) -> Array:
+    """One-hot (..., count) of an index (...)."""
+    return np.asarray(np.arange(count) == index[..., None])
+
+
+def _moved(prior: Prior, tested: Tested, evidence: Evidence, by_windows: Accepted, freed: Array) -> Prior:
+    """The prior without what a sensor (where `freed`) or an accepted difference of the process has done to the estimate.
+
+    Its covariance grows by that of the size; that of a difference of the process by a part of its square, too.
+    """
+    x, p = prior.core
+    count = evidence.sensor.shape[-1]
+    far_process = np.zeros(evidence.process.shape, bool)
+    far_process[..., : evidence.slow_process.shape[-1]] = evidence.slow_process
+    for index, where, far, first, doubt in (
+        (by_windows.sensor, freed, evidence.slow_sensor, 0, 0.0),
+        (by_windows.process, by_windows.is_process, far_process, count, DOUBT),
+    ):
+        if not np.any(where):
+            continue
+        slow = np.take_along_axis(far, index[..., None], axis=-1)[..., 0]
+        column = index + first
+        near = absorbed(tested.recent, tested.best_recent, column)
+        size, information = (_at(v, column) for v in (tested.best_recent.size, tested.best_recent.information))
+        if np.any(slow):
+            column = np.minimum(column, tested.best_slow.size.shape[-1] - 1)
+            near = np.where(slow[..., None], absorbed(tested.slow, tested.best_slow, column), near)
+            size = np.where(slow, _at(tested.best_slow.size, column), size)
+            information = np.where(slow, _at(tested.best_slow.information, column), information)
+        moved = np.where(where[..., None], near, 0.0)
+        x = x - moved * size[..., None]
+        p = p + moved[..., :, None] * (moved * (1.0 / information + doubt * size**2)[..., None])[..., None, :]
+    return prior._replace(core=GaussianState(x, p))
+
+
+def _at(v: Array, index: Array) -> Array:
+    """The values of v (..., q) at an index (...)."""
+    return np.asarray(np.take_along_axis(v, index[..., None], axis=-1)[..., 0])

@@ -1,0 +1,72 @@
+"""The cases beside every plant: they build, they differ from the usual truth, and a right verdict has names that exist."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from fusion_sfdia import registry
+from fusion_sfdia.comparison.protocol import SETTINGS, mismatch_cases
+from fusion_sfdia.comparison.recordings import mismatched, simulated
+from fusion_sfdia.comparison.subjects import cases_of, compared_plant, plant_of
+from fusion_sfdia.robustness.material import logged
+
+PLANTS = [name for name, entry in registry.plants().items() if entry.cases]
+STEPS, START = 12, 6  # samples
+LEAST_UNSEEN = 3
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_what_a_verdict_may_name_is_known_of_the_plant(plant: str) -> None:
+    model = registry.plant(plant)
+    known = {*(p.name for p in model.uncertainty.parameters), *(s.name for s in (*model.inputs, *model.states))}
+    for case in cases_of(compared_plant(plant)).process_faults:
+        assert case.named, f"{plant}: process fault {case.name} names nothing"
+        assert set(case.named) <= known, f"{plant}, {case.name}: unknown {set(case.named) - known}"
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_there_are_unseen_cases_which_the_comparison_leaves_out(plant: str) -> None:
+    cases = cases_of(compared_plant(plant))
+    unseen = {c.name for c in cases.mismatch if c.unseen}
+    assert len(unseen) >= LEAST_UNSEEN
+    tried = {c.name for c in mismatch_cases(SETTINGS, cases)}
+    assert tried and not tried & unseen and tried | unseen == {c.name for c in cases.mismatch}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", PLANTS)
+def test_every_unseen_case_changes_what_is_read(plant: str) -> None:
+    of = compared_plant(plant)
+    usual = simulated(of, STEPS, (0, 1))
+    for case in cases_of(of).mismatch:
+        assert pickle.loads(pickle.dumps(case)).name == case.name
+        other = mismatched(of, case, STEPS, (0, 1), START * plant_of(of).dt)
+        assert np.isfinite(other.y).all() and other.y.shape == usual.y.shape
+        assert np.any(other.signal != usual.signal) or np.any(other.u != usual.u), case.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", PLANTS)
+def test_a_healthy_log_is_that_of_the_plant_in_the_usual_operation(plant: str) -> None:
+    """A case that is another operation has no log of its own."""
+    of = compared_plant(plant)
+    for case in cases_of(of).mismatch:
+        make = logged(case)
+        assert (make is None) == (case.truth is None), case.name
+        if make is not None:
+            assert make().sensor_names == plant_of(of).sensor_names
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_other_operation_is_another_within_the_limits_of_the_inputs(plant: str) -> None:
+    of = compared_plant(plant)
+    model, other = plant_of(of), cases_of(of).other_operation
+    assert other is not None
+    times = np.arange(200) * model.dt
+    u, usual = (np.array([f(t) for t in times]) for f in (lambda t: other(t, 60 * model.dt), model.input_at))
+    assert np.any(np.abs(u - usual) > 1e-3 * np.abs(usual).max(axis=0))
+    for j, signal in enumerate(model.inputs):
+        assert np.all((u[:, j] >= signal.low) & (u[:, j] <= signal.high)), signal.name
