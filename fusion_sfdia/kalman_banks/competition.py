@@ -18,6 +18,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import Best
 Array = NDArray[Any]
 
 ABSORBED = 2.0  # evidence by which an earlier onset is preferred to the present sample
+LEAST_WEIGHT = 0.1  # of an alternative to an accepted process hypothesis
 PRIOR = 1e-3  # probability of each hypothesis before any reading
 
 
@@ -181,3 +182,13 @@ def suspects(evidence: Evidence, undecided: Array, margin: float) -> Array:
     every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
     top = np.max(every, axis=-1, keepdims=True)
     return np.asarray(undecided[..., None] & (every > top - margin))
+
+
+def alternatives(evidence: Evidence, by_windows: Accepted, margin: float) -> Array:
+    """Weights (..., P) of the process hypotheses within a margin of the one that is accepted; 0 for others and where none is.
+
+    The weight is the ratio of the probabilities, at least LEAST_WEIGHT.
+    """
+    behind = evidence.best_process[..., None] - evidence.process
+    rival = by_windows.is_process[..., None] & (behind < margin) & (behind > 0)
+    return np.where(rival, np.maximum(np.exp(-np.where(rival, behind, 0.0) / 2), LEAST_WEIGHT), 0.0)
