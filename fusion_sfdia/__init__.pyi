@@ -4,6 +4,9 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshol
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
 from fusion_sfdia.checks.detectors import check_detector as check_detector
 from fusion_sfdia.checks.plants import check_plant as check_plant
+from fusion_sfdia.commissioning.commission import Commissioning as Commissioning
+from fusion_sfdia.commissioning.commission import commission as commission
+from fusion_sfdia.commissioning.commission import commissioned as commissioned
 from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
 from fusion_sfdia.comparison.compare import compare as compare
 from fusion_sfdia.core.augment import augment as augment

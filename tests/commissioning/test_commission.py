@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from fusion_sfdia.commissioning.commission import commission, commissioning
+from fusion_sfdia.commissioning.commission import commission, commissioned
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, secants
@@ -43,7 +44,7 @@ def biased(log: Log, sensor: int, size: float, since: int) -> Log:
 
 @pytest.mark.slow
 def test_a_declared_parameter_moves_to_its_true_value() -> None:
-    found = commissioning(declared(), healthy(0.95), false_alarm=RATE)
+    found = commissioned(declared(), healthy(0.95), false_alarm=RATE)
     assert found.parameters is not None
     assert abs(found.parameters.value[0] - 0.95) < 4 * found.parameters.sd[0]
     assert found.parameters.sd[0] < 0.05 * OUTLET.sd
@@ -56,9 +57,10 @@ def test_a_declared_parameter_moves_to_its_true_value() -> None:
 
 @pytest.mark.slow
 def test_a_mismatch_of_which_nothing_is_declared_is_learnt() -> None:
-    found = commissioning(bare(), healthy(0.95), false_alarm=RATE)
+    found = commissioned(bare(), healthy(0.95), false_alarm=RATE)
     assert "disturbances" in found.kept
     assert found.before.nis > 5
+    assert pickle.loads(pickle.dumps(found.plant)).x0.tolist() == found.plant.x0.tolist()
     assert abs(found.after.nis - 1) < 4 * np.sqrt(2 / (2 * 130 * 4))
 
 
@@ -73,7 +75,7 @@ def test_a_log_with_a_biased_sensor_is_refused(since: int) -> None:
 @pytest.mark.slow
 def test_a_log_of_the_model_itself_changes_nothing() -> None:
     recording = simulate(two_tanks(), 160, range(50, 52), truth="model", process_noise=True)
-    found = commissioning(declared(), recording, false_alarm=RATE)
+    found = commissioned(declared(), recording, false_alarm=RATE)
     assert found.kept in ((), ("parameters",))
     if found.parameters is not None:
         assert abs(found.parameters.value[0] - 1.0) < 4 * found.parameters.sd[0]
