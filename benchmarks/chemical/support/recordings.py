@@ -96,8 +96,8 @@ def identified(folder: str) -> Plant:
 
     By the likelihood of the first half of d00_te, of orders 12, 16, 20, 24 and ridge 1, 5, 20, 60: with all valves as inputs
     the best stable model has order 20 and ridge 5 (with ridge 1 it is unstable): a log-likelihood of -27.7 a sample.
-    With seven valves it is -27.6, with none and ridge 1 -26.9: the valves predict little. They are inputs nevertheless, since an error
-    of an input is a process hypothesis with a name.
+    With seven valves it is -27.6, with none and ridge 1 -26.9: the valves predict little. They are inputs
+    nevertheless, since an error of an input is a process hypothesis with a name.
     """
     healthy = recording(folder, "d00")
     plant = identify(
