@@ -101,14 +101,12 @@ class Present(NamedTuple):
     handicap: Array
 
 
-def eliminated(
-    found: LeaveOneOut, evidence: Evidence, present: Present, limits: Limits, room: Array
-) -> tuple[LeaveOneOut, Array, Array]:
+def eliminated(found: LeaveOneOut, evidence: Evidence, present: Present, limits: Limits, room: Array) -> tuple[Array, Array]:
     """Eliminate the worst sensor of the present sample while it explains the sample better than the process does.
 
     The first sensor competes by all its evidence, each further one by the readings that are left, with process hypotheses that
-    begin now. room (...): sensors that may still be left out. Return the statistics of the other sensors, the eliminated
-    sensors (..., N), and whether another is above the limit (...).
+    begin now. room (...): sensors that may still be left out. Return the eliminated sensors (..., N), and whether another is
+    above the limit (...).
     """
     count = found.used.shape[-1]
     isolated = np.zeros(found.used.shape, bool)
@@ -121,7 +119,7 @@ def eliminated(
         free = np.sum(isolated, axis=-1) < room
         where = above & free & (lead > limits.sensor_margin)
         if not np.any(where):
-            return found, isolated, above & ~free
+            return isolated, above & ~free
         isolated = isolated | (where[..., None] & (np.arange(count) == worst[..., None]))
         found = eliminate(found, worst, where)
         of_sensors = np.where(where[..., None], one_sample_evidence(found, present.sizes[:count]), of_sensors)

@@ -172,7 +172,7 @@ class RobustBank(ExcludingBank):
         )
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
         present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, handicap)
-        found, isolated, capped = eliminated(everything, evidence, present, limits, room)
+        isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
@@ -182,20 +182,16 @@ class RobustBank(ExcludingBank):
         reopened = np.any(isolated, axis=-1) & (standing.since <= self.window) & ~standing.reopened & self.accommodate
         isolated = isolated & ~reopened[..., None]
         freed = absorbed_before(evidence, isolated, by_windows.sensor)
-        if self.accommodate and np.any(freed | process):
-            standing = self._stand(standing, by_windows, evidence, prior)
+        if self.accommodate and np.any(freed | process | reopened):
+            standing = self._stand(standing, by_windows, evidence, prior, reopened)
             rivals = alternatives(evidence, by_windows, self.process_margin)
             prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
+            prior = widened(prior, reopened, PARAMETER_SIZE * of.sd)
             joint = est.joint(of.model, prior, now.t, u)
-        if np.any(reopened):
-            standing, prior = (
-                standing._replace(reopened=standing.reopened | reopened),
-                widened(prior, reopened, PARAMETER_SIZE * self._hypotheses.sd),
-            )
-            joint = est.joint(of.model, prior, now.t, u)
-        if np.any(changing) or np.any(freed | process):
             found = statistics(joint, y, usable & ~isolated)
-        if not self.accommodate:
+        elif self.accommodate and np.any(isolated):
+            found = statistics(joint, y, usable & ~isolated)
+        else:
             found = everything
         x, p = posterior(joint, found)
         restart = (np.any(isolated, axis=-1) | process | reopened) & self.accommodate
@@ -240,12 +236,14 @@ class RobustBank(ExcludingBank):
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
 
-    def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior) -> Standing:
-        """The process hypotheses that stand, with those accepted now."""
+    def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior, reopened: Array) -> Standing:
+        """The process hypotheses that stand, with those accepted now and their rivals."""
         which = by_windows.is_process[..., None] & _only(by_windows.process, evidence.process.shape[-1])
         z = prior.core.x[..., len(self.plant.states) :]
         rivals = alternatives(evidence, by_windows, self.process_margin) > 0
-        return with_accepted(standing, which, rivals, z, evidence.size_p, np.sqrt(1.0 / evidence.information_p))
+        sd = np.sqrt(1.0 / evidence.information_p)
+        standing = with_accepted(standing, which, rivals, z, evidence.size_p, sd)
+        return standing._replace(reopened=standing.reopened | reopened)
 
     def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
         """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
