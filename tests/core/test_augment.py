@@ -14,6 +14,7 @@ from toy_plants import chain
 
 from fusion_sfdia import registry
 from fusion_sfdia.core.augment import augment
+from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.detector import NotApplicableError, run
 from fusion_sfdia.core.equation import difference_jacobian
 from fusion_sfdia.core.linear import linear_plant
@@ -137,8 +138,25 @@ def test_jacobians_of_a_nonlinear_plant_are_derivatives_at_the_parameters_of_the
 def test_frozen_states_have_no_variance_but_their_scale() -> None:
     larger = augment(two_tanks())
     leak = [s.name for s in larger.states].index("leak")
-    assert larger.initial_cov[leak] == larger.process_cov[leak] == 0.0
+    assert not diagonal(larger.initial_cov)[leak] and not larger.process_cov[leak]
     assert larger.state_scale[leak] == pytest.approx(0.05 * INFLOW)
+
+
+def test_a_plant_at_rest_starts_where_its_parameters_put_it() -> None:
+    """By hand, level_1 = ((inflow + delta) / outlet_1)^2 = 1 m: it falls by 2 sd / outlet, and rises by 2 sd / inflow."""
+    plant = two_tanks()
+    assert plant.uncertainty.at_rest
+    at_rest, free = augment(plant), augment(replace(plant, uncertainty=replace(plant.uncertainty, at_rest=False)))
+    name = [s.name for s in at_rest.states].index
+    by_outlet, by_inflow = -2 / 6e-4, 2 / INFLOW
+    outlet, inflow = (3e-5) ** 2, (0.01 * INFLOW) ** 2
+    cov, own = at_rest.initial_cov, diagonal(free.initial_cov)
+    # I - F is conditioned as the time constant over the step, 33, and F is exact to rounding of some hundred operations
+    close = rounding(40.0, 400)
+    assert cov[0, name("outlet_1")] == pytest.approx(by_outlet * outlet, rel=close)
+    assert cov[0, name("error of inflow")] == pytest.approx(by_inflow * inflow, rel=close)
+    assert cov[0, 0] - own[0] == pytest.approx(by_outlet**2 * outlet + by_inflow**2 * inflow, rel=close)
+    np.testing.assert_allclose(np.diagonal(cov)[2:], own[2:], rtol=4 * EPS)
 
 
 def test_considered_states_are_those_of_this_treatment_and_those_named() -> None:
