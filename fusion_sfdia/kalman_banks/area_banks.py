@@ -102,10 +102,9 @@ class RobustAreas:
         count = len(self.areas.network.topology.names)
         rest = np.zeros(2 * count), np.zeros(count), np.zeros(count)
         found = [AreaBank(g.plant, usual=self.areas.inputs(g, *rest), **self.settings) for g in self.areas.groups]
-        sensors, process = (
-            sum(len(g.areas) * len(members(b)) for g, b in zip(self.areas.groups, found, strict=True))
-            for members in (lambda b: b.plant.sensors, lambda b: b.process_hypotheses)
-        )
+        each = list(zip(self.areas.groups, found, strict=True))
+        sensors = sum(len(g.areas) * len(b.plant.sensors) for g, b in each)
+        process = sum(len(g.areas) * len(b.process_hypotheses) for g, b in each)
         return tuple(
             replace(
                 b,

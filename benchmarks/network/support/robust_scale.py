@@ -59,8 +59,8 @@ def growth(found: dict[int, Arrays]) -> str:
     of_model = float(found[largest]["model"][0])
     return " ".join(
         [
-            f"A step of the robust banks of {largest} areas takes {1e3 * step[largest]:.3g} ms of processor "
-            f"time, {1e6 * step[largest] / largest:.3g} us an area and {step[largest] / of_model:.2g} times as long as one of the model.",
+            f"A step of the robust banks of {largest} areas takes {1e3 * step[largest]:.3g} ms of processor time, "
+            f"{1e6 * step[largest] / largest:.3g} us an area, {step[largest] / of_model:.2g} times a step of the model.",
             *([f"It grows with the power {', '.join(exponents)}: 1 is linear."] if exponents else []),
         ]
     )
