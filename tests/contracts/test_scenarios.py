@@ -22,7 +22,13 @@ NAMES = [name for name in SCENARIOS if name not in ("comparison", "robustness")]
 PLANTS = {
     "pipeline": "gas-pipeline", "engine": "marine-engine", "network": "power-network", "chemical": "tennessee-eastman",
 }  # fmt: skip
-VARIANTS = {"ekf", "ukf", "enkf", "chebyshev:corrected"}  # in rows, but not in `list detectors`: single filters, a mode
+VARIANTS = {
+    "ekf",
+    "ukf",
+    "enkf",
+    "chebyshev:corrected",
+    "robust-glr:areas",
+}  # in rows, but not in `list detectors`: filters, modes
 TIMED = ("network/scale",)  # measures time, which no second run repeats
 
 pytestmark = pytest.mark.slow
