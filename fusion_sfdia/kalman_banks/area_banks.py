@@ -39,7 +39,7 @@ ERROR_OUTSIDE = 2  # position of the standard deviation of the power from outsid
 class AreaBank(RobustBank):
     """`RobustBank` on M areas of one degree, the last axis of the batch; usual (M, m): their inputs at rest."""
 
-    usual: Array = field(default_factory=lambda: np.empty(0), kw_only=True)
+    usual: Array = field(kw_only=True)
 
     @cached_property
     def _hypotheses(self) -> Hypotheses:
