@@ -70,11 +70,11 @@ def with_alternatives(prior: Prior, tested: Tested, weight: Array) -> Prior:
 
 
 def widened(prior: Prior, where: Array, sd: Array) -> Prior:
-    """The prior where (...) the augmented states may have changed, with standard deviations sd (p,)."""
+    """The prior with the augmented states `where` (..., p) changed, too, with standard deviations sd (p,)."""
     x, p = prior.core
     wider = p.copy()
     added = np.einsum("...ii->...i", wider)[..., x.shape[-1] - sd.size :]
-    added += np.where(where[..., None], sd**2, 0.0)
+    added += np.where(where, sd**2, 0.0)
     return prior._replace(core=GaussianState(x, wider))
 
 

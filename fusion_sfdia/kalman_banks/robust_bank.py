@@ -186,7 +186,8 @@ class RobustBank(ExcludingBank):
             standing = self._stand(standing, by_windows, evidence, prior, reopened)
             rivals = alternatives(evidence, by_windows, self.process_margin)
             prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
-            prior = widened(prior, reopened, PARAMETER_SIZE * of.sd)
+            likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
+            prior = widened(prior, likely, PARAMETER_SIZE * of.sd)
             joint = est.joint(of.model, prior, now.t, u)
             found = statistics(joint, y, usable & ~isolated)
         elif self.accommodate and np.any(isolated):
