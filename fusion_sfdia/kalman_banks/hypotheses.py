@@ -80,6 +80,11 @@ class Hypotheses:
         return len(self.model.states) - len(self.plant.states)
 
     @cached_property
+    def still(self) -> int:
+        """How many of the last states keep their value in a step: all augmented ones, without disturbances."""
+        return 0 if self.plant.uncertainty.disturbances else self.added
+
+    @cached_property
     def sd(self) -> Array:
         """Prior standard deviation of the augmented states (p,)."""
         return np.array([s.initial_sigma for s in self.model.states[len(self.plant.states) :]])

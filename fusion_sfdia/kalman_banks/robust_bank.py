@@ -171,7 +171,7 @@ class RobustBank(ExcludingBank):
             tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), handicap
         )
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
-        present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, handicap)
+        present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
         isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
@@ -230,8 +230,8 @@ class RobustBank(ExcludingBank):
         assert F is not None
         recent, slow = (shifted(w, grid, now.k) for w, grid in zip(windows, self._grids, strict=True))
         H = of.model.output_jacobian_at(now.t, prior.core.x, u)
-        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]))
-        slowly = weigh(slow, F, H, found, of.slow(F, slow.age))
+        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]), of.still)
+        slowly = weigh(slow, F, H, found, of.slow(F, slow.age), of.still)
         every = np.concatenate([found.used, np.ones((*found.used.shape[:-1], len(of.process)), bool)], axis=-1)
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
