@@ -116,7 +116,7 @@ class Hypotheses:
 
     def slow_sizes(self, age: Array) -> Array:
         """The same in the far past, per sample, for onsets of that age (..., L): (..., L, N + p)."""
-        by_now = np.concatenate([SENSOR_SIZE * self.plant.sensor_sigma, PARAMETER_SIZE * self.sd])
+        by_now = self.recent_sizes[: len(self.plant.sensors) + self.added]
         return np.asarray(by_now / np.maximum(age, 1.0)[..., None])
 
     def recent(self, tangent: Array, slots: int) -> Effect:
