@@ -138,7 +138,9 @@ def shifted(window: Window, grid: Grid, step: int) -> Window:
     return Window(eta, a, b, age + 1)
 
 
-def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut, effect: Effect, still: int = 0) -> Weighed:
+def weigh(
+    window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut, effect: Effect, still: int = 0
+) -> Weighed:
     """Add the present innovations; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use.
 
     window: after `shifted`. still: that many last rows of F are those of the identity. With S^-1 = U U',
@@ -150,10 +152,16 @@ def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOn
     readout = _read(output_jacobian)
     half = np.swapaxes(found.half, -1, -2).astype(kind)
     M = (half @ -readout).astype(kind)[..., None, :, :] @ eta[..., : readout.shape[-1], :]  # U' M
-    M[..., : half.shape[-1]] += half[..., None, :, :] * effect.readings[..., None, None].astype(kind)
+    M[..., : half.shape[-1]] += _direct(half, effect.readings)
     a = window.a + (found.scores.astype(kind)[..., None, None, :] @ M)[..., 0, :]
     b = window.b + np.einsum("...ij,...ij->...j", M, M)
     return Weighed(Window(eta, a, b, window.age), readout, effect.readings)
+
+
+def _direct(weights: Array, readings: Array) -> Array:
+    """What D adds to the readings, weighted (..., k, N): (..., L, k, N), or (..., 1, k, N) where D = e_i for all onsets."""
+    weights = weights[..., None, :, :]
+    return weights if np.all(readings == 1) else weights * readings[..., None, None].astype(weights.dtype)
 
 
 def _read(output_jacobian: Array) -> Array:
@@ -172,7 +180,7 @@ def _predicted(window: Window, tangent: Array, effect: Effect, still: int) -> Ar
         eta = tangent[..., None, :, :] @ window.eta
     if effect.state is None:
         return eta
-    change = effect.state[..., None, :, :]
+    change = effect.state.astype(eta.dtype, copy=False)[..., None, :, :]
     moved = eta[..., eta.shape[-1] - change.shape[-1] :]
     once = 0 if effect.once is None else int(np.sum(effect.once))
     moved[..., once:] -= change[..., once:]
@@ -230,10 +238,9 @@ def updated(weighed: Weighed, gain: Array, restart: Array) -> Window:
     """
     (before, a, b, age), readout, readings = weighed
     kind, read = before.dtype, readout.shape[-1]
-    K = gain.astype(kind, copy=False)[..., None, :, :]
     eta = (gain @ -readout).astype(kind)[..., None, :, :] @ before[..., :read, :]  # K M = K D - K H eta
     eta += before
-    eta[..., : K.shape[-1]] += K * readings[..., None, None].astype(kind)
+    eta[..., : gain.shape[-1]] += _direct(gain.astype(kind, copy=False), readings)
     if not np.any(restart):
         return Window(eta, a, b, age)
     keep = ~restart[..., None]
