@@ -137,8 +137,8 @@ class Joint(NamedTuple):
     """The joint Gaussian of state and readings before the readings are used.
 
     x (..., n), P (..., n, n): the state. y (..., N), S (..., N, N): the readings, S with their noise R. C (..., n, N):
-    covariance of state and readings. considered (k,): positions of states that no update changes, see `consider`. H (..., N, n):
-    Jacobian of the readings at x where the filter has used it.
+    covariance of state and readings. considered (k,): positions of states that no update changes, see `consider`.
+    H (..., N, n): Jacobian of the readings at x; None of a filter without it.
     """
 
     x: Array

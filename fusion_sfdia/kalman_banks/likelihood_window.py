@@ -35,7 +35,7 @@ class Grid(NamedTuple):
     finest: int = 1
 
     @classmethod
-    def spanning(cls, samples: int, finest: int = 1, latest: int = 4) -> Grid:
+    def spanning(cls, samples: int, finest: int = 1, latest: int = 2) -> Grid:
         """Onsets up to that many samples ago, at steps that grow with their distance: latest / 2 for each doubling."""
         return cls(latest, max(1, int(np.ceil(np.log2(samples / (latest * finest)))) + 1), finest)
 
@@ -97,7 +97,7 @@ class Weighed(NamedTuple):
     readings: Array
 
     @property
-    def M(self) -> Array:
+    def M(self) -> Array:  # noqa: N802, the symbol of the equations
         """The change of the innovation (..., L, N, q)."""
         return self.changes(slice(None), 0)
 
@@ -132,7 +132,7 @@ def shifted(window: Window, grid: Grid, step: int) -> Window:
     eta, a, b, age = window
     places = grid.moves(step)
     if places is not None:
-        eta, a, b, age = (np.take(v, [0, *places], axis) for v, axis in zip(window, (-3, -2, -2, -1), strict=True))
+        eta, a, b, age = (np.asarray(np.take(v, [0, *places], axis)) for v, axis in zip(window, (-3, -2, -2, -1), strict=True))
         for new in (eta[..., :1, :, :], a[..., :1, :], b[..., :1, :], age[..., :1]):
             new[...] = 0.0
     return Window(eta, a, b, age + 1)
@@ -201,15 +201,11 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
     a, b = weighed.window.a[..., first:, :], weighed.window.b[..., first:, :]
     spread = np.square(size) if np.ndim(size) == 1 else np.square(size[..., first:, :])
     known = usable[..., None, :] & (b * spread > LEAST_INFORMATION)
-    found = np.where(known, a, 0.0)
+    slot = np.argmax(np.where(known, a, 0.0) ** 2 / np.where(known, b, 1.0), axis=-2)
+    a, b, expected, known = (_at(v, slot) for v in (a, b, b * spread, known))
     information = np.where(known, b, 1.0)
-    slot = np.argmax(found * found / information, axis=-2)
-    if np.ndim(size) > 1:
-        spread = _at(spread, slot)
-    known, found, information, b = (_at(v, slot) for v in (known, found, information, b))
-    size = found / information
+    size = np.where(known, a, 0.0) / information
     statistic = size**2 * information
-    expected = b * spread
     evidence = np.where(known, statistic * (expected / (1 + expected)) - np.log1p(expected), -np.inf)
     return Best(statistic, size, information, evidence, slot + first)
 
