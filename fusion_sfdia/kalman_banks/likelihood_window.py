@@ -123,7 +123,7 @@ class Best(NamedTuple):
 def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type = np.float64) -> Window:
     """Return the window before the first readings; kind: of the numbers in which eta and M are computed."""
     sums = (*batch, grid.slots, hypotheses)
-    eta = np.zeros((*batch, grid.slots, states, hypotheses), kind)
+    eta: Array = np.zeros((*batch, grid.slots, states, hypotheses), kind)
     return Window(eta, np.zeros(sums), np.zeros(sums), np.zeros((*batch, grid.slots)))
 
 
