@@ -166,7 +166,8 @@ def _direct(weights: Array, readings: Array) -> Array:
 
 def _read(output_jacobian: Array) -> Array:
     """H (..., N, d) of the first d states, where no reading depends on those behind."""
-    return output_jacobian[..., : int(np.nonzero(output_jacobian)[-1].max(initial=0)) + 1]
+    H = output_jacobian.reshape(-1, output_jacobian.shape[-1])
+    return output_jacobian[..., : int(np.flatnonzero(H.any(axis=0)).max(initial=0)) + 1]
 
 
 def _predicted(window: Window, tangent: Array, effect: Effect, still: int) -> Array:
