@@ -35,6 +35,8 @@ def none_excluded(batch: tuple[int, ...], sensors: int) -> Exclusion:
 
 def exclude(now: Exclusion, faulty: Array, size: Array) -> Exclusion:
     """Leave out the sensors for which `faulty` (..., N) holds, with a first estimate of size."""
+    if not np.any(faulty):
+        return now
     return Exclusion(
         now.out | faulty,
         np.where(faulty, size, now.size),
@@ -46,6 +48,8 @@ def exclude(now: Exclusion, faulty: Array, size: Array) -> Exclusion:
 
 def restored(now: Exclusion, where: Array) -> Exclusion:
     """Use the sensors `where` (..., N) holds again, as if they had not been left out."""
+    if not np.any(where):
+        return now
     return Exclusion(now.out & ~where, *(np.where(where, 0.0, v) for v in now[1:]))
 
 
@@ -60,6 +64,8 @@ def readmit(now: Exclusion, error: Array, variance: Array, limit: float, level: 
     the last QUIET samples were all within that limit.
     """
     seen = now.out & np.isfinite(error)
+    if not np.any(seen):
+        return now
     e = np.where(seen, error, 0.0)
     v = np.where(seen, variance, 1.0)
     assumed = np.where(now.size < 0, -1.0, 1.0) * np.maximum(np.abs(now.size), np.sqrt(v))

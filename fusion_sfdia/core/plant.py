@@ -216,7 +216,7 @@ class Plant:
     def guard(self, x: Array) -> tuple[Array, Array]:
         """Return x (..., n) moved into the limits of the states, and whether any state was moved (...)."""
         low, high = self.state_limits
-        inside = np.clip(x, low, high)
+        inside = np.minimum(np.maximum(x, low), high)
         return inside, np.any(inside != x, axis=-1)
 
     def in_units(self, units: Mapping[str, tuple[str, float]]) -> Plant:

@@ -33,4 +33,4 @@ def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array) -> Joint:
     """
     H = complex_step_jacobian(h, x) if H is None else H
     C = P @ np.swapaxes(H, -1, -2)
-    return Joint(x, P, h(x), add(symmetrise(H @ C), R), C)
+    return Joint(x, P, h(x), add(symmetrise(H @ C), R), C, H=H)

@@ -138,6 +138,7 @@ class Joint(NamedTuple):
 
     x (..., n), P (..., n, n): the state. y (..., N), S (..., N, N): the readings, S with their noise R. C (..., n, N):
     covariance of state and readings. considered (k,): positions of states that no update changes, see `consider`.
+    H (..., N, n): Jacobian of the readings at x; None of a filter without it.
     """
 
     x: Array
@@ -146,6 +147,7 @@ class Joint(NamedTuple):
     S: Array
     C: Array
     considered: Array | None = None
+    H: Array | None = None
 
 
 def gain(joint: Joint, inverse: Array) -> Array:

@@ -15,11 +15,13 @@ from fusion_sfdia.core.exclusion import Exclusion, exclude, readmit
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
-from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent
+from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared
 
 Array = NDArray[Any]
+
+UNUSED = step_stream(0, 0)  # consistent filters draw nothing
 
 
 class Update(NamedTuple):

@@ -83,6 +83,11 @@ class Hypotheses:
         return len(self.model.states) - len(self.plant.states)
 
     @cached_property
+    def still(self) -> int:
+        """How many of the last states keep their value in a step: all augmented ones, without disturbances."""
+        return 0 if self.plant.uncertainty.disturbances else self.added
+
+    @cached_property
     def sd(self) -> Array:
         """Prior standard deviation of the augmented states (p,)."""
         return np.array([s.initial_sigma for s in self.model.states[len(self.plant.states) :]])
@@ -115,7 +120,7 @@ class Hypotheses:
 
     def slow_sizes(self, age: Array) -> Array:
         """The same in the far past, per sample, for onsets of that age (..., L): (..., L, N + p)."""
-        by_now = np.concatenate([SENSOR_SIZE * self.plant.sensor_sigma, PARAMETER_SIZE * self.sd])
+        by_now = self.recent_sizes[: len(self.plant.sensors) + self.added]
         return np.asarray(by_now / np.maximum(age, 1.0)[..., None])
 
     def recent(self, tangent: Array, slots: int) -> Effect:

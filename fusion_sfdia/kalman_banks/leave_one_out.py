@@ -27,7 +27,7 @@ class LeaveOneOut(NamedTuple):
     """Leave-one-out statistics of the readings used (..., N).
 
     whitened: u, weight: w (..., N), both 0 for a reading that is not used. inverse: S^-1 (..., N, N) with zero rows and columns
-    for these readings. half: U with S^-1 = U U', None after an elimination.
+    for these readings. half: U with S^-1 = U U', scores: U' d (..., N), both None after an elimination.
     """
 
     whitened: Array
@@ -35,6 +35,7 @@ class LeaveOneOut(NamedTuple):
     inverse: Array
     used: Array
     half: Array | None
+    scores: Array | None
 
     @property
     def innovation(self) -> Array:
@@ -58,9 +59,11 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
     half = half_inverse(joint.S) if np.all(used) else half_inverse(joint.S, used)
-    s_inv = half @ np.swapaxes(half, -1, -2)
+    half_t = np.swapaxes(half, -1, -2)
+    s_inv = half @ half_t
     whitened = (s_inv @ d[..., None])[..., 0]
-    return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half)
+    scores = (half_t @ d[..., None])[..., 0]
+    return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half, scores)
 
 
 def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
@@ -77,7 +80,7 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
     keep = ~((np.arange(whitened.shape[-1]) == index) & where[..., None])
     s_inv = s_inv * keep[..., :, None] * keep[..., None, :]
     weight = np.maximum(np.diagonal(s_inv, axis1=-2, axis2=-1), 0.0)
-    return LeaveOneOut(whitened * keep, weight, s_inv, found.used & keep, None)
+    return LeaveOneOut(whitened * keep, weight, s_inv, found.used & keep, None, None)
 
 
 def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import gain
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
+from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Best,
@@ -101,7 +101,7 @@ class LeaveOneOutBank(ExcludingBank):
         estimate, exclusion, window = memory
         plant, est, t = self.plant, self.estimator, now.t
         one_limit, window_limit = self.limits
-        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
@@ -112,7 +112,8 @@ class LeaveOneOutBank(ExcludingBank):
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
             window = shifted(window, self._grid, now.k)
             effect = Effect(np.ones(self.window))
-            onsets = weigh(window, tangent, plant.output_jacobian_at(t, prior.core.x, u), everything, effect)
+            H = joint.H if joint.H is not None else plant.output_jacobian_at(t, prior.core.x, u)
+            onsets = weigh(window, tangent, H, everything, effect)
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
             stronger = best.statistic / window_limit > everything.chi_square / one_limit
             residual = np.where(stronger, best.size, residual)

@@ -35,7 +35,7 @@ class Grid(NamedTuple):
     finest: int = 1
 
     @classmethod
-    def spanning(cls, samples: int, finest: int = 1, latest: int = 4) -> Grid:
+    def spanning(cls, samples: int, finest: int = 1, latest: int = 2) -> Grid:
         """Onsets up to that many samples ago, at steps that grow with their distance: latest / 2 for each doubling."""
         return cls(latest, max(1, int(np.ceil(np.log2(samples / (latest * finest)))) + 1), finest)
 
@@ -87,10 +87,27 @@ class Effect(NamedTuple):
 
 
 class Weighed(NamedTuple):
-    """The window with the present readings, before the update; eta of the prediction, M (..., L, N, q)."""
+    """The window with the present readings, before the update; eta of the prediction.
+
+    readout (..., N, d): H of the first d states, the others are not read. readings (..., L): D, as of `Effect`.
+    """
 
     window: Window
-    M: Array
+    readout: Array
+    readings: Array
+
+    @property
+    def M(self) -> Array:  # noqa: N802, the symbol of the equations
+        """The change of the innovation (..., L, N, q)."""
+        return self.changes(slice(None), 0)
+
+    def changes(self, slots: slice, first: int) -> Array:
+        """M of the hypotheses from `first` on, with onsets in these slots."""
+        H = self.readout
+        found = -(H[..., None, :, :] @ self.window.eta[..., slots, : H.shape[-1], first:])
+        if first == 0:
+            np.einsum("...ii->...i", found[..., : H.shape[-2]])[...] += self.readings[..., slots, None]
+        return np.asarray(found)
 
 
 class Best(NamedTuple):
@@ -103,56 +120,76 @@ class Best(NamedTuple):
     slot: Array
 
 
-def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int) -> Window:
-    """Return the window before the first readings."""
+def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type = np.float64) -> Window:
+    """Return the window before the first readings; kind: of the numbers in which eta and M are computed."""
     sums = (*batch, grid.slots, hypotheses)
-    eta = np.zeros((*batch, grid.slots, states, hypotheses))
+    eta: Array = np.zeros((*batch, grid.slots, states, hypotheses), kind)
     return Window(eta, np.zeros(sums), np.zeros(sums), np.zeros((*batch, grid.slots)))
 
 
 def shifted(window: Window, grid: Grid, step: int) -> Window:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
+    eta, a, b, age = window
     places = grid.moves(step)
     if places is not None:
-        window = Window(*(_shift(v, places, axis) for v, axis in zip(window, (-3, -2, -2, -1), strict=True)))
-    return window._replace(age=window.age + 1)
+        eta, a, b, age = (np.asarray(np.take(v, [0, *places], axis)) for v, axis in zip(window, (-3, -2, -2, -1), strict=True))
+        for new in (eta[..., :1, :, :], a[..., :1, :], b[..., :1, :], age[..., :1]):
+            new[...] = 0.0
+    return Window(eta, a, b, age + 1)
 
 
-def _shift(v: Array, places: list[int], axis: int) -> Array:
-    """The slots from these places behind a new one of zeros."""
-    v = np.moveaxis(v, axis, 0)
-    moved = np.empty_like(v)
-    moved[0] = 0.0
-    np.take(v, places, axis=0, out=moved[1:])
-    return np.asarray(np.moveaxis(moved, 0, axis))
-
-
-def weigh(window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut, effect: Effect) -> Weighed:
+def weigh(
+    window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut, effect: Effect, still: int = 0
+) -> Weighed:
     """Add the present innovations; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use.
 
-    window: after `shifted`.
+    window: after `shifted`. still: that many last rows of F are those of the identity. With S^-1 = U U',
+    a = sum (U' M)' U' d and b = sum diag((U' M)' U' M).
     """
-    eta = tangent[..., None, :, :] @ window.eta
-    if effect.state is not None:
-        change = effect.state[..., None, :, :]
-        if effect.once is not None:
-            change = np.where(effect.once & (window.age[..., None, None] > 1), 0.0, change)
-        eta[..., eta.shape[-1] - change.shape[-1] :] -= change
-    M = -measured(output_jacobian, eta)
-    direct = np.einsum("...ii->...i", M[..., : found.used.shape[-1]])
-    direct += effect.readings[..., None]
-    a = window.a + (np.swapaxes(M, -1, -2) @ found.whitened[..., None, :, None])[..., 0]
-    b = window.b + np.einsum("...ij,...ij->...j", M, found.inverse[..., None, :, :] @ M)
-    return Weighed(window._replace(eta=eta, a=a, b=b), M)
+    assert found.half is not None and found.scores is not None
+    kind = window.eta.dtype
+    eta = _predicted(window, tangent.astype(kind, copy=False), effect, still)
+    readout = _read(output_jacobian)
+    half = np.swapaxes(found.half, -1, -2).astype(kind)
+    M = (half @ -readout).astype(kind)[..., None, :, :] @ eta[..., : readout.shape[-1], :]  # U' M
+    M[..., : half.shape[-1]] += _direct(half, effect.readings)
+    a = window.a + (found.scores.astype(kind)[..., None, None, :] @ M)[..., 0, :]
+    b = window.b + np.einsum("...ij,...ij->...j", M, M)
+    return Weighed(Window(eta, a, b, window.age), readout, effect.readings)
 
 
-def measured(output_jacobian: Array, eta: Array) -> Array:
-    """H eta (..., L, N, q); a copy of rows of eta where H selects states."""
-    rows = output_jacobian.reshape(-1, *output_jacobian.shape[-2:])
-    picks = np.argmax(rows[0] != 0, axis=-1)
-    if np.array_equal(rows, np.broadcast_to(np.arange(rows.shape[-1]) == picks[:, None], rows.shape)):
-        return np.asarray(np.take(eta, picks, axis=-2))
-    return np.asarray(output_jacobian[..., None, :, :] @ eta)
+def _direct(weights: Array, readings: Array) -> Array:
+    """What D adds to the readings, weighted (..., k, N): (..., L, k, N), or (..., 1, k, N) where D = e_i for all onsets."""
+    weights = weights[..., None, :, :]
+    return weights if np.all(readings == 1) else weights * readings[..., None, None].astype(weights.dtype)
+
+
+def _read(output_jacobian: Array) -> Array:
+    """H (..., N, d) of the first d states, where no reading depends on those behind."""
+    H = output_jacobian.reshape(-1, output_jacobian.shape[-1])
+    return output_jacobian[..., : int(np.flatnonzero(H.any(axis=0)).max(initial=0)) + 1]
+
+
+def _predicted(window: Window, tangent: Array, effect: Effect, still: int) -> Array:
+    """F eta - C (..., L, n, q)."""
+    moving = tangent.shape[-1] - still
+    if still:
+        eta = np.empty_like(window.eta)
+        np.matmul(tangent[..., None, :moving, :], window.eta, out=eta[..., :moving, :])
+        eta[..., moving:, :] = window.eta[..., moving:, :]
+    else:
+        eta = tangent[..., None, :, :] @ window.eta
+    if effect.state is None:
+        return eta
+    change = effect.state.astype(eta.dtype, copy=False)[..., None, :, :]
+    moved = eta[..., eta.shape[-1] - change.shape[-1] :]
+    once = 0 if effect.once is None else int(np.sum(effect.once))
+    moved[..., once:] -= change[..., once:]
+    if once:
+        fresh = window.age <= 1
+        among = fresh.shape[-1] if np.any(fresh[..., 1:]) else 1
+        moved[..., :among, :, :once] -= change[..., :once] * fresh[..., :among, None, None]
+    return eta
 
 
 def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> Best:
@@ -163,17 +200,22 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
     a^2 / (b + size^-2) - ln(1 + b size^2).
     """
     a, b = weighed.window.a[..., first:, :], weighed.window.b[..., first:, :]
-    spread = size**2 if np.ndim(size) == 1 else (size**2)[..., first:, :]
+    spread = np.square(size) if np.ndim(size) == 1 else np.square(size[..., first:, :])
     known = usable[..., None, :] & (b * spread > LEAST_INFORMATION)
+    slot = np.argmax(np.where(known, a, 0.0) ** 2 / np.where(known, b, 1.0), axis=-2)
+    a, b, expected, known = (_at(v, slot) for v in (a, b, b * spread, known))
     information = np.where(known, b, 1.0)
-    found = np.where(known, a, 0.0) / information
-    statistic = found**2 * information
-    evidence = np.where(known, statistic * (b * spread / (1 + b * spread)) - np.log1p(b * spread), -np.inf)
-    slot = np.argmax(statistic, axis=-2, keepdims=True)
-    best, size, information, evidence = (
-        np.take_along_axis(v, slot, axis=-2)[..., 0, :] for v in (statistic, found, information, evidence)
-    )
-    return Best(best, size, information, evidence, slot[..., 0, :] + first)
+    size = np.where(known, a, 0.0) / information
+    statistic = size**2 * information
+    evidence = np.where(known, statistic * (expected / (1 + expected)) - np.log1p(expected), -np.inf)
+    return Best(statistic, size, information, evidence, slot + first)
+
+
+def _at(v: Array, slot: Array) -> Array:
+    """The values of v (..., L, q) in a slot for each hypothesis (..., q)."""
+    rows = v.reshape(-1, *v.shape[-2:])
+    slots = slot.reshape(len(rows), -1)
+    return np.asarray(rows[np.arange(len(rows))[:, None], slots, np.arange(v.shape[-1])].reshape(slot.shape))
 
 
 def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:
@@ -191,10 +233,13 @@ def updated(weighed: Weighed, gain: Array, restart: Array) -> Window:
 
     restart (...): runs whose window restarts, because the readings in use, or the model, have changed.
     """
-    window, M = weighed
-    eta = window.eta + gain[..., None, :, :] @ M
+    (before, a, b, age), readout, readings = weighed
+    kind, read = before.dtype, readout.shape[-1]
+    eta = (gain @ -readout).astype(kind)[..., None, :, :] @ before[..., :read, :]  # K M = K D - K H eta
+    eta += before
+    eta[..., : gain.shape[-1]] += _direct(gain.astype(kind, copy=False), readings)
     if not np.any(restart):
-        return window._replace(eta=eta)
+        return Window(eta, a, b, age)
     keep = ~restart[..., None]
     sums = keep[..., None]
-    return Window(eta * sums[..., None], window.a * sums, window.b * sums, window.age * keep)
+    return Window(eta * sums[..., None], a * sums, b * sums, age * keep)

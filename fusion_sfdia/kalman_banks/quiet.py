@@ -7,6 +7,7 @@ lower quantile of the chi-square distribution with at most its probability. A co
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,4 +41,9 @@ def paired(now: Pairs, y: Array, sigma: Array) -> Pairs:
 
 def too_quiet(now: Pairs, false_alarm: float) -> Array:
     """Whether the pairs of each sensor are too quiet (..., N), with at most that probability for one with its noise."""
-    return np.asarray(np.sum(now.squares, axis=-2) < chi2.ppf(false_alarm, PAIRS))
+    return np.asarray(np.sum(now.squares, axis=-2) < _limit(false_alarm))
+
+
+@lru_cache
+def _limit(false_alarm: float) -> float:
+    return float(chi2.ppf(false_alarm, PAIRS))

@@ -29,7 +29,7 @@ from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded, restored
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
-from fusion_sfdia.filters.gaussian import gain
+from fusion_sfdia.filters.gaussian import Joint, gain
 from fusion_sfdia.kalman_banks.competition import (
     Accepted,
     Evidence,
@@ -44,7 +44,7 @@ from fusion_sfdia.kalman_banks.competition import (
     one_sample_evidence,
     suspects,
 )
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
+from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, with_alternatives
 from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
@@ -150,8 +150,8 @@ class RobustBank(ExcludingBank):
             none_excluded(batch, count),
             np.zeros((*batch, count)),
             np.zeros((*batch, count)),
-            empty(batch, near, states, count + p + n),
-            empty(batch, far, states, count + p),
+            empty(batch, near, states, count + p + n, np.float32),
+            empty(batch, far, states, count + p, np.float32),
             nothing(batch, p, n),
             no_pairs(batch, count),
         )
@@ -166,12 +166,12 @@ class RobustBank(ExcludingBank):
         joint = est.joint(of.model, prior, now.t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
-        tested = self._test(windows, prior, now, u, everything)
+        tested = self._test(windows, prior, joint, now.k, everything)
         evidence = gathered(
             tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), handicap
         )
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
-        present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, handicap)
+        present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
         isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
@@ -219,20 +219,19 @@ class RobustBank(ExcludingBank):
     def _predict(self, estimate: GaussianState, standing: Standing, now: TimeStep, u: Array) -> Prior:
         """The prediction of the augmented state, with process noise by errors of equations."""
         of = self._hypotheses
-        prior = self.estimator.predict(of.model, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # draws nothing
+        prior = self.estimator.predict(of.model, estimate, now.t_start, u, now.dt, UNUSED)
         x, p = prior.core
         if (noise := added_noise(standing, of.rates, x[..., len(self.plant.states) :])) is None:
             return prior
         return prior._replace(core=GaussianState(x, p + noise))
 
-    def _test(self, windows: Sequence[Window], prior: Prior, now: TimeStep, u: Array, found: LeaveOneOut) -> Tested:
+    def _test(self, windows: Sequence[Window], prior: Prior, joint: Joint, step: int, found: LeaveOneOut) -> Tested:
         """Add the present readings to both windows."""
-        of, F = self._hypotheses, prior.tangent
-        assert F is not None
-        recent, slow = (shifted(w, grid, now.k) for w, grid in zip(windows, self._grids, strict=True))
-        H = of.model.output_jacobian_at(now.t, prior.core.x, u)
-        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]))
-        slowly = weigh(slow, F, H, found, of.slow(F, slow.age))
+        of, F, H = self._hypotheses, prior.tangent, joint.H
+        assert F is not None and H is not None
+        recent, slow = (shifted(w, grid, step) for w, grid in zip(windows, self._grids, strict=True))
+        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]), of.still)
+        slowly = weigh(slow, F, H, found, of.slow(F, slow.age), of.still)
         every = np.concatenate([found.used, np.ones((*found.used.shape[:-1], len(of.process)), bool)], axis=-1)
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
