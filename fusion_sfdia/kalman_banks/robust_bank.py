@@ -159,9 +159,10 @@ class RobustBank(ExcludingBank):
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
         estimate, exclusion, out_for, led, *windows, standing, pairs = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
-        changing = np.any(standing.accepted, axis=-1) | (standing.since <= self.window)
-        limits = self._limits._replace(sensor_margin=np.where(changing, self.process_margin, self.sensor_margin))
-        handicap = np.where(changing[..., None], 0.0, of.handicap)
+        stands = np.any(standing.accepted, axis=-1)
+        lately = stands & (standing.since <= self.window)
+        limits = self._limits._replace(sensor_margin=np.where(stands, self.process_margin, self.sensor_margin))
+        handicap = np.where(stands[..., None], 0.0, of.handicap)
         prior = self._predict(estimate, standing, now, u)
         joint = est.joint(of.model, prior, now.t, u)
         usable = np.isfinite(y) & ~exclusion.out
@@ -178,8 +179,8 @@ class RobustBank(ExcludingBank):
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
         isolated = isolated | (sensor[..., None] & _only(by_windows.sensor, count))
         led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
-        isolated = isolated & (np.abs(led) >= np.where(standing.since <= self.window, PERSISTENT, 1)[..., None])
-        reopened = np.any(isolated, axis=-1) & (standing.since <= self.window) & ~standing.reopened & self.accommodate
+        isolated = isolated & (np.abs(led) >= np.where(lately, PERSISTENT, 1)[..., None])
+        reopened = np.any(isolated, axis=-1) & lately & ~standing.reopened & self.accommodate
         isolated = isolated & ~reopened[..., None]
         freed = absorbed_before(evidence, isolated, by_windows.sensor)
         if self.accommodate and np.any(freed | process | reopened):
