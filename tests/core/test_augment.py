@@ -137,7 +137,7 @@ def test_jacobians_of_a_nonlinear_plant_are_derivatives_at_the_parameters_of_the
 def test_frozen_states_have_no_variance_but_their_scale() -> None:
     larger = augment(two_tanks())
     leak = [s.name for s in larger.states].index("leak")
-    assert larger.initial_cov[leak] == larger.process_cov[leak] == 0.0
+    assert not larger.initial_cov[leak].any() and larger.process_cov[leak] == 0.0
     assert larger.state_scale[leak] == pytest.approx(0.05 * INFLOW)
 
 
@@ -150,6 +150,42 @@ def test_considered_states_are_those_of_this_treatment_and_those_named() -> None
     assert larger.considered is not None and list(larger.considered) == [0, 2, 3]
     slow = replace(DRIFT, treatment="frozen")
     assert augment(linear(disturbances=(slow,))).initial_cov[-1] == 0.0
+
+
+def test_at_rest_the_initial_state_follows_the_unknown() -> None:
+    """x = F x + G (u + delta) + (theta - 3) B: x0 moves by (I - F)^-1 (B, G e_1), so its covariance with them is that."""
+    plant = linear(at_rest=True)
+    larger, apart = augment(plant), augment(linear())
+    follows = np.linalg.solve(np.eye(2) - F, np.column_stack([BY_THETA, G[:, 1]]))  # (n, 2)
+    unknown = np.diag([GAIN.sd**2, 0.7**2])
+    near = rounding(float(np.linalg.cond(np.eye(2) - F)), 40) * np.abs(follows).max() ** 2
+    P = larger.initial_cov
+    np.testing.assert_allclose(P[:2, :2], np.diag([0.4, 0.4]) + follows @ unknown @ follows.T, rtol=0, atol=near)
+    np.testing.assert_allclose(P[:2, 2:4], follows @ unknown, rtol=0, atol=near)
+    np.testing.assert_allclose(P[2:4, 2:4], unknown, rtol=1e-15)
+    np.testing.assert_array_equal(P, P.T)
+    # the disturbance, whose value at the start is drawn then, has not moved the state yet
+    assert P[4, 4] == 4.0 and not np.any(P[:4, 4])
+    np.testing.assert_array_equal(larger.x0, apart.x0)
+    np.testing.assert_array_equal(larger.process_cov, apart.process_cov)
+    assert apart.initial_cov.ndim == 1
+
+
+def test_at_rest_of_the_tanks_is_the_steady_state_of_the_equations() -> None:
+    """level = (inflow / outlet)^2: d level / d outlet = -2 level / outlet, d level / d inflow = 2 level / inflow at 1 m."""
+    larger = augment(two_tanks())
+    P, names = larger.initial_cov, [s.name for s in larger.states]
+    one, two, leak, error = (names.index(n) for n in ("outlet_1", "outlet_2", "leak", "error of inflow"))
+    outlet, pump = 2.0 * 0.05, 2.0 * 0.01  # relative spreads of outlet and setting, times the power of 2
+    own = two_tanks().initial_cov[0]
+    near: dict[str, float] = {"rel": 1e-6}  # the step is a Runge-Kutta one whose steady state is exact; derivatives by hand
+    assert P[0, 0] == pytest.approx(own + outlet**2 + pump**2, **near)
+    assert P[1, 1] == pytest.approx(own + outlet**2 + pump**2, **near)
+    assert P[0, 1] == pytest.approx(pump**2, **near)  # the pump fills both
+    assert P[0, one] == pytest.approx(-outlet * 0.05 * INFLOW, **near) and abs(P[1, one]) < 1e-9 * abs(P[0, one])
+    assert P[1, two] == pytest.approx(-outlet * 0.05 * INFLOW, **near) and abs(P[0, two]) < 1e-9 * abs(P[1, two])
+    assert P[0, error] == pytest.approx(pump * 0.01 * INFLOW, **near)
+    assert not np.any(P[leak])  # frozen at a leak of 0
 
 
 @pytest.mark.parametrize(

@@ -92,8 +92,8 @@ def test_a_missing_reading_ends_its_pair_and_changes_nothing_else() -> None:
 
 
 def test_bounded_noise_is_too_quiet_little_more_often() -> None:
-    """Uniform noise of standard deviation sigma: the difference of two has the density 1 / (2 bound) at 0, by sqrt(pi / 3) = 1.02
-    that of normal ones, and nowhere a higher one near 0; PAIRS of them give (pi / 3)^(PAIRS / 2) = 1.20 at most.
+    """Uniform noise of the same sigma: the difference of two readings has sqrt(pi / 3) = 1.02 times the density at 0 of normal
+    ones, so that PAIRS of them are too quiet (pi / 3)^(PAIRS / 2) = 1.20 times as often in the limit of a small probability.
     """
     runs, p = 40000, 0.02
     y = np.random.default_rng(6).uniform(-1, 1, (2 * PAIRS, runs, 2)) * np.sqrt(3) * SIGMA
