@@ -61,6 +61,10 @@ from fusion_sfdia.filters.estimators import Ensemble as Ensemble
 from fusion_sfdia.filters.estimators import Extended as Extended
 from fusion_sfdia.filters.estimators import Unscented as Unscented
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
+from fusion_sfdia.identification.identify import identify as identify
+from fusion_sfdia.identification.recording import without_repeats as without_repeats
+from fusion_sfdia.identification.whiteness import Whiteness as Whiteness
+from fusion_sfdia.identification.whiteness import whiteness as whiteness
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
 from fusion_sfdia.kalman_banks.identifiability import Identifiability as Identifiability

@@ -61,6 +61,7 @@ register_detector(
     "of parameters and inputs and with errors of state equations; isolates sensors, or reports the process",
     "fusion_sfdia.kalman_banks.robust_bank:RobustBank",
     memory="32 and 256 samples",
+    tests_process=True,
     false_alarm=FALSE_ALARM,
 )
 register_detector(

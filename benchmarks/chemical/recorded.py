@@ -34,8 +34,9 @@ Array = NDArray[Any]
 Results = list[tuple[Task, Arrays]]
 
 NAME = "chemical/recorded"
-DETECTORS = ("loo-glr", "pca", "dynamic-pca")
+DETECTORS = ("loo-glr", "robust-glr", "pca", "dynamic-pca")
 FILTER = "kf-chi2"  # the Kalman filter on the identified plant
+LONGEST = 3  # process hypotheses shown of a recording
 row = partial(row_of, "tennessee-eastman", NAME)
 
 
@@ -78,9 +79,10 @@ def detector_rows(task: Task, arrays: Arrays) -> Iterator[Row]:
         for metric, hits in (
             ("false_isolation_probability", isolated.any(axis=-1)),
             ("process_verdict_probability", process),
+            ("sensor_verdict_probability", isolated.any(axis=-1) & ~process),
             ("alarm_probability", alarm),
         ):
-            yield row(detector, fault, "all", metric, once(np.mean(hits), np.size(hits)))
+            yield row(detector, fault, "all", metric, once(float(np.mean(hits)), np.size(hits)))
     active, isolated, process = (arrays[f"bias {what}"] for what in ("active", "isolated", "process"))
     runs = cases(task)
     for sigma in SIGMAS:
@@ -116,16 +118,18 @@ def recorded_summary(settings: Settings, results: Results) -> Summary:
     remarks = [
         "Samples with a sensor isolated, where only the process has a fault: "
         + " ".join(f"{f}: {listed(pick(rows, metric='false_isolation_probability', fault=f))}." for f in FAULTS),
-        "Samples with a verdict on the process: "
+        "Samples with a process verdict: "
         + " ".join(f"{f}: {listed(pick(rows, metric='process_verdict_probability', fault=f))}." for f in FAULTS),
+        "Samples with a sensor isolated and no process verdict beside it: "
+        + " ".join(f"{f}: {listed(pick(rows, metric='sensor_verdict_probability', fault=f))}." for f in FAULTS),
         *(exact_sentence(rows, sizes, sigma) for sigma in SIGMAS),
-        f"Detectors with the identified model have a budget of {settings['false_alarm']:g} false alarms a step; those that learn "
-        f"have {LEARNT_RATE:g}, for which d00 and the first half of d00_te are just enough. The other half is judged.",
+        f"Detectors with the identified model have a budget of {settings['false_alarm']:g} false alarms a step; those that "
+        f"learn have {LEARNT_RATE:g}, for which d00 and the first half of d00_te are just enough. The other half is judged.",
         "The plant runs in closed loop: the controllers do not react to the biases, which are put into the recording, as they "
         "would to those of an instrument.",
     ]
     return Summary(rows=rows, figures=[verdict_figure(rows, names), bias_figure(rows, names, sizes)],
-                   tables=[component_table(rows)], remarks=remarks)  # fmt: skip
+                   tables=[*hypothesis_tables(results), component_table(rows)], remarks=remarks)  # fmt: skip
 
 
 def exact_sentence(rows: list[Row], sizes: list[str], sigma: str) -> str:
@@ -190,6 +194,19 @@ def bias_figure(rows: list[Row], names: list[str], sizes: list[str]) -> Figure:
         draw,
         "Bars of exact isolation by measurement and detector, for each size and meaning of sigma",
     )
+
+
+def hypothesis_tables(results: Results) -> list[Table]:
+    """The process hypotheses that stand longest in each recording with a process fault, of detectors that have any."""
+    lines = []
+    for task, arrays in results:
+        if (names := arrays["names"]).size:
+            for fault, cause in FAULTS.items():
+                shares = arrays[f"{fault} hypotheses"][ONSET - WARM_UP :].mean(axis=0)
+                for best in np.argsort(-shares, kind="stable")[:LONGEST]:
+                    lines.append((task["detector"], fault, cause, str(names[best]), float(shares[best])))
+    header = ("detector", "recording", "cause", "process hypothesis", "share of samples")
+    return [Table("What the process verdicts name", header, tuple(lines), "Samples after the onset.")] if lines else []
 
 
 def component_table(rows: list[Row]) -> Table:

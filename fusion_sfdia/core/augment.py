@@ -25,7 +25,7 @@ from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertai
 
 Array = NDArray[Any]
 
-FARTHEST = 6.0  # standard deviations from the nominal value: limits of the added states
+FARTHEST = 20.0  # standard deviations of a parameter from its nominal value: its limits where it states none
 
 
 def augment(plant: Plant) -> Plant:
@@ -48,7 +48,8 @@ def augment(plant: Plant) -> Plant:
     larger = replace(plant, uncertainty=Uncertainty(), structure=Structure())
     if known.parameters or erring:
         errors = [Parameter(error_of(s.name), s.unit, sd=known.inputs[s.name]) for s in erring]
-        larger = _enlarged(larger, _Unknown(plant), [_added(p, plant.dt) for p in (*known.parameters, *errors)])
+        added = [*(_added(p, plant.dt, FARTHEST) for p in known.parameters), *(_added(e, plant.dt, np.inf) for e in errors)]
+        larger = _enlarged(larger, _Unknown(plant), added)
         if known.at_rest:
             larger = replace(larger, initial_cov=_initial(plant, larger))
     if known.disturbances:
@@ -56,16 +57,16 @@ def augment(plant: Plant) -> Plant:
     return replace(larger, uncertainty=Uncertainty(considered=tuple(s.name for s in larger.states if s.name in considered)))
 
 
-def _added(p: Parameter, dt: float) -> tuple[Signal, float, float]:
-    """The state of a parameter: its signal, initial variance and variance of its change in dt."""
-    low, high = max(p.low, p.nominal - FARTHEST * p.sd), min(p.high, p.nominal + FARTHEST * p.sd)
+def _added(p: Parameter, dt: float, farthest: float) -> tuple[Signal, float, float]:
+    """The state of a parameter: its signal, at most that many sd away, initial variance and variance of its change in dt."""
+    low, high = max(p.low, p.nominal - farthest * p.sd), min(p.high, p.nominal + farthest * p.sd)
     signal = Signal(p.name, p.unit, p.nominal, low, high, initial_sigma=p.sd)
     return (signal, 0.0, 0.0) if p.treatment == "frozen" else (signal, p.sd**2, p.rate**2 * dt / HOUR)
 
 
 def _shaped(d: Disturbance, dt: float) -> tuple[Signal, float, float]:
     """The state of a disturbance: xi+ = exp(-dt / tau) xi + eta keeps its variance."""
-    signal = Signal(d.name, "1", 0.0, -FARTHEST * d.sd, FARTHEST * d.sd, initial_sigma=d.sd)
+    signal = Signal(d.name, "1", initial_sigma=d.sd)
     return (
         (signal, 0.0, 0.0) if d.treatment == "frozen" else (signal, d.sd**2, -(d.sd**2) * np.expm1(-2 * dt / d.time_constant))
     )

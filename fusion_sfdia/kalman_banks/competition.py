@@ -18,6 +18,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import Best
 Array = NDArray[Any]
 
 ABSORBED = 2.0  # evidence by which an earlier onset is preferred to the present sample
+LEAST_WEIGHT = 0.1  # of an alternative to an accepted process hypothesis
 PRIOR = 1e-3  # probability of each hypothesis before any reading
 
 
@@ -100,14 +101,12 @@ class Present(NamedTuple):
     handicap: Array
 
 
-def eliminated(
-    found: LeaveOneOut, evidence: Evidence, present: Present, limits: Limits, room: Array
-) -> tuple[LeaveOneOut, Array, Array]:
+def eliminated(found: LeaveOneOut, evidence: Evidence, present: Present, limits: Limits, room: Array) -> tuple[Array, Array]:
     """Eliminate the worst sensor of the present sample while it explains the sample better than the process does.
 
     The first sensor competes by all its evidence, each further one by the readings that are left, with process hypotheses that
-    begin now. room (...): sensors that may still be left out. Return the statistics of the other sensors, the eliminated
-    sensors (..., N), and whether another is above the limit (...).
+    begin now. room (...): sensors that may still be left out. Return the eliminated sensors (..., N), and whether another is
+    above the limit (...).
     """
     count = found.used.shape[-1]
     isolated = np.zeros(found.used.shape, bool)
@@ -120,7 +119,7 @@ def eliminated(
         free = np.sum(isolated, axis=-1) < room
         where = above & free & (lead > limits.sensor_margin)
         if not np.any(where):
-            return found, isolated, above & ~free
+            return isolated, above & ~free
         isolated = isolated | (where[..., None] & (np.arange(count) == worst[..., None]))
         found = eliminate(found, worst, where)
         of_sensors = np.where(where[..., None], one_sample_evidence(found, present.sizes[:count]), of_sensors)
@@ -181,3 +180,13 @@ def suspects(evidence: Evidence, undecided: Array, margin: float) -> Array:
     every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
     top = np.max(every, axis=-1, keepdims=True)
     return np.asarray(undecided[..., None] & (every > top - margin))
+
+
+def alternatives(evidence: Evidence, by_windows: Accepted, margin: float) -> Array:
+    """Weights (..., P) of the process hypotheses within a margin of the one that is accepted; 0 for others and where none is.
+
+    The weight is the ratio of the probabilities, at least LEAST_WEIGHT.
+    """
+    behind = evidence.best_process[..., None] - evidence.process
+    rival = by_windows.is_process[..., None] & (behind < margin) & (behind > 0)
+    return np.where(rival, np.maximum(np.exp(-np.where(rival, behind, 0.0) / 2), LEAST_WEIGHT), 0.0)

@@ -1,14 +1,10 @@
 """Before any data: which sensor faults a plant's model can detect, and which look like an error of the model.
 
-A fault of size 1 changes the innovations of a Kalman filter by M_k, see `likelihood_window`: with F, H, K and S of the filter
-along the usual operation, D_k its effect on the readings and E the error that it has left in the state,
-
-    E <- F E,    M_k = D_k - H E,    E <- E + K M_k
-
-D = I for biases, D_k = k I for ramps, and for a jump of a parameter, an error of an input or a disturbance j, which `augment`
-adds as a state, D = 0 and E = -e_j at the onset. The likelihood ratio of a fault of size c with one onset has the statistic
-a / sqrt(b), with mean c sqrt(b) and variance 1, b = sum M' S^-1 M. That of sensor and process is less by the share that both
-have in common,
+Along the usual operation a fault of size 1 changes the innovations of a Kalman filter by M, see `likelihood_window`: D = e_i
+for a bias of sensor i, D = k e_i for a ramp in the k-th sample since the onset, and C = F e_j at the onset for a jump of a
+parameter, an error of an input or a disturbance j, which `augment` adds as a state. The likelihood ratio of a fault of size c
+with a known onset has the statistic a / sqrt(b), with mean c sqrt(b) and variance 1, b = sum M' S^-1 M. That of sensor and
+process is less by the share that both have in common,
 
     rho = sum M' S^-1 N / sqrt(b_M b_N),    mean c sqrt(b (1 - rho^2))
 
@@ -35,7 +31,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import gain
-from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
+from fusion_sfdia.kalman_banks.likelihood_window import Effect, Grid, empty, updated, weigh
 
 Array = NDArray[Any]
 
@@ -163,19 +160,18 @@ class _Limits(NamedTuple):
 
 def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
     """The limits of a filter on the plant, with jumps of its last `added` states as hypotheses of the process."""
-    count, n = len(plant.sensors), len(plant.states)
-    left = np.zeros((n, 2 * count + added))  # E: of biases, ramps and jumps
-    left[n - added :, 2 * count :] = -np.eye(added)
-    common = np.zeros((left.shape[1], left.shape[1]))  # sum M' S^-1 M
-    before = np.full(count, np.inf)
+    count = len(plant.sensors)
+    window = empty((), Grid(2), len(plant.states), count + added)  # of biases and jumps, and of ramps, with one onset
+    window.eta[0, len(plant.states) - added :, count:] = -np.eye(added)
+    common, before = np.zeros((count + added, count + added)), np.full(count, np.inf)
     for k, update in enumerate(islice(_healthy_updates(plant), settle, settle + LAST), start=1):
-        left = update.tangent @ left
-        effect = np.concatenate([np.eye(count), k * np.eye(count), np.zeros((count, added))], axis=1)
-        effect -= update.output_jacobian @ left
-        left = left + update.gain @ effect
-        common += effect.T @ update.inverse @ effect
+        tangent, output_jacobian, found, K = update
+        weighed = weigh(window, tangent, output_jacobian, found, Effect(np.array([1.0, k])))
+        M = weighed.M[0]
+        common += M.T @ found.inverse @ M
+        window = updated(weighed, K, np.array(False))
         if k == samples or (samples == np.inf and k >= FIRST and (k & (k - 1) == 0 or k == LAST)):
-            limits = _of(common, count, k)
+            limits = _of(common, window.b[1, :count], k)
             if k in (samples, LAST) or np.all(limits.bias >= (1 - SETTLED) * before):
                 return limits
             before = limits.bias
@@ -183,11 +179,11 @@ def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
 
 
 class _Update(NamedTuple):
-    """F of a step, H of its prediction, S^-1 and K of its update."""
+    """F of a step, H of its prediction, S^-1 of its readings and K of its update."""
 
     tangent: Array
     output_jacobian: Array
-    inverse: Array
+    found: LeaveOneOut
     gain: Array
 
 
@@ -208,13 +204,13 @@ def _healthy_updates(plant: Plant) -> Iterator[_Update]:
         found = statistics(joint, joint.y, np.ones(joint.y.shape, bool))
         state = GaussianState(*posterior(joint, found))
         assert prior.tangent is not None
-        yield _Update(prior.tangent, plant.output_jacobian_at(t, prior.core.x, u), found.inverse, gain(joint, found.inverse))
+        yield _Update(prior.tangent, plant.output_jacobian_at(t, prior.core.x, u), found, gain(joint, found.inverse))
 
 
-def _of(common: Array, count: int, samples: int) -> _Limits:
-    """The limits of the sums (2 N + P, 2 N + P) for biases, ramps and jumps, in this order."""
-    b = np.diagonal(common)
+def _of(common: Array, of_ramps: Array, samples: int) -> _Limits:
+    """The limits of sum M' S^-1 M (N + P, N + P) for biases and jumps, and b (N,) for ramps of 1 a sample."""
+    count, b = of_ramps.size, np.diagonal(common)
     with np.errstate(divide="ignore", invalid="ignore"):
-        size = np.where(b > 0, NEEDED / np.sqrt(b), np.inf)
-        rho = np.nan_to_num(common[:count, 2 * count :] / np.sqrt(np.outer(b[:count], b[2 * count :])))
-    return _Limits(size[:count], samples * size[count : 2 * count], np.clip(rho, -1.0, 1.0), samples)
+        bias, slope = (np.where(v > 0, NEEDED / np.sqrt(v), np.inf) for v in (b[:count], of_ramps))
+        rho = np.nan_to_num(common[:count, count:] / np.sqrt(np.outer(b[:count], b[count:])))
+    return _Limits(bias, samples * slope, np.clip(rho, -1.0, 1.0), samples)

@@ -37,6 +37,7 @@ from fusion_sfdia.kalman_banks.competition import (
     Present,
     absorbed_before,
     accepted,
+    alternatives,
     eliminated,
     gathered,
     led_by,
@@ -44,14 +45,12 @@ from fusion_sfdia.kalman_banks.competition import (
     suspects,
 )
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
-from fusion_sfdia.kalman_banks.hypotheses import SLOW_STEP, Hypotheses
+from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, with_alternatives
+from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
-    Best,
     Grid,
-    Weighed,
     Window,
-    absorbed,
     best_onset,
     empty,
     shifted,
@@ -59,7 +58,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     weigh,
 )
 from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
-from fusion_sfdia.kalman_banks.standing import DOUBT, Standing, added_noise, followed, nothing, sizes, with_accepted
+from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, nothing, sizes, with_accepted
 
 Array = NDArray[Any]
 
@@ -81,15 +80,6 @@ class RobustMemory(NamedTuple):
     slow: Window
     standing: Standing
     pairs: Pairs
-
-
-class Tested(NamedTuple):
-    """Both windows with the present readings, and their best onsets."""
-
-    recent: Weighed
-    slow: Weighed
-    best_recent: Best
-    best_slow: Best
 
 
 @dataclass(frozen=True)
@@ -182,29 +172,37 @@ class RobustBank(ExcludingBank):
         )
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
         present = Present(tested.recent.M[..., 0, :, count:], of.recent_sizes, handicap)
-        found, isolated, capped = eliminated(everything, evidence, present, limits, room)
+        isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
         isolated = isolated | (sensor[..., None] & _only(by_windows.sensor, count))
         led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
         isolated = isolated & (np.abs(led) >= np.where(standing.since <= self.window, PERSISTENT, 1)[..., None])
+        reopened = np.any(isolated, axis=-1) & (standing.since <= self.window) & ~standing.reopened & self.accommodate
+        isolated = isolated & ~reopened[..., None]
         freed = absorbed_before(evidence, isolated, by_windows.sensor)
-        if self.accommodate and np.any(freed | process):
-            standing = self._stand(standing, by_windows, evidence, prior)
-            prior = _moved(prior, tested, evidence, by_windows, freed)
+        if self.accommodate and np.any(freed | process | reopened):
+            standing = self._stand(standing, by_windows, evidence, prior, reopened)
+            rivals = alternatives(evidence, by_windows, self.process_margin)
+            prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
+            prior = widened(prior, reopened, PARAMETER_SIZE * of.sd)
             joint = est.joint(of.model, prior, now.t, u)
-        if np.any(changing) or np.any(freed | process):
             found = statistics(joint, y, usable & ~isolated)
-        if not self.accommodate:
+        elif self.accommodate and np.any(isolated):
+            found = statistics(joint, y, usable & ~isolated)
+        else:
             found = everything
         x, p = posterior(joint, found)
-        restart = (np.any(isolated, axis=-1) | process) & self.accommodate
+        restart = (np.any(isolated, axis=-1) | process | reopened) & self.accommodate
         K = gain(joint, found.inverse)
         recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)
-        quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count) & (exclusion.out | (room > 0)[..., None])
+        quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
+        held = exclusion.out | isolated
+        fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
+        quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate:
             exclusion = restored(exclusion, process[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, found)
@@ -241,11 +239,14 @@ class RobustBank(ExcludingBank):
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
 
-    def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior) -> Standing:
-        """The process hypotheses that stand, with those accepted now."""
+    def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior, reopened: Array) -> Standing:
+        """The process hypotheses that stand, with those accepted now and their rivals."""
         which = by_windows.is_process[..., None] & _only(by_windows.process, evidence.process.shape[-1])
         z = prior.core.x[..., len(self.plant.states) :]
-        return with_accepted(standing, which, z, evidence.size_p, np.sqrt(1.0 / evidence.information_p))
+        rivals = alternatives(evidence, by_windows, self.process_margin) > 0
+        sd = np.sqrt(1.0 / evidence.information_p)
+        standing = with_accepted(standing, which, rivals, z, evidence.size_p, sd)
+        return standing._replace(reopened=standing.reopened | reopened)
 
     def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
         """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
@@ -278,38 +279,3 @@ class RobustBank(ExcludingBank):
 def _only(index: Array, count: int) -> Array:
     """One-hot (..., count) of an index (...)."""
     return np.asarray(np.arange(count) == index[..., None])
-
-
-def _moved(prior: Prior, tested: Tested, evidence: Evidence, by_windows: Accepted, freed: Array) -> Prior:
-    """The prior without what a sensor (where `freed`) or an accepted difference of the process has done to the estimate.
-
-    Its covariance grows by that of the size; that of a difference of the process by a part of its square, too.
-    """
-    x, p = prior.core
-    count = evidence.sensor.shape[-1]
-    far_process = np.zeros(evidence.process.shape, bool)
-    far_process[..., : evidence.slow_process.shape[-1]] = evidence.slow_process
-    for index, where, far, first, doubt in (
-        (by_windows.sensor, freed, evidence.slow_sensor, 0, 0.0),
-        (by_windows.process, by_windows.is_process, far_process, count, DOUBT),
-    ):
-        if not np.any(where):
-            continue
-        slow = np.take_along_axis(far, index[..., None], axis=-1)[..., 0]
-        column = index + first
-        near = absorbed(tested.recent, tested.best_recent, column)
-        size, information = (_at(v, column) for v in (tested.best_recent.size, tested.best_recent.information))
-        if np.any(slow):
-            column = np.minimum(column, tested.best_slow.size.shape[-1] - 1)
-            near = np.where(slow[..., None], absorbed(tested.slow, tested.best_slow, column), near)
-            size = np.where(slow, _at(tested.best_slow.size, column), size)
-            information = np.where(slow, _at(tested.best_slow.information, column), information)
-        moved = np.where(where[..., None], near, 0.0)
-        x = x - moved * size[..., None]
-        p = p + moved[..., :, None] * (moved * (1.0 / information + doubt * size**2)[..., None])[..., None, :]
-    return prior._replace(core=GaussianState(x, p))
-
-
-def _at(v: Array, index: Array) -> Array:
-    """The values of v (..., q) at an index (...)."""
-    return np.asarray(np.take_along_axis(v, index[..., None], axis=-1)[..., 0])

@@ -19,7 +19,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.cases import MismatchCase, ProcessFaultCase
 from fusion_sfdia.evaluation.simulate import Recording
 from fusion_sfdia.experiments.scenario import Task
-from fusion_sfdia.robustness.protocol import FIRST_LOG, LOG_RUNS, LOG_STEPS, LONG, Condition, conditions, settle_of
+from fusion_sfdia.robustness.protocol import FIRST_LOG, LOG_RUNS, LONG, Condition, conditions, log_steps, settle_of
 
 Array = NDArray[Any]
 
@@ -95,12 +95,13 @@ def _from_start(inputs: Any, start: float, t: float) -> Array:
 
 @lru_cache(maxsize=16)
 def healthy_log(of: ComparedPlant, mismatch: str) -> Recording:
-    """A healthy log of the real plant in the usual operation: LOG_RUNS runs of LOG_STEPS samples; see `logged`."""
-    truth = None if mismatch == "" else logged(next(c for c in cases_of(of).mismatch if c.name == mismatch))
-    seeds = tuple(range(FIRST_LOG, FIRST_LOG + LOG_RUNS))
-    return simulated(of, LOG_STEPS, seeds, truth=None if truth is None else truth())
+    """A healthy log of the real plant in the usual operation: LOG_RUNS runs; see `log_steps` and `logged`."""
+    make, seeds = logged(of, mismatch), tuple(range(FIRST_LOG, FIRST_LOG + LOG_RUNS))
+    truth = None if make is None else make()
+    return simulated(of, log_steps(cases_of(of)), seeds, truth=truth, inputs=plant_of(of).input_at)
 
 
-def logged(case: MismatchCase) -> Callable[[], Plant] | None:
-    """What makes the plant of a healthy log of a mismatch case; None where that is the usual plant."""
+def logged(of: ComparedPlant, mismatch: str) -> Callable[[], Plant] | None:
+    """What makes the plant of the healthy log of a mismatch case; None where that is the usual plant."""
+    case = next((c for c in cases_of(of).mismatch if c.name == mismatch), MismatchCase("", ""))
     return case.truth if case.log is None else case.log

@@ -59,6 +59,11 @@ def settle_of(cases: ComparisonCases) -> int:
     return SETTLE if cases.settle == USUAL_SETTLE else cases.settle
 
 
+def log_steps(cases: ComparisonCases) -> int:
+    """Samples of a run of a healthy log: longer where a filter settles longer."""
+    return LOG_STEPS + settle_of(cases) - SETTLE
+
+
 def slow_drift(plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:
     """A drift that reaches SLOW sigma in its rise and holds it for LATER of that."""
     size = SLOW * float(plant.sensor_sigma[plant.sensor_index(sensor)])

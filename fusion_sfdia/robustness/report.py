@@ -23,9 +23,10 @@ METHOD = (
     "400). Thresholds are out of reach until 30 samples before the onset, so that no alarm of the start lasts. They are "
     "scaled so that one healthy sample in a thousand alarms over all sensors while the model is right.",
     "On augmented: the plant with its uncertain parameters and errors of inputs as states. Commissioned: on a healthy log of "
-    f"the real plant, {LOG_RUNS} runs of {LOG_STEPS} samples in the usual operation with other seeds; detectors that learn "
-    "from data are fitted to that log. From a log alone: the plant states nothing uncertain, and it is judged in an "
-    f"operation that is not in the log. Cases marked{UNSEEN} are unseen: no setting was chosen with them in view.",
+    f"the real plant, {LOG_RUNS} runs of {LOG_STEPS} samples (engine {LOG_STEPS + 340}) in the usual operation with other "
+    "seeds; detectors that learn from data are fitted to that log. From a log alone: the plant states nothing uncertain, and "
+    f"it is judged in an operation that is not in the log. Cases marked{UNSEEN} are unseen: no setting was chosen with them in "
+    "view.",
 )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.protocol import HEALTHY, PROCESS, PUBLISHED
 from fusion_sfdia.comparison.subjects import cases_of, compared_plant, plant_of
-from fusion_sfdia.core.augment import error_of
+from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.evaluation.detection_metrics import auc
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, rate_over_runs

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.calibration import as_scores, calibrated
 from fusion_sfdia.comparison.protocol import HEALTHY
-from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, cases_of, compared_plant, plant_of
+from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, compared_plant, plant_of
 from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.silent import silent, silent_score
 from fusion_sfdia.core.state import State, chosen_runs
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.experiments.scenario import Arrays, Task
 from fusion_sfdia.experiments.timing import best_times
-from fusion_sfdia.robustness.material import Branched, Truth, healthy_log, logged, material
+from fusion_sfdia.robustness.building import RefusedLogError, as_compared, build
+from fusion_sfdia.robustness.material import Branched, Truth, logged, material
 from fusion_sfdia.robustness.protocol import CALIBRATION_STEPS, SMALL, calibration_runs, graded, settle_of
 from fusion_sfdia.robustness.records import Kept, join, record
 from fusion_sfdia.robustness.variants import ALONE, Variant
@@ -48,23 +49,20 @@ def work(task: Task) -> Arrays:
     if "variants" in task:
         return cost(of, [Variant(*pair) for pair in task["variants"]])
     variant = Variant(task["detector"], task["knowledge"])
+    settle, runs = settle_of(cases_of(of)), calibration_runs(task)
     try:
-        log = healthy_log(of, "") if variant.needs_log else None
-        by = ComparedDetector(variant.name, "", variant.built_on(log))
-        settle, runs = settle_of(cases_of(of)), calibration_runs(task)
-        calibration = calibrated(of, by, settle, CALIBRATION_STEPS, runs, task["false_alarm"])
-    except ValueError as problem:
-        if not isinstance(problem, NotApplicableError) and not variant.needs_log:
-            raise
-        return {"reason": np.array(str(problem))}  # not applicable, or the log of the right model is refused
+        calibration = calibrated(of, as_compared(of, variant), settle, CALIBRATION_STEPS, runs, task["false_alarm"])
+    except (NotApplicableError, RefusedLogError) as problem:
+        return {"reason": np.array(str(problem))}
     common = {k: v for k, v in task.items() if k not in ("detector", "knowledge")}
     worlds = material(of, json.dumps(common | {"other_operation": variant.knowledge == ALONE}, sort_keys=True))
     kept: list[Kept] = []
     refused: list[tuple[str, str]] = []
     for world in worlds:
+        usual = not variant.needs_log or logged(of, world.mismatch) is None
         try:
-            detector = of_world(of, variant, calibration.detector, world.mismatch)
-        except ValueError as problem:
+            detector = calibration.detector if usual else build(of, variant, world.mismatch)
+        except RefusedLogError as problem:
             refused.append((world.mismatch, str(problem)))
             continue
         kept += followed(scaled(detector, calibration.scale), world)
@@ -77,15 +75,6 @@ def work(task: Task) -> Arrays:
         **silent_scores(calibration.detector, worlds[0]),
         "scale": np.array(calibration.scale),
     }
-
-
-def of_world(of: ComparedPlant, variant: Variant, usual: Detector, mismatch: str) -> Detector:
-    """The detector in a world: commissioned on its log where the variant needs one and its log is not the usual one."""
-    case = next((c for c in cases_of(of).mismatch if c.name == mismatch), None)
-    if case is None or logged(case) is None or not variant.needs_log:
-        return usual
-    found: Detector = variant.build(plant_of(of), healthy_log(of, mismatch))
-    return found
 
 
 def scaled(detector: Any, scale: float) -> Any:
@@ -136,8 +125,8 @@ def cost(of: ComparedPlant, those: Sequence[Variant]) -> Arrays:
     calls: dict[str, Callable[[], object]] = {}
     for variant in those:
         try:
-            detector = variant.build(plant, healthy_log(of, "") if variant.needs_log else None)
-        except NotApplicableError:
+            detector = build(of, variant)
+        except (NotApplicableError, RefusedLogError):
             continue
         state = detector.init((), float(recording.t[0]) - plant.dt)
         y, u = recording.y[:, 0], recording.u_of_runs[:, 0]

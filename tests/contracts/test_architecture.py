@@ -16,6 +16,7 @@ FOLDERS: dict[str, set[str]] = {
     "core": set(),
     "intervals": set(),
     "filters": {"core"},
+    "commissioning": {"core", "filters"},
     "kalman_banks": {"core", "filters"},
     "adaptive_thresholds": {"core", "intervals"},
     "stochastic_thresholds": {"core", "filters"},

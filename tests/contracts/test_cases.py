@@ -54,7 +54,7 @@ def test_a_healthy_log_is_that_of_the_plant_in_the_usual_operation(plant: str) -
     """A case that is another operation has no log of its own."""
     of = compared_plant(plant)
     for case in cases_of(of).mismatch:
-        make = logged(case)
+        make = logged(of, case.name)
         assert (make is None) == (case.truth is None), case.name
         if make is not None:
             assert make().sensor_names == plant_of(of).sensor_names

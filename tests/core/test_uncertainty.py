@@ -114,7 +114,7 @@ def test_between_them_secants_err_with_the_third_power_of_the_spread() -> None:
 
 def test_a_plant_built_anew_is_read_in_the_same_units() -> None:
     plant = two_tanks()
-    known = Plant.in_units(replace(plant, uncertainty=secants(plant, [OUTLET], two_tanks)), {"l2": ("mm", 1000.0)}).uncertainty
+    known = replace(plant, uncertainty=secants(plant, [OUTLET], two_tanks)).in_units({"l2": ("mm", 1000.0)}).uncertainty
     assert known.rebuild is not None and known.output is not None
     other = known.rebuild(outlet=1.05)
     assert other.sensors[1].unit == "mm"

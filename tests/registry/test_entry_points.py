@@ -66,7 +66,8 @@ def test_they_are_listed_with_their_package(install, capsys: pytest.CaptureFixtu
     assert len(ours) == 4 and not any("(from" in line for line in ours)
     assert main(["list", "detectors", "--json"]) == 0
     theirs = json.loads(capsys.readouterr().out)["detectors"][-1]
-    assert theirs == {"name": "their-test", "about": "a test of another package", "package": "their_package"}
+    about = {"name": "their-test", "about": "a test of another package", "package": "their_package"}
+    assert theirs == about | {"tests": "sensors"}
     assert registry.detectors()["their-test"].memory == "none"
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from fusion_sfdia.comparison.protocol import HEALTHY, PROCESS, PUBLISHED, FaultCondition
 from fusion_sfdia.comparison.records import BranchReadings
-from fusion_sfdia.core.augment import error_of
+from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.robustness.material import Branched
 from fusion_sfdia.robustness.protocol import Condition, conditions, settle_of, slow_name

@@ -63,13 +63,18 @@ def verdicts(detector: Detector, log: Log) -> Arrays:
     """Isolated (K, ..., 41), process and alarm (K, ...) after the warm-up: sensors isolated, a process hypothesis accepted."""
     start = detector.init(log.y.shape[1:-1], float(log.t[0]) - detector.plant.dt)
     decision: Decision = run(detector, start, *log)[1]
-    process = np.zeros(decision.alarm.shape, bool) if decision.process is None else decision.process.any(axis=-1)
-    found = {"isolated": decision.isolated[..., : len(MEASUREMENTS)], "process": process, "alarm": decision.alarm}
+    accepted = np.zeros((*decision.alarm.shape, 0), bool) if decision.process is None else decision.process
+    found = {
+        "isolated": decision.isolated[..., : len(MEASUREMENTS)],
+        "process": accepted.any(axis=-1),
+        "alarm": decision.alarm,
+        "hypotheses": accepted,
+    }
     return {name: np.asarray(values)[WARM_UP:] for name, values in found.items()}
 
 
 def trial(task: Task) -> Arrays:
-    """All verdicts of a detector, prefixed by healthy, the process fault or bias; `active` of the biases."""
+    """All verdicts of a detector, prefixed by healthy, the process fault or bias; `active` of the biases; `names` (P,)."""
     detector, learns = chosen(task)
     folder = task["data"]
     logs = {name: recording(folder, f"{name}_te", repeated=learns) for name in ("d00", *FAULTS)}
@@ -79,4 +84,5 @@ def trial(task: Task) -> Arrays:
         arrays |= {f"{name} {what}": values for what, values in verdicts(detector, logs[name]).items()}
     faulty, active = biased(task, judged, detector.plant)
     arrays |= {f"bias {what}": values for what, values in verdicts(detector, faulty).items()}
-    return arrays | {"bias active": active[WARM_UP:]}
+    names = [h.name for h in getattr(detector, "process_hypotheses", ())]
+    return arrays | {"bias active": active[WARM_UP:], "names": np.array(names, dtype=str)}

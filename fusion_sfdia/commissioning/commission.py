@@ -1,0 +1,161 @@
+"""Commissioning: a plant adapted to a healthy log of the real one, so that any detector on it knows what the log shows.
+
+Three stages, each on the result of the one before: declared parameters and errors of inputs (`parameters`), directions of
+mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise`). Each is learnt from one half of the
+log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windows
+from fusion_sfdia.commissioning.innovations import fixed, settling
+from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, with_noise
+from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
+from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
+from fusion_sfdia.commissioning.score import coloured, fitted
+from fusion_sfdia.commissioning.start import started
+from fusion_sfdia.core.arguments import probability
+from fusion_sfdia.core.log import Log, as_log
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+
+STRETCHES = 4  # of each run, between which parameters are compared
+SURE = 2.0  # standard errors
+
+
+class HeldOut(NamedTuple):
+    """How a plant predicts the half of the log that it was not learnt from.
+
+    log_likelihood: per sample. nis: normalised innovation squared per reading, 1 where consistent. coloured: share of
+    autocorrelations of the innovations at lags 1 to 20 outside their 95 % bands, .05 where white.
+    """
+
+    log_likelihood: float
+    nis: float
+    coloured: float
+
+
+class Commissioning(NamedTuple):
+    """What a healthy log has shown.
+
+    plant: the commissioned one. settle: samples that were left out at the beginning of each run. before, after: the plant on
+    the halves that it was not learnt from, without and with what was learnt. kept: the stages that were. parameters,
+    disturbances, noise: what they found in the whole log; None, or empty, where not kept.
+    """
+
+    plant: Plant
+    settle: int
+    before: HeldOut
+    after: HeldOut
+    kept: tuple[str, ...]
+    parameters: Estimate | None
+    disturbances: tuple[Found, ...]
+    noise: Noise | None
+
+
+def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
+    """Return the plant as a healthy log shows it: see `commissioning`, whose report has the reasons."""
+    return commissioning(plant, *healthy, false_alarm=false_alarm).plant
+
+
+def commissioning(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Commissioning:
+    """Adapt a plant to healthy readings of the real one, and report what was found.
+
+    healthy: t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`. false_alarm: the
+    rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
+    1 / false_alarm samples, best of other readings than these.
+    Raises ValueError for a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one
+    sensor explains what the plant does not.
+    """
+    probability("false_alarm", false_alarm)
+    log = as_runs(plant, healthy)
+    require_moving(plant, log)
+    settle = settling(fixed(plant), log)
+    require_length(plant, log, settle, false_alarm)
+    steps = len(log.t)
+    settled = np.arange(steps) >= settle
+    middle = settle + (steps - settle) // 2
+    halves = [settled & (np.arange(steps) < middle), settled & (np.arange(steps) >= middle)]
+    now = [fitted(plant, log)] * 2
+    before = _held_out(now, halves)
+    halfway, parts = [plant, plant], {}
+    for name, stage in STAGES.items():
+        found = [stage(p, log, half) for p, half in zip(halfway, halves, strict=True)]
+        tried = [p for p, _ in found]
+        then = [old if p is q else fitted(q, log) for p, q, old in zip(halfway, tried, now, strict=True)]
+        gain = [(a.log_likelihood - b.log_likelihood)[half] for a, b, half in zip(then, now, halves[::-1], strict=True)]
+        if _worth(np.concatenate(gain), doubt=name == "parameters"):
+            halfway, now, parts[name] = tried, then, [what for _, what in found]
+    kept = tuple(parts)
+    result, parameters, disturbances, noise = plant, None, (), None
+    if "parameters" in kept:
+        result, parameters = _parameters(result, log, settled)
+    seen = windows(result, log, settled)
+    require_no_fault(result, seen, log.t[settled][WINDOW - 1 :: WINDOW])
+    if "disturbances" in kept:
+        result, disturbances = learnt(result, log, settled, seen)
+        for disturbance in disturbances:
+            require_no_sensor(plant, disturbance)
+    if "noise" in kept:
+        noise = joined(*parts["noise"])
+        result = with_noise(result, noise)
+    result = started(result, log)
+    return Commissioning(result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise)
+
+
+def as_runs(plant: Plant, healthy: Any) -> Log:
+    """The log with one axis of runs: y (K, B, N), u (K, B, m)."""
+    t, y, u = as_log(plant, *healthy)
+    y = y.reshape(len(t), -1, y.shape[-1])
+    if u.ndim > 2:
+        u = u.reshape(len(t), -1, u.shape[-1])
+    else:
+        u = u[:, None]
+    return Log(t, y, np.broadcast_to(u, (*y.shape[:2], u.shape[-1])))
+
+
+def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, Estimate | None]:
+    known = plant.uncertainty
+    if not (known.parameters or known.inputs):
+        return plant, None
+    used = np.cumsum(use) - 1
+    stretch = np.clip(used * STRETCHES // np.sum(use), 0, STRETCHES - 1)
+    found = estimated(plant, log, use, stretch)
+    return moved(plant, found), found
+
+
+def _noise(plant: Plant, log: Log, use: Array) -> tuple[Plant, Noise]:
+    found = likeliest_noise(plant, log, use)
+    return with_noise(plant, found), found
+
+
+STAGES: dict[str, Callable[[Plant, Log, Array], tuple[Plant, Any]]] = {
+    "parameters": _parameters,
+    "disturbances": learnt,
+    "noise": _noise,
+}
+
+
+def _worth(gain: Array, doubt: bool) -> bool:
+    """Whether gains of log-likelihood per sample are more than chance; with doubt: whether they are no loss beyond chance."""
+    if not np.any(gain):
+        return False
+    error = float(np.std(gain) * np.sqrt(gain.size))
+    return bool(np.sum(gain) > (-SURE if doubt else SURE) * error)
+
+
+def _held_out(now: list[Any], halves: list[Array]) -> HeldOut:
+    """Each plant on the other half."""
+    pairs = list(zip(now, halves[::-1], strict=True))
+    return HeldOut(
+        float(np.mean([np.mean(f.log_likelihood[half]) for f, half in pairs])),
+        float(np.mean([np.mean(f.nis[half]) for f, half in pairs])),
+        float(np.mean([coloured(f.normal[half]) for f, half in pairs])),
+    )

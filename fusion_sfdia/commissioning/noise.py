@@ -1,0 +1,135 @@
+"""Process noise and sensor noise of greatest likelihood.
+
+With the filter's F, H, K, S and innovations d, the adjoint of the predicted state runs backward,
+
+    lam = H' S^-1 d + (I - K H)' mu,    mu = F' lam(next),    Lam = H' S^-1 H + (I - K H)' M (I - K H),    M = F' Lam(next) F
+    e = S^-1 d - K' mu,    D = S^-1 + K' M K
+
+and gives the derivatives d logL / d Q = (lam lam' - Lam) / 2, d logL / d R = (e e' - D) / 2 (Koopman and Shephard 1992, Exact
+score for time series models in state space form). For a factor s on a part of Q or R the likelihood is stationary where
+a = s sum lam' Q lam equals b = s sum tr(Lam Q); s <- s a / b leads there, and b counts the degrees of freedom that the log has
+for s (MacKay 1992, Bayesian interpolation; with the square root of a / b each step climbs, Zhou, Hu, Zhou and Lange 2019).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.commissioning.innovations import Sample, filtered, fixed, until
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+
+ROUNDS = 8
+CLOSE = 0.5  # standard errors: a change below this ends them
+BLOCK = 100  # samples whose adjoint is kept at once
+PRIOR = 10.0  # samples' worth of belief in the stated noise (inverse gamma distribution of a variance)
+LEAST, MOST = 0.01, 100.0  # factors of a variance in all
+
+
+class Noise(NamedTuple):
+    """Factors of the stated variances: of the process noise of each group of states, and of the noise of each sensor (N,).
+
+    freedom: degrees of freedom that the log had for each; the relative standard error of a factor is sqrt(2 / freedom).
+    """
+
+    groups: dict[str, Array]
+    process: Array
+    process_freedom: Array
+    sensors: Array
+    sensors_freedom: Array
+
+
+def state_groups(plant: Plant) -> dict[str, Array]:
+    """Indices of states of one unit, which share a factor; all states where their noise is correlated."""
+    if plant.process_cov.ndim == 2:
+        return {"all": np.arange(len(plant.states))}
+    units = [s.unit for s in plant.states]
+    noisy = plant.process_cov > 0
+    found = {unit: np.array([i for i, u in enumerate(units) if u == unit and noisy[i]]) for unit in dict.fromkeys(units)}
+    return {unit: members for unit, members in found.items() if members.size}
+
+
+def with_noise(plant: Plant, noise: Noise) -> Plant:
+    """The plant with its variances times these factors; bounds of the noise grow with them, but do not shrink."""
+    groups, process, _, sensors, _ = noise
+    factor = np.ones(len(plant.states))
+    for members, s in zip(groups.values(), process, strict=True):
+        factor[members] = s
+    cov = plant.process_cov * (factor if plant.process_cov.ndim == 1 else factor[0])
+    meters = tuple(
+        replace(s, sigma=s.noise_sigma * float(np.sqrt(f)), bound=s.bound and s.bound * max(float(np.sqrt(f)), 1.0))
+        for s, f in zip(plant.sensors, sensors, strict=True)
+    )
+    return replace(plant, process_cov=cov, sensors=meters)
+
+
+def joined(first: Noise, second: Noise) -> Noise:
+    """The factors of two parts of a log together: the mean of their logarithms, weighted by what each part says."""
+    found: dict[str, Any] = {"groups": first.groups}
+    for what in ("process", "sensors"):
+        a, b = (getattr(n, f"{what}_freedom") + PRIOR for n in (first, second))
+        logs = [np.log(getattr(n, what)) for n in (first, second)]
+        found |= {what: np.exp((a * logs[0] + b * logs[1]) / (a + b)), f"{what}_freedom": a + b - 2 * PRIOR}
+    return Noise(**found)
+
+
+def likeliest_noise(plant: Plant, log: Log, use: Array) -> Noise:
+    """Return the factors of greatest likelihood on the samples use (K,) of a log of runs, near 1 where the log says little."""
+    groups = state_groups(plant)
+    factors = np.ones(len(groups) + len(plant.sensors))
+    for _ in range(ROUNDS):
+        a, b = _moments(with_noise(plant, _noise(groups, factors, factors)), log, use, groups)
+        before, factors = factors, np.clip(factors * (a + PRIOR / factors) / (b + PRIOR), LEAST, MOST)
+        if np.all(np.abs(np.log(factors / before)) < CLOSE * np.sqrt(2 / (b + PRIOR))):
+            break
+    return _noise(groups, factors, b)
+
+
+def _noise(groups: dict[str, Array], factors: Array, freedom: Array) -> Noise:
+    (process, sensors), (of_process, of_sensors) = (np.split(a, [len(groups)]) for a in (factors, freedom))
+    return Noise(groups, process, of_process, sensors, of_sensors)
+
+
+def _moments(plant: Plant, log: Log, use: Array, groups: dict[str, Array]) -> tuple[Array, Array]:
+    """Return a and b (groups + N,) of the groups of states, then of the sensors."""
+    model = fixed(plant)
+    cov = plant.process_cov
+    process, sensors = np.zeros((2, len(groups))), np.zeros((2, len(plant.sensors)))
+    block: list[Sample] = []
+
+    def closed(until: int) -> None:
+        size = model.x0.size
+        mu, big = np.zeros((log.y.shape[1], size)), np.zeros((log.y.shape[1], size, size))
+        for k in range(until, until - len(block), -1):
+            now = block[k - until - 1]
+            back, transposed = np.swapaxes(now.closed, -1, -2), np.swapaxes(now.gain, -1, -2)
+            e = now.whitened - (transposed @ mu[..., None])[..., 0]
+            spread = np.diagonal(now.inverse, axis1=-2, axis2=-1) + np.sum(transposed @ big * transposed, axis=-1)
+            seen = np.swapaxes(now.readout, -1, -2)
+            lam = (seen @ now.whitened[..., None])[..., 0] + (back @ mu[..., None])[..., 0]
+            large = seen @ now.inverse @ now.readout + back @ big @ now.closed
+            if use[k]:
+                sensors[0] += np.sum(e**2 * now.used, axis=0) * plant.sensor_cov
+                sensors[1] += np.sum(spread * now.used, axis=0) * plant.sensor_cov
+                for i, members in enumerate(groups.values()):
+                    q = np.diag(cov[members]) if cov.ndim == 1 else cov
+                    part = lam[:, members]
+                    process[0, i] += np.sum(part @ q * part)
+                    process[1, i] += np.sum(large[:, members[:, None], members] * q)
+            forward = np.swapaxes(now.tangent, -1, -2)
+            mu, big = (forward @ lam[..., None])[..., 0], forward @ large @ now.tangent
+        block.clear()
+
+    log = until(log, use)
+    for k, sample in enumerate(filtered(model, log)):
+        block.append(sample)
+        if len(block) == BLOCK or k == len(log.t) - 1:
+            closed(k)
+    a, b = np.concatenate([process, sensors], axis=1)
+    return a, b

@@ -1,0 +1,45 @@
+"""Where runs begin: the first state that the first readings show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from fusion_sfdia.commissioning.innovations import filtered, fixed
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.gaussian import dense
+
+REFUSED = 1e-3  # probability that a start as stated is moved
+WIDE = 100.0  # standard deviations of the stated start
+
+
+def started(plant: Plant, log: Log) -> Plant:
+    """The plant with x0 at the mean of the states that a log of runs begins with, where its own contradicts the first readings.
+
+    Its initial covariance then also holds their spread. The state of each run is smoothed from its first readings, with a start
+    that is 100 times as uncertain.
+    """
+    first = Log(log.t[:1], log.y[:1], log.u[:1])
+    model = fixed(plant)
+    (stated,) = filtered(model, first)
+    if np.sum(stated.normal**2) < chi2.isf(REFUSED, int(np.sum(stated.used))):
+        return plant
+    n = len(plant.states)
+    factor = np.where(np.arange(model.x0.size) < n, WIDE, 1.0)
+    wide = dense(model.initial_cov) * np.outer(factor, factor)
+    (free,) = filtered(replace(model, initial_cov=wide), first)
+    ahead = model.step(float(log.t[0]) - model.dt, np.broadcast_to(model.x0, free.x.shape), log.u[0], model.dt)
+    turned = wide @ np.swapaxes(free.tangent, -1, -2)
+    gain = turned @ np.linalg.pinv(free.tangent @ turned + dense(model.process_cov), hermitian=True)
+    moved = (gain @ (free.x - ahead)[..., None])[..., :n, 0]
+    spread = np.mean((moved - np.mean(moved, axis=0)) ** 2, axis=0)
+    own = plant.initial_cov
+    low, high = plant.state_limits
+    return replace(
+        plant,
+        x0=np.clip(plant.x0 + np.mean(moved, axis=0), low, high),
+        initial_cov=own + spread if own.ndim == 1 else own + np.diag(spread),
+    )

@@ -1,0 +1,83 @@
+"""Commissioning on the tanks: what is declared is found, what is not is learnt, a log with a fault is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.commissioning.commission import commission, commissioning
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, secants
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.models.two_tanks.plant import two_tanks
+
+OUTLET = Parameter("outlet", "1", 1.0, 0.05)
+
+
+def declared() -> Plant:
+    plant = two_tanks()
+    return replace(plant, uncertainty=secants(plant, (OUTLET,), two_tanks))
+
+
+def bare() -> Plant:
+    return replace(two_tanks(), uncertainty=Uncertainty())
+
+
+@cache
+def healthy(outlet: float = 1.0, steps: int = 300) -> Log:
+    """Four runs of tanks with other outlets."""
+    recording = simulate(two_tanks(), steps, range(40, 44), truth=two_tanks(outlet=outlet), process_noise=True)
+    return Log(recording.t, recording.y, recording.u_of_runs)
+
+
+def biased(log: Log, sensor: int, size: float, since: int) -> Log:
+    y = log.y.copy()
+    y[since:, :, sensor] += size
+    return log._replace(y=y)
+
+
+def test_a_declared_parameter_moves_to_its_true_value() -> None:
+    found = commissioning(declared(), healthy(0.95))
+    assert found.parameters is not None
+    assert abs(found.parameters.value[0] - 0.95) < 4 * found.parameters.sd[0]
+    assert found.parameters.sd[0] < 0.02 * OUTLET.sd
+    (parameter,) = found.plant.uncertainty.parameters
+    assert (parameter.nominal, parameter.sd) == (found.parameters.value[0], found.parameters.sd[0])
+    x, u = np.array([0.9, 1.1]), found.plant.input_at(0.0)
+    there = two_tanks(outlet=parameter.nominal)
+    np.testing.assert_array_equal(found.plant.step(0.0, x, u, 5.0), there.step(0.0, x, u, 5.0))
+
+
+def test_a_mismatch_of_which_nothing_is_declared_is_learnt() -> None:
+    found = commissioning(bare(), healthy(0.95))
+    assert "disturbances" in found.kept
+    assert found.before.nis > 5
+    assert abs(found.after.nis - 1) < 4 * np.sqrt(2 / (4 * 300 * 4))
+
+
+@pytest.mark.parametrize("since", [0, 200])
+def test_a_log_with_a_biased_sensor_is_refused(since: int) -> None:
+    log = biased(healthy(), 1, 10 * 0.01, since)
+    with pytest.raises(ValueError, match="'l2' contradicts all others"):
+        commission(bare(), log)
+
+
+def test_a_frozen_sensor_is_refused() -> None:
+    log = healthy()
+    y = log.y.copy()
+    y[100:120, 0, 2] = y[100, 0, 2]
+    with pytest.raises(ValueError, match="'q12' repeats one reading 19 times"):
+        commission(bare(), log._replace(y=y))
+
+
+def test_a_log_that_is_too_short_is_refused() -> None:
+    log = Log(*(a[:80] for a in healthy()))
+    with pytest.raises(ValueError, match="80 samples; expected at least 8"):
+        commission(bare(), log)
+    log = Log(*(a[:120] for a in healthy()))
+    with pytest.raises(ValueError, match="expected at least 1000"):
+        commission(bare(), log)
