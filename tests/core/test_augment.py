@@ -83,6 +83,8 @@ def test_limits_are_twenty_standard_deviations_or_those_of_the_parameter() -> No
     low = replace(GAIN, low=2.5)
     (state,) = (s for s in augment(replace(linear(), uncertainty=Uncertainty((low,), by_theta))).states if s.name == "gain")
     assert (state.low, state.high, state.initial_sigma) == (2.5, 13.0, 0.5)
+    others = augment(linear()).states[3:]  # an error of an input and a disturbance have none
+    assert [(s.low, s.high) for s in others] == [(-np.inf, np.inf)] * 2
 
 
 def test_step_output_and_jacobians_are_those_of_the_matrices() -> None:

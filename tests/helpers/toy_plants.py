@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import partial
 from typing import Any
@@ -13,6 +14,7 @@ from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
+from fusion_sfdia.filters.gaussian import sample
 from fusion_sfdia.models.two_tanks.plant import tank_modules as tank_modules
 from fusion_sfdia.models.two_tanks.plant import tank_physics as tank_physics
 from fusion_sfdia.models.two_tanks.plant import two_tanks as tanks  # noqa: F401
@@ -76,14 +78,20 @@ def declared(load: float = 0.2, push: float = 0.1, **parameter: Any) -> Plant:
     return replace(plant, uncertainty=Uncertainty(parameters, at, inputs={"push": push} if push else {}))
 
 
-def readings(plant: Plant, steps: int, runs: int, seed: int) -> tuple[Array, Array, Array, Array]:
-    """Simulate the plant with its own process and reading noise: t (K,), x (K, runs, n), y (K, runs, N), u (K, runs, m)."""
+def readings(
+    plant: Plant, steps: int, runs: int, seed: int, jumps: Mapping[int, Array] | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """Simulate the plant with its own process and reading noise: t (K,), x (K, runs, n), y (K, runs, N), u (K, runs, m).
+
+    jumps: changes of the state (n,) before the k-th step, by k from 0.
+    """
     rng = np.random.default_rng(seed)
     n, count = plant.x0.size, len(plant.sensors)
-    x = plant.x0 + np.sqrt(plant.initial_cov) * rng.standard_normal((runs, n))
+    x = plant.x0 + sample(plant.initial_cov, rng, (runs,))
     u = np.broadcast_to(plant.input_at(0.0), (runs, len(plant.inputs)))
     xs, ys = np.empty((steps, runs, n)), np.empty((steps, runs, count))
     for k in range(steps):
+        x = x + jumps[k] if jumps and k in jumps else x
         x = plant.step(k * plant.dt, x, u, plant.dt) + np.sqrt(plant.process_cov) * rng.standard_normal((runs, n))
         xs[k] = x
         ys[k] = plant.output((k + 1) * plant.dt, x, u) + plant.sensor_sigma * rng.standard_normal((runs, count))
