@@ -4,6 +4,9 @@ from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshol
 from fusion_sfdia.adaptive_thresholds.virtual_sensors import VirtualSensors as VirtualSensors
 from fusion_sfdia.checks.detectors import check_detector as check_detector
 from fusion_sfdia.checks.plants import check_plant as check_plant
+from fusion_sfdia.commissioning.commission import Commissioning as Commissioning
+from fusion_sfdia.commissioning.commission import commission as commission
+from fusion_sfdia.commissioning.commission import commissioned as commissioned
 from fusion_sfdia.comparison.compare import ComparisonResult as ComparisonResult
 from fusion_sfdia.comparison.compare import compare as compare
 from fusion_sfdia.core.augment import augment as augment
@@ -13,6 +16,7 @@ from fusion_sfdia.core.detector import Decision as Decision
 from fusion_sfdia.core.detector import Detector as Detector
 from fusion_sfdia.core.detector import MissingPackageError as MissingPackageError
 from fusion_sfdia.core.detector import NotApplicableError as NotApplicableError
+from fusion_sfdia.core.detector import ProcessHypothesis as ProcessHypothesis
 from fusion_sfdia.core.detector import run as run
 from fusion_sfdia.core.discretise import discretise as discretise
 from fusion_sfdia.core.equation import equation as equation
@@ -73,6 +77,7 @@ from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank as Leav
 from fusion_sfdia.kalman_banks.moving_horizon_bank import MovingHorizon as MovingHorizon
 from fusion_sfdia.kalman_banks.multiple_model import MultipleModel as MultipleModel
 from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter as ParticleFilter
+from fusion_sfdia.kalman_banks.robust_bank import RobustBank as RobustBank
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank as SequentialBank
 from fusion_sfdia.kalman_banks.sequential_rules import Cusum as Cusum
 from fusion_sfdia.kalman_banks.sequential_rules import Ewma as Ewma

@@ -61,11 +61,11 @@ class Commissioning(NamedTuple):
 
 
 def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
-    """Return the plant as a healthy log shows it: see `commissioning`, whose report has the reasons."""
-    return commissioning(plant, *healthy, false_alarm=false_alarm).plant
+    """Return the plant as a healthy log shows it: see `commissioned`, whose report has the reasons."""
+    return commissioned(plant, *healthy, false_alarm=false_alarm).plant
 
 
-def commissioning(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Commissioning:
+def commissioned(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Commissioning:
     """Adapt a plant to healthy readings of the real one, and report what was found.
 
     healthy: t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`. false_alarm: the
@@ -94,7 +94,8 @@ def commissioning(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Com
         if _worth(np.concatenate(gain), doubt=name == "parameters"):
             halfway, now, parts[name] = tried, then, [what for _, what in found]
     kept = tuple(parts)
-    result, parameters, disturbances, noise = plant, None, (), None
+    result, parameters, noise = plant, None, None
+    disturbances: tuple[Found, ...] = ()
     if "parameters" in kept:
         result, parameters = _parameters(result, log, settled)
     seen = windows(result, log, settled)

@@ -81,7 +81,8 @@ def learnt(plant: Plant, log: Log, use: Array, seen: Windows | None = None) -> t
 
 def windows(plant: Plant, log: Log, use: Array) -> Windows:
     """Scores of all directions in windows of consecutive samples use (K,); ValueError for less than two windows."""
-    g, info, scale = [], [], _scale(plant)
+    g: list[Array] = []
+    info: list[Array] = []
     for j, (now, effect) in enumerate(_effects(plant, log, use, None)):
         score, known = _of_sample(now, effect)
         if j % WINDOW:
@@ -93,7 +94,7 @@ def windows(plant: Plant, log: Log, use: Array) -> Windows:
     whole = int(np.sum(use)) // WINDOW
     if whole < 2:
         raise ValueError(f"the log has {whole} windows of {WINDOW} samples after settling; give at least 2")
-    return Windows(np.stack(g[:whole], axis=1), np.stack(info[:whole], axis=1), scale)
+    return Windows(np.stack(g[:whole], axis=1), np.stack(info[:whole], axis=1), _scale(plant))
 
 
 def leading(plant: Plant, seen: Windows) -> Found | None:

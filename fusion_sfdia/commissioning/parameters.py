@@ -27,7 +27,7 @@ from fusion_sfdia.core.uncertainty import error_of
 Array = NDArray[Any]
 
 STEPS = 5  # of Gauss and Newton
-CLOSE = 0.05  # posterior standard deviations: a step below this ends them
+CLOSE = 0.5  # posterior standard deviations: a step below this ends them; what it leaves is of second order
 FARTHEST = 4.0  # prior standard deviations
 
 

@@ -7,6 +7,7 @@ from functools import lru_cache, partial
 from typing import Any
 
 from fusion_sfdia import registry
+from fusion_sfdia.commissioning.commission import commission
 from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, plant_of
 from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.detector import NotApplicableError
@@ -51,16 +52,11 @@ def known(of: ComparedPlant, mismatch: str, alone: bool) -> Plant | str:
 
     alone: without what the plant states as uncertain.
     """
-    try:
-        from fusion_sfdia.commissioning.commission import commission
-    except ModuleNotFoundError as problem:
-        raise NotApplicableError("commissioning has not landed") from problem
     plant = plant_of(of)
     try:
-        found: Plant = commission(replace(plant, uncertainty=Uncertainty()) if alone else plant, healthy_log(of, mismatch))
+        return commission(replace(plant, uncertainty=Uncertainty()) if alone else plant, healthy_log(of, mismatch))
     except ValueError as problem:
         return str(problem)
-    return found
 
 
 def _fitted(of: ComparedPlant, variant: Variant, entry: NamedDetector, mismatch: str) -> Any:
