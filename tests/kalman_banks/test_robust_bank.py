@@ -355,3 +355,30 @@ def test_a_higher_threshold_scale_alarms_less() -> None:
     once, twice = (diagnosed(RobustBank(PLANT, threshold_scale=s, accommodate=False), y) for s in (1.0, 2.0))
     np.testing.assert_allclose(once.threshold * 2, twice.threshold, rtol=4 * np.finfo(float).eps)
     assert replace(RobustBank(PLANT), threshold_scale=2.0)._limits.process == 4 * RobustBank(PLANT)._limits.process
+
+
+@pytest.mark.parametrize("of", ["sensor", "process"])
+def test_what_changes_slowly_is_a_ramp_or_drift_of_its_slope(of: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Since 64 samples: the far past explains it better than a bias or jump, in most runs, with the slope as its size."""
+    seen: list[Any] = []
+
+    def recorded(*arguments: Any) -> Any:
+        seen.append(gathered(*arguments))
+        return seen[-1]
+
+    gathered = robust_bank.gathered
+    monkeypatch.setattr(robust_bank, "gathered", recorded)
+    slope = 0.15 if of == "sensor" else 0.01
+    steady = {k: slope * np.eye(6)[LOAD] for k in range(100, 164)} if of == "process" else None
+    _, y = drawn(164, 40, seed=21, jumps=steady)
+    if of == "sensor":
+        y[100:, :, 5] += slope * np.arange(1, 65)[:, None]
+    diagnosed(RobustBank(PLANT, accommodate=False), y)
+    now = seen[-1]
+    if of == "sensor":
+        slow, size = now.slow_sensor[:, 5], now.size_s[:, 5]
+    else:
+        slow, size = now.slow_process[:, 0], now.size_p[:, 0]
+    assert slow.mean() > 0.8
+    # onsets so far back are 16 samples or more apart: an earlier one has a smaller slope
+    assert np.median(size[slow]) == pytest.approx(slope, rel=0.25)
