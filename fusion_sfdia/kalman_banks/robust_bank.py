@@ -201,7 +201,10 @@ class RobustBank(ExcludingBank):
         recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)
-        quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count) & (exclusion.out | (room > 0)[..., None])
+        quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
+        held = exclusion.out | isolated
+        fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
+        quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate:
             exclusion = restored(exclusion, process[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, found)

@@ -79,10 +79,12 @@ def linear_without() -> Plant:
     return replace(linear(), uncertainty=Uncertainty())
 
 
-def test_limits_are_six_standard_deviations_or_those_of_the_parameter() -> None:
+def test_limits_are_twenty_standard_deviations_or_those_of_the_parameter() -> None:
     low = replace(GAIN, low=2.5)
     (state,) = (s for s in augment(replace(linear(), uncertainty=Uncertainty((low,), by_theta))).states if s.name == "gain")
-    assert (state.low, state.high, state.initial_sigma) == (2.5, 6.0, 0.5)
+    assert (state.low, state.high, state.initial_sigma) == (2.5, 13.0, 0.5)
+    others = augment(linear()).states[3:]  # an error of an input and a disturbance have none
+    assert [(s.low, s.high) for s in others] == [(-np.inf, np.inf)] * 2
 
 
 def test_step_output_and_jacobians_are_those_of_the_matrices() -> None:
@@ -168,6 +170,25 @@ def test_considered_states_are_those_of_this_treatment_and_those_named() -> None
     assert larger.considered is not None and list(larger.considered) == [0, 2, 3]
     slow = replace(DRIFT, treatment="frozen")
     assert augment(linear(disturbances=(slow,))).initial_cov[-1] == 0.0
+
+
+def test_at_rest_the_initial_state_follows_the_unknown() -> None:
+    """x = F x + G (u + delta) + (theta - 3) B: x0 moves by (I - F)^-1 (B, G e_1), so its covariance with them is that."""
+    plant = linear(at_rest=True)
+    larger, apart = augment(plant), augment(linear())
+    follows = np.linalg.solve(np.eye(2) - F, np.column_stack([BY_THETA, G[:, 1]]))  # (n, 2)
+    unknown = np.diag([GAIN.sd**2, 0.7**2])
+    near = rounding(float(np.linalg.cond(np.eye(2) - F)), 40) * np.abs(follows).max() ** 2
+    P = larger.initial_cov
+    np.testing.assert_allclose(P[:2, :2], np.diag([0.4, 0.4]) + follows @ unknown @ follows.T, rtol=0, atol=near)
+    np.testing.assert_allclose(P[:2, 2:4], follows @ unknown, rtol=0, atol=near)
+    np.testing.assert_allclose(P[2:4, 2:4], unknown, rtol=1e-15)
+    np.testing.assert_array_equal(P, P.T)
+    # the disturbance, whose value at the start is drawn then, has not moved the state yet
+    assert P[4, 4] == 4.0 and not np.any(P[:4, 4])
+    np.testing.assert_array_equal(larger.x0, apart.x0)
+    np.testing.assert_array_equal(larger.process_cov, apart.process_cov)
+    assert apart.initial_cov.ndim == 1
 
 
 @pytest.mark.parametrize(

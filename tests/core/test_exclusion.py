@@ -9,7 +9,7 @@ import pytest
 from rounding import rounding
 from scipy.stats import norm
 
-from fusion_sfdia.core.exclusion import MEMORY, QUIET, Exclusion, exclude, none_excluded, readmit
+from fusion_sfdia.core.exclusion import MEMORY, QUIET, Exclusion, exclude, none_excluded, readmit, restored
 
 LIMIT, LEVEL = 9.0, 4.0  # three standard deviations; a likelihood ratio of e^4
 
@@ -139,3 +139,27 @@ def test_a_reading_at_the_limit_is_plausible_and_a_fault_without_sign_counts_as_
     at_limit = readmit(large, 3 * one, one, LIMIT, 60.0)
     assert at_limit.quiet[0] == 1 and at_limit.evidence[0] == ((3 - 10) ** 2 - 3**2) / 2
     assert readmit(none, -0.5 * one, one, LIMIT, 60.0).evidence[0] == ((-0.5 - 1) ** 2 - 0.5**2) / 2
+
+
+def test_a_restored_sensor_is_as_if_it_had_not_been_left_out() -> None:
+    """And the others as they were: sensor 0 is restored, 1 stays out, 2 was not out."""
+    out = exclude(none_excluded((), 3), np.array([True, True, False]), np.array([5.0, -7.0, 0.0]))
+    out = readmit(out, np.array([0.1, 0.2, 0.3]), np.ones(3), LIMIT, 1e9)
+    assert np.all(out.evidence[:2] > 0) and np.all(out.quiet[:2] == 1)
+    now = restored(out, np.array([True, False, True]))
+    for after, before, never in zip(now, out, none_excluded((), 3), strict=True):
+        assert after[1] == before[1] and after[0] == never[0] and after[2] == never[2]
+    assert now.out.tolist() == [False, True, False]
+    again, first = (exclude(e, np.array([True, False, False]), np.full(3, 2.0)) for e in (now, none_excluded((), 3)))
+    for after, never in zip(again, first, strict=True):
+        assert after[0] == never[0]
+
+
+def test_restoring_nothing_or_in_some_runs_changes_no_other() -> None:
+    out = exclude(none_excluded((2,), 2), np.array([[True, True], [True, False]]), np.full((2, 2), 3.0))
+    for after, before in zip(restored(out, np.zeros((2, 2), bool)), out, strict=True):
+        np.testing.assert_array_equal(after, before)
+    one = restored(out, np.array([[True, True], [False, False]]))
+    for after, before in zip(one, out, strict=True):
+        assert not np.any(after[0])
+        np.testing.assert_array_equal(after[1], before[1])

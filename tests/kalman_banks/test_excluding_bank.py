@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from toy_plants import chain
+from toy_plants import chain, changed
 
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import ekf
 from fusion_sfdia.filters.estimators import Prior, Unscented
 from fusion_sfdia.kalman_banks.excluding_bank import SensorTests, Update
@@ -101,3 +104,30 @@ def test_settings() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             LeaveOneOutBank(PLANT, **settings)
+
+
+@dataclass(frozen=True)
+class OnAnother(LeaveOneOutBank):
+    """A bank whose filter estimates the state of another plant: the same readings plus 5 of each sensor."""
+
+    @property
+    def model(self) -> Plant:
+        return changed(self.plant, output=partial(shifted_readings, self.plant))
+
+
+def shifted_readings(plant: Plant, t: float, x: Array, u: Array) -> Array:
+    return np.asarray(plant.output(t, x, u) + 5.0)
+
+
+def test_expected_readings_are_those_of_the_model_that_the_filter_estimates() -> None:
+    """By default the plant; a bank on an augmented plant states that one."""
+    assert LeaveOneOutBank(PLANT).model is PLANT
+    joint = ekf.joint(X, P, lambda s: s @ H.T, H, PLANT.sensor_cov)
+    update = Update(X, P, Prior((), np.array(True), np.array(False)), joint, statistics(joint, READINGS, TESTED.usable))
+    now, found = SimpleNamespace(t=1.0), {}
+    for bank in (LeaveOneOutBank(PLANT), OnAnother(PLANT)):
+        _, found[type(bank)] = bank._conclude(now, READINGS, np.zeros(0), out(1), update, TESTED)
+    usual, other = found[LeaveOneOutBank], found[OnAnother]
+    held = usual.isolated | np.isnan(READINGS)
+    np.testing.assert_allclose(other.reconstruction[held], usual.reconstruction[held] + 5.0, rtol=1e-15)
+    assert other.residual[1] == usual.residual[1] - 5.0  # of the sensor that is out

@@ -1,20 +1,39 @@
-"""Likelihood ratios over a window of onsets, against their definition: a separate filter run for each sensor and onset."""
+"""Likelihood ratios over a window of onsets, against their definition: a separate filter run for each hypothesis and onset."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rounding import rounding
+from scipy.integrate import quad
 from scipy.stats import norm
-from toy_plants import chain, readings
+from toy_plants import chain, declared, readings
 
 from fusion_sfdia.core.detector import run
+from fusion_sfdia.filters.estimators import Extended, GaussianState
+from fusion_sfdia.filters.gaussian import gain
+from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
+from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
-from fusion_sfdia.kalman_banks.likelihood_window import LEAST_INFORMATION, OnsetStatistics, best_onset
+from fusion_sfdia.kalman_banks.likelihood_window import (
+    LEAST_INFORMATION,
+    Best,
+    Grid,
+    Weighed,
+    Window,
+    absorbed,
+    best_onset,
+    empty,
+    measured,
+    shifted,
+    updated,
+    weigh,
+)
 
 Array = NDArray[Any]
 
@@ -24,6 +43,19 @@ F = PLANT.step_jacobian_at(0.0, PLANT.x0, np.zeros(0), 1.0)
 H = PLANT.output_jacobian_at(0.0, PLANT.x0, np.zeros(0))
 P0 = np.diag(PLANT.initial_cov)
 Q, R = np.diag(PLANT.process_cov), np.diag(PLANT.sensor_cov)
+
+
+class Linear(NamedTuple):
+    """A linear model: x+ = F x + w, y = H x + v, covariances of w, v and of the initial state."""
+
+    F: Array
+    H: Array
+    Q: Array
+    R: Array
+    P0: Array
+
+
+CHAIN = Linear(F, H, Q, R, P0)
 
 
 @dataclass
@@ -37,17 +69,17 @@ class Step:
     S: Array
 
 
-def filtered(y: Array, x: Array, P: Array) -> list[Step]:
+def filtered(y: Array, x: Array, P: Array, of: Linear = CHAIN) -> list[Step]:
     """The textbook filter from x, P on the readings y (K, N) of one run, rows of missing ones deleted."""
     steps = []
     for reading in y:
-        x, P = F @ x, F @ P @ F.T + Q
+        x, P = of.F @ x, of.F @ P @ of.F.T + of.Q
         used = np.isfinite(reading)
-        h = H[used]
-        S, d = h @ P @ h.T + R[np.ix_(used, used)], reading[used] - h @ x
+        h = of.H[used]
+        S, d = h @ P @ h.T + of.R[np.ix_(used, used)], reading[used] - h @ x
         steps.append(Step(x, P, used, d, S))
         K = P @ h.T @ np.linalg.inv(S)
-        x, P = x + K @ d, (np.eye(3) - K @ h) @ P
+        x, P = x + K @ d, (np.eye(len(x)) - K @ h) @ P
     return steps
 
 
@@ -212,11 +244,197 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
     """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
     a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
     b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
-    onsets = OnsetStatistics(np.zeros((2, 1, 3)), a, b, np.zeros((3, 1)))
+    onsets = Weighed(Window(np.zeros((2, 1, 3)), a, b, np.ones(2)), np.zeros((2, 3, 3)))
     found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
     np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
     np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)
     np.testing.assert_array_equal(found.information, [1.0, 0.0011, 1.0])
-    np.testing.assert_array_equal(found.onset[:2], [1, 1])
-    less_noise = best_onset(onsets, np.ones(3, bool), np.array([1.0, 0.5, 1.0]))  # information is in units of 1 / R
+    np.testing.assert_array_equal(found.slot[:2], [1, 1])
+    less_noise = best_onset(onsets, np.ones(3, bool), np.array([1.0, 0.5, 1.0]))  # information is in units of 1 / size^2
     assert less_noise.statistic[1] == 0.0 and less_noise.statistic[2] == 25.0
+    earlier = best_onset(onsets, np.ones(3, bool), np.ones(3), first=1)
+    np.testing.assert_array_equal(earlier.slot, [1, 1, 1])
+    by_slot = best_onset(onsets, np.ones(3, bool), np.array([[1.0, 1.0, 1.0], [1e-2, 1.0, 1.0]]))  # a size for each onset
+    assert by_slot.statistic[0] == 4.0 and by_slot.slot[0] == 0
+
+
+def test_the_evidence_is_twice_the_logarithm_of_the_likelihood_ratio_averaged_over_sizes() -> None:
+    """int N(s; 0, size^2) exp(a s - b s^2 / 2) ds, by quadrature."""
+    a, b, size = 3.0, 0.7, 2.5
+    onsets = Weighed(Window(np.zeros((1, 1, 1)), np.full((1, 1), a), np.full((1, 1), b), np.ones(1)), np.zeros((1, 1, 1)))
+    found = best_onset(onsets, np.ones(1, bool), np.array([size]))
+    ratio, error = quad(lambda s: norm.pdf(s, 0.0, size) * np.exp(a * s - b * s * s / 2), -np.inf, np.inf)
+    assert found.evidence[0] == pytest.approx(2 * np.log(ratio), rel=0, abs=4 * error / ratio)
+    assert best_onset(onsets, np.zeros(1, bool), np.ones(1)).evidence[0] == -np.inf
+
+
+# Hypotheses about the process and the far past, on a plant with declared uncertainty
+
+DECLARED = Hypotheses(declared())
+MODEL = DECLARED.model
+AUGMENTED = Linear(
+    MODEL.step_jacobian_at(0.0, MODEL.x0, np.zeros(1), 1.0), MODEL.output_jacobian_at(0.0, MODEL.x0, np.zeros(1)),
+    np.diag(MODEL.process_cov), np.diag(MODEL.sensor_cov), np.diag(MODEL.initial_cov),
+)  # fmt: skip
+SENSORS, STATES, ADDED = len(MODEL.sensors), len(DECLARED.plant.states), DECLARED.added
+RECENT = [*(("bias", i) for i in range(SENSORS)), *(("jump", j) for j in range(ADDED)), *(("rate", j) for j in range(STATES))]
+SLOW = [*(("ramp", i) for i in range(SENSORS)), *(("drift", j) for j in range(ADDED))]
+LONG = 44
+
+
+def differing(hypothesis: tuple[str, int], onset: int, steps: int) -> tuple[Array, Array]:
+    """The plant alone, from 0 and without noise, of which the hypothesis is true since step `onset` with unit size.
+
+    States (steps, z) and readings (steps, N), of the steps 1, 2 ..
+    """
+    kind, j = hypothesis
+    z, states, read = np.zeros(len(AUGMENTED.F)), [], []
+    for step in range(1, steps + 1):
+        since = step - onset + 1
+        push, rate, fault = np.zeros(len(z)), np.zeros(len(z)), np.zeros(SENSORS)
+        if kind in ("jump", "drift"):
+            push[STATES + j] = float(since == 1 or (kind == "drift" and since > 1))
+        elif kind == "rate":
+            rate[:STATES] = DECLARED.rates[:, j] * (since >= 1)
+        else:
+            fault[j] = max(since, 0) if kind == "ramp" else since >= 1
+        z = AUGMENTED.F @ (z + push) + rate
+        states.append(z)
+        read.append(AUGMENTED.H @ z + fault)
+    return np.array(states), np.array(read)
+
+
+def stepped(y: Array, grid: Grid, slow: bool, restart: Sequence[int] = ()) -> list[tuple[Weighed, Best]]:
+    """The window along the filter of MODEL on readings y (K, B, N), by step; after the steps `restart` it starts again."""
+    filtering, batch, draws = Extended(), y.shape[1:2], np.random.default_rng(0)
+    core = filtering.start(MODEL, batch, draws)
+    window = empty(batch, grid, len(MODEL.states), len(SLOW if slow else RECENT))
+    found = []
+    for step, reading in enumerate(y, start=1):
+        u = np.zeros((*batch, 1))
+        prior = filtering.predict(MODEL, core, step - 1.0, u, 1.0, draws)
+        joint = filtering.joint(MODEL, prior, float(step), u)
+        now = statistics(joint, reading, np.isfinite(reading))
+        window = shifted(window, grid, step)
+        F = prior.tangent
+        assert F is not None
+        effect = DECLARED.slow(F, window.age) if slow else DECLARED.recent(F, grid.slots)
+        weighed = weigh(window, F, AUGMENTED.H, now, effect)
+        sizes = DECLARED.slow_sizes(window.age) if slow else DECLARED.recent_sizes
+        found.append((weighed, best_onset(weighed, np.ones((*batch, weighed.M.shape[-1]), bool), sizes)))
+        core = GaussianState(*posterior(joint, now))
+        window = updated(weighed, gain(joint, now.inverse), np.full(batch, step in restart))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("grid", "slow"), [(Grid(5), False), (Grid.spanning(16), False), (Grid(5), True), (Grid.spanning(32, 2), True)],
+    ids=["recent-dense", "recent-sparse", "slow-dense", "slow-sparse"],
+)  # fmt: skip
+@pytest.mark.parametrize("restart", [0, 15], ids=["once", "restart"])
+def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Grid, slow: bool, restart: int) -> None:
+    """eta and M are those of the unit hypothesis alone through the same filter with the same gaps; a and b follow."""
+    rng = np.random.default_rng(20)
+    y = rng.standard_normal((LONG, 1, SENSORS)) * 3.0
+    y[rng.random(y.shape) < 0.2] = np.nan
+    y[7] = np.nan
+    found = stepped(y, grid, slow, [restart] if restart else [])
+    healthy = filtered(y[:, 0], np.zeros(len(MODEL.states)), AUGMENTED.P0, AUGMENTED)
+    condition = float(np.linalg.cond(AUGMENTED.H @ AUGMENTED.P0 @ AUGMENTED.H.T + AUGMENTED.R))
+    steps_seen = {max(o, r) for k in range(1, LONG + 1) for r in (1, restart + 1) for o in grid.onsets(k)}
+    checked = 0
+    for column, hypothesis in enumerate(SLOW if slow else RECENT):
+        alone = {}
+        for onset in sorted(o for o in steps_seen if o <= LONG):
+            z, read = differing(hypothesis, onset, LONG)
+            read[np.isnan(y[:, 0])] = np.nan
+            alone[onset] = z, filtered(read, np.zeros(z.shape[-1]), AUGMENTED.P0, AUGMENTED)
+        largest = max(np.abs(s.d).max(initial=0.0) for _, steps in alone.values() for s in steps)
+        # each number is a sum over the steps and over readings and states, of terms as large as the largest effect
+        near = rounding(condition * max(largest, 1.0), LONG * 4 * (SENSORS + len(MODEL.states)))
+        for step in range(1, LONG + 1):
+            weighed, best = found[step - 1]
+            first = 1 if step <= restart or not restart else restart + 1
+            for slot, onset in enumerate(grid.onsets(step)):
+                onset = max(onset, first)
+                z, steps = alone[onset]
+                of, used = steps[step - 1], healthy[step - 1].used
+                window = weighed.window
+                assert window.age[0, slot] == step - onset + 1
+                np.testing.assert_allclose(window.eta[0, slot, :, column], of.x - z[step - 1], rtol=0, atol=near)
+                np.testing.assert_allclose(weighed.M[0, slot, used, column], of.d, rtol=0, atol=near)
+                since = range(onset - 1, step)
+                whitened = [np.linalg.solve(healthy[k].S, steps[k].d) for k in since]
+                a = sum(float(w @ healthy[k].d) for w, k in zip(whitened, since, strict=True))
+                b = sum(float(w @ steps[k].d) for w, k in zip(whitened, since, strict=True))
+                assert window.a[0, slot, column] == pytest.approx(a, rel=0, abs=near * max(1.0, largest) * 10), (step, slot)
+                assert window.b[0, slot, column] == pytest.approx(b, rel=0, abs=near * max(1.0, largest)), (step, slot)
+                checked += 1
+            slot = best.slot[0, column]
+            moved = absorbed(weighed, best, np.array([column]))
+            np.testing.assert_array_equal(moved[0], weighed.window.eta[0, slot, :, column])
+    assert checked == (len(SLOW) if slow else len(RECENT)) * LONG * grid.slots
+
+
+def test_a_run_whose_window_starts_again_changes_no_other() -> None:
+    y = np.random.default_rng(21).standard_normal((20, 2, SENSORS))
+    found = stepped(y, Grid(4), False)[-1][0].window
+    one = updated(
+        Weighed(found, np.zeros((2, 4, SENSORS, len(RECENT)))),
+        np.zeros((2, len(MODEL.states), SENSORS)),
+        np.array([True, False]),
+    )
+    for after, before in zip(one, found, strict=True):
+        assert not np.any(after[0]) and np.any(before[0])
+        np.testing.assert_array_equal(after[1], before[1])
+
+
+def test_readings_that_are_states_are_picked_as_the_product_gives_them() -> None:
+    eta = np.random.default_rng(22).standard_normal((2, 3, 4, 5))
+    picks, general = np.eye(4)[[2, 0, 2]], np.random.default_rng(23).standard_normal((2, 3, 4))
+    np.testing.assert_array_equal(measured(picks, eta), picks @ eta)
+    np.testing.assert_array_equal(measured(np.stack([picks, picks]), eta), picks @ eta)
+    np.testing.assert_array_equal(measured(general, eta), general[:, None] @ eta)
+    one_is_no_state = np.stack([picks, general[0]])
+    np.testing.assert_array_equal(measured(one_is_no_state, eta), one_is_no_state[:, None] @ eta)
+
+
+GRIDS = [Grid(1), Grid(7), Grid(4, 3), Grid(6, 4, 3), Grid.spanning(32), Grid.spanning(256, 4), Grid.spanning(100, 3, 8)]
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=str)
+def test_an_onset_that_is_kept_is_new_or_was_kept_before(grid: Grid) -> None:
+    """So each step needs the sums of the step before alone; the count is constant and the slots are those of `moves`."""
+    for step in range(1, 600):
+        now, before = grid.onsets(step), grid.onsets(step - 1)
+        assert len(now) == grid.slots and now == sorted(now, reverse=True) and now[0] <= step
+        assert set(now) <= {*before, step}
+        moves = grid.moves(step)
+        if step % grid.finest:
+            assert moves is None and now == before
+        else:
+            assert moves is not None and now == [step, *(before[slot] for slot in moves)]
+
+
+@pytest.mark.parametrize(
+    ("samples", "finest", "latest"), [(4, 1, 4), (32, 1, 4), (33, 1, 4), (256, 4, 4), (100, 3, 8), (2, 1, 4)]
+)
+def test_a_grid_spans_the_samples_it_states_at_steps_that_grow_with_their_distance(
+    samples: int, finest: int, latest: int
+) -> None:
+    grid = Grid.spanning(samples, finest, latest)
+    coarsest = finest * 2 ** (grid.levels - 1)
+    assert samples <= latest * coarsest and (grid.levels == 1 or latest * coarsest < 2 * samples)
+    for step in range(1, 300):
+        age = step - np.array(grid.onsets(step))
+        assert (latest - 1) * coarsest <= age[-1] < latest * coarsest
+        # between two onsets are at most `finest` samples, or the age of the older one over half of latest
+        assert np.all(np.diff(age) <= np.maximum(finest, 2 * age[1:] / latest))
+
+
+def test_onsets_before_the_start_are_the_start() -> None:
+    y = np.random.default_rng(24).standard_normal((3, 1, SENSORS))
+    window = stepped(y, Grid(6), False)[-1][0].window
+    np.testing.assert_array_equal(window.age[0], [1, 2, 3, 3, 3, 3])
+    for sums in (window.a[0], window.b[0], window.eta[0]):
+        np.testing.assert_array_equal(sums[3:], sums[[2, 2, 2]])
