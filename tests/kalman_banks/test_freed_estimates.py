@@ -28,7 +28,7 @@ CLOSE = rounding(1.0, 10) * 100  # sums of products of numbers of order one to t
 def weighed(hypotheses: int) -> Weighed:
     sums = RNG.normal(size=(2, RUNS, SLOTS, hypotheses))
     eta = RNG.normal(size=(RUNS, SLOTS, STATES, hypotheses))
-    return Weighed(Window(eta, *sums, np.ones((RUNS, SLOTS))), np.zeros((RUNS, SLOTS, SENSORS, hypotheses)))
+    return Weighed(Window(eta, *sums, np.ones((RUNS, SLOTS))), np.zeros((RUNS, SENSORS, STATES)), np.zeros((RUNS, SLOTS)))
 
 
 def best(hypotheses: int) -> Best:
@@ -90,7 +90,7 @@ def test_alternatives_widen_the_covariance_by_their_effects() -> None:
 
 
 def test_reopened_augmented_states_get_their_spread() -> None:
-    x, p = widened(PRIOR, np.array([True, False]), np.array([0.5])).core
+    x, p = widened(PRIOR, np.array([[True], [False]]), np.array([0.5])).core
     np.testing.assert_array_equal(p[0], P[0] + np.diag([0, 0, 0.25]))
     np.testing.assert_array_equal(p[1], P[1])
     np.testing.assert_array_equal(x, X)

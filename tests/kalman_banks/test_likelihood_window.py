@@ -29,7 +29,6 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     absorbed,
     best_onset,
     empty,
-    measured,
     shifted,
     updated,
     weigh,
@@ -244,7 +243,7 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
     """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
     a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
     b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
-    onsets = Weighed(Window(np.zeros((2, 1, 3)), a, b, np.ones(2)), np.zeros((2, 3, 3)))
+    onsets = Weighed(Window(np.zeros((2, 1, 3)), a, b, np.ones(2)), np.zeros((3, 1)), np.ones(2))
     found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
     np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
     np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)
@@ -261,7 +260,9 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
 def test_the_evidence_is_twice_the_logarithm_of_the_likelihood_ratio_averaged_over_sizes() -> None:
     """int N(s; 0, size^2) exp(a s - b s^2 / 2) ds, by quadrature."""
     a, b, size = 3.0, 0.7, 2.5
-    onsets = Weighed(Window(np.zeros((1, 1, 1)), np.full((1, 1), a), np.full((1, 1), b), np.ones(1)), np.zeros((1, 1, 1)))
+    onsets = Weighed(
+        Window(np.zeros((1, 1, 1)), np.full((1, 1), a), np.full((1, 1), b), np.ones(1)), np.zeros((1, 1)), np.ones(1)
+    )
     found = best_onset(onsets, np.ones(1, bool), np.array([size]))
     ratio, error = quad(lambda s: norm.pdf(s, 0.0, size) * np.exp(a * s - b * s * s / 2), -np.inf, np.inf)
     assert found.evidence[0] == pytest.approx(2 * np.log(ratio), rel=0, abs=4 * error / ratio)
@@ -380,7 +381,7 @@ def test_a_run_whose_window_starts_again_changes_no_other() -> None:
     y = np.random.default_rng(21).standard_normal((20, 2, SENSORS))
     found = stepped(y, Grid(4), False)[-1][0].window
     one = updated(
-        Weighed(found, np.zeros((2, 4, SENSORS, len(RECENT)))),
+        Weighed(found, np.zeros((2, SENSORS, len(MODEL.states))), np.zeros((2, 4))),
         np.zeros((2, len(MODEL.states), SENSORS)),
         np.array([True, False]),
     )
@@ -389,14 +390,19 @@ def test_a_run_whose_window_starts_again_changes_no_other() -> None:
         np.testing.assert_array_equal(after[1], before[1])
 
 
-def test_readings_that_are_states_are_picked_as_the_product_gives_them() -> None:
-    eta = np.random.default_rng(22).standard_normal((2, 3, 4, 5))
-    picks, general = np.eye(4)[[2, 0, 2]], np.random.default_rng(23).standard_normal((2, 3, 4))
-    np.testing.assert_array_equal(measured(picks, eta), picks @ eta)
-    np.testing.assert_array_equal(measured(np.stack([picks, picks]), eta), picks @ eta)
-    np.testing.assert_array_equal(measured(general, eta), general[:, None] @ eta)
-    one_is_no_state = np.stack([picks, general[0]])
-    np.testing.assert_array_equal(measured(one_is_no_state, eta), one_is_no_state[:, None] @ eta)
+def test_states_that_are_not_read_do_not_enter_the_change_of_the_innovation() -> None:
+    """M = D - H eta, with H of the first states only; of some slots and hypotheses as of all."""
+    eta = np.random.default_rng(22).standard_normal((2, 3, 5, 6))
+    H = np.random.default_rng(23).standard_normal((2, 4, 3))
+    readings = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.0]])
+    whole = Weighed(Window(eta, *np.zeros((2, 2, 3, 6)), np.ones((2, 3))), H, readings)
+    direct = np.zeros((2, 3, 4, 6))
+    direct[..., :4] = readings[..., None, None] * np.eye(4)
+    wider = np.concatenate([H, np.zeros((2, 4, 2))], axis=-1)
+    allowed = rounding(float(np.max(np.abs(wider[:, None]) @ np.abs(eta))) + 3.0, 6)
+    np.testing.assert_allclose(whole.M, direct - wider[:, None] @ eta, rtol=0, atol=allowed)
+    part = whole.changes(slice(1, 2), 4)
+    np.testing.assert_allclose(part, (direct - wider[:, None] @ eta)[:, 1:2, :, 4:], rtol=0, atol=allowed)
 
 
 GRIDS = [Grid(1), Grid(7), Grid(4, 3), Grid(6, 4, 3), Grid.spanning(32), Grid.spanning(256, 4), Grid.spanning(100, 3, 8)]

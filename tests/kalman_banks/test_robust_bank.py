@@ -318,8 +318,10 @@ def test_decisions_do_not_change_with_the_unit_of_a_sensor() -> None:
     a, b = diagnosed(RobustBank(plant), y, u), diagnosed(RobustBank(other), y * np.array([-1e3, 1, 3.6e6, 1]), u)
     for name in ("isolated", "alarm", "process", "suspect", "capped"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
-    # each step solves with S, conditioned as the readings correlate, some 1e4; errors decay with the filter's memory
-    np.testing.assert_allclose(a.scores, b.scores, rtol=0, atol=rounding(1e4, 120 * 20) * np.max(a.scores))
+    # the windows are in single precision: 20 operations in each of 32 steps
+    np.testing.assert_allclose(
+        a.scores, b.scores, rtol=0, atol=float(np.finfo(np.float32).eps) * np.sqrt(20 * 32) * np.max(a.scores)
+    )
 
 
 def test_missing_readings_are_not_judged_and_do_not_hinder_the_others() -> None:
@@ -380,5 +382,5 @@ def test_what_changes_slowly_is_a_ramp_or_drift_of_its_slope(of: str, monkeypatc
     else:
         slow, size = now.slow_process[:, 0], now.size_p[:, 0]
     assert slow.mean() > 0.8
-    # onsets so far back are 16 samples or more apart: an earlier one has a smaller slope
-    assert np.median(size[slow]) == pytest.approx(slope, rel=0.25)
+    # onsets so far back are up to a factor of 2 apart: an earlier one has a smaller slope
+    assert 0.4 * slope < np.median(size[slow]) < 1.25 * slope
