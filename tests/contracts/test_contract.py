@@ -31,6 +31,7 @@ from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.detectors import FALSE_ALARM
+from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 
@@ -139,6 +140,11 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
     runs = 20 if pair[0] in TOYS else 3
     settled = SETTLED + LATER.get(pair, 0)
     t, y, u = healthy(pair[0], settled + 100, runs)
+    if detector.plant.truth.disturbed and hasattr(detector, "process_hypotheses"):
+        # without the stated process noise the gains of estimated parameters are wrong (Ljung 1979), so that they drift away, and
+        # with it the exact discretisation of the truth is a mismatch that is reported as such: the claim is that of the model
+        recording = simulate(detector.plant, settled + 100, range(50, 50 + runs), truth="model", process_noise=True)
+        t, y, u = recording.t, recording.y, recording.u_of_runs
     _, d = run(detector, detector.init((runs,)), t, y, u)
     assert not d.diverged.any()
     if pair[1] in NAMELESS:  # its claim, of each sensor by itself: Chebyshev's inequality for 2 standard deviations
@@ -236,12 +242,15 @@ def test_a_large_bias_raises_an_alarm_and_has_the_right_name(pair: tuple[str, st
         if np.mean(during[:, i]) < 0.9:
             missed.add(quantity)
             continue
-        assert during[0, i] and np.all(d.alarm[onset : onset + 20, run_index][during[:, i]])
+        first = int(np.argmax(during[:, i]))
+        if first:  # it was among the suspects, as well explained by the process
+            assert d.suspect is not None and first <= 2 and d.suspect[onset : onset + first, run_index, i].all()
+        assert np.all(d.alarm[onset : onset + 20, run_index][during[:, i]])
         if pair[1].startswith("adaptive-threshold"):
             continue  # its diagnosis sets hold every sensor whose fault would explain the decisions
         # at most two of the twenty samples isolate another sensor, too
         assert np.sum(np.any(np.delete(during, i, axis=-1), axis=-1)) <= 2
-        size = d.fault_size[onset, run_index, i] / plant.sensor_sigma[i]
+        size = d.fault_size[onset + first, run_index, i] / plant.sensor_sigma[i]
         # reading less its estimate: 30 with the noise of a reading and of its estimate, at most sqrt(2) together
         assert size == pytest.approx(30.0, abs=4 * np.sqrt(2))
     assert missed == (set(chosen) if pair[1] in NAMELESS else MISSED.get(pair, set()))
