@@ -141,8 +141,8 @@ def test_silence_when_healthy(pair: tuple[str, str]) -> None:
     settled = SETTLED + LATER.get(pair, 0)
     t, y, u = healthy(pair[0], settled + 100, runs)
     if detector.plant.truth.disturbed and hasattr(detector, "process_hypotheses"):
-        # without the stated process noise the gains of estimated parameters are wrong (Ljung 1979), so that they drift away,
-        # and with it the exact discretisation of the truth is a mismatch that is reported as such: the claim is that of the model
+        # The claim is that of the model. Without the stated process noise the gains of estimated parameters are wrong (Ljung
+        # 1979) and they drift away; the exact discretisation of the truth is a mismatch, which is reported as such.
         recording = simulate(detector.plant, settled + 100, range(50, 50 + runs), truth="model", process_noise=True)
         t, y, u = recording.t, recording.y, recording.u_of_runs
     _, d = run(detector, detector.init((runs,)), t, y, u)
