@@ -48,7 +48,7 @@ def test_robust_banks_have_their_times_memory_and_growth() -> None:
         step, one = found[f"{areas} areas", "step_time"], found[f"one of {areas} areas", "step_time"]
         assert step.value > 0 and math.isclose(one.value * areas, step.value)
         # at least two windows of eta before and after: 10 and 13 onsets, 9 states, 14 and 10 hypotheses of an area of one tie
-        assert found[f"one of {areas} areas", "peak_memory"].value > 2 * 8 * 9 * (10 * 14 + 13 * 10)
+        assert found[f"one of {areas} areas", "peak_memory"].value > 2 * 4 * 9 * (6 * 14 + 7 * 10)
     assert any("from 15 to 30 areas: 1 is linear" in remark for remark in summary.remarks)
     assert "areas: 1 is linear" not in " ".join(run(areas=(15,), robust=(15,)).remarks)
 
