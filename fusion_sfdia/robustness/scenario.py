@@ -1,6 +1,6 @@
 """robustness: what detectors do when the model is wrong, and which of them can tell a sensor from the process.
 
-What a detector is told of the plant: `variants`. What is tried: `protocol`, with the cases that stand beside each plant. How:
+What a detector knows of the plant: `variants`. What is tried: `protocol`, with the cases that stand beside each plant. How:
 `run`, with `material` and `records`. The numbers: `rows`, and what they should be: `aims`. The report: `report`.
 """
 

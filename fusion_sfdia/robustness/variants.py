@@ -1,4 +1,4 @@
-"""Variants of a detector: what it is told of the plant.
+"""Variants of a detector: what it knows of the plant.
 
     detector                            the plant as it is
     detector on augmented               augment(plant): what the plant states as uncertain is estimated
@@ -29,7 +29,7 @@ IN_WORDS = {
 
 
 class Variant(NamedTuple):
-    """A detector by its registered name, and what it is told of the plant, one of KNOWLEDGE."""
+    """A detector by its registered name, and what it knows of the plant, one of KNOWLEDGE."""
 
     detector: str
     knowledge: str
