@@ -23,23 +23,28 @@ PRIOR = 1e-3  # probability of each hypothesis before any reading
 
 
 class Limits(NamedTuple):
-    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence of both kinds."""
+    """Chi-square limits of one sample, of the windows for sensors and for the process; margins of evidence of both kinds.
+
+    smallest (N + P,): sizes below which the windows accept nothing.
+    """
 
     one: float
     window: float
     process: float
     sensor_margin: Array
     process_margin: float
+    smallest: Array
 
 
 class Evidence(NamedTuple):
     """The best explanation by each sensor (..., N) and by each process hypothesis (..., P).
 
-    slow_sensor (..., N), slow_process (..., p): whether it is a ramp or drift. statistic_s, size_s, information_s (..., N), of
-    the windows; statistic_p, size_p, information_p (..., P). sensor, one_sample (..., N): evidence of the windows and of the
+    slow_sensor (..., N), slow_process (..., p): whether it is a ramp or drift. now (..., N + P): what its size is by now, the
+    slope of a ramp or drift times its length. statistic_s, size_s, information_s (..., N), of the windows; statistic_p, size_p, information_p (..., P). sensor, one_sample (..., N): evidence of the windows and of the
     present sample; process (..., P).
     """
 
+    now: Array
     slow_sensor: Array
     statistic_s: Array
     size_s: Array
@@ -78,15 +83,22 @@ def one_sample_evidence(found: LeaveOneOut, size: Array) -> Array:
     return np.where(found.used, evidence, -np.inf)
 
 
-def gathered(recent: Best, slow: Best, one_sample: Array, handicap: Array) -> Evidence:
-    """The evidence of all hypotheses from the two windows, less a handicap of those of the process (P,)."""
+def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: Array) -> Evidence:
+    """The evidence of all hypotheses from the two windows, less a handicap of those of the process (P,).
+
+    age (..., L): of the onsets of the slow window.
+    """
     count, both = one_sample.shape[-1], slow.evidence.shape[-1]
     far = slow.evidence > recent.evidence[..., :both]
     merged = [np.where(far, s, r[..., :both]) for s, r in zip(slow[:4], recent[:4], strict=True)]
     whole = [np.concatenate([m, r[..., both:]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
     statistic, size, information, evidence = whole
     evidence[..., count:] -= handicap
+    length = np.where(far, np.take_along_axis(age, slow.slot, axis=-1), 1.0)
+    now = size.copy()
+    now[..., :both] *= length
     return Evidence(
+        now,
         far[..., :count], statistic[..., :count], size[..., :count], information[..., :count], evidence[..., :count],
         one_sample,
         far[..., count:], statistic[..., count:], size[..., count:], information[..., count:], evidence[..., count:],
@@ -161,17 +173,20 @@ class Accepted(NamedTuple):
 
 def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
     """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
+    large, count = np.abs(evidence.now) >= limits.smallest, evidence.sensor.shape[-1]
     sensor = np.argmax(evidence.sensor, axis=-1)
     of_sensor, statistic = (
         np.take_along_axis(v, sensor[..., None], -1)[..., 0] for v in (evidence.sensor, evidence.statistic_s)
     )
     is_sensor = where & (statistic > limits.window) & (of_sensor - evidence.best_process > limits.sensor_margin)
+    is_sensor = is_sensor & np.take_along_axis(large, sensor[..., None], -1)[..., 0]
     process = np.argmax(evidence.process, axis=-1)
     of_process, statistic = (
         np.take_along_axis(v, process[..., None], -1)[..., 0] for v in (evidence.process, evidence.statistic_p)
     )
     lead = of_process - np.max(evidence.of_sensors, axis=-1)
     is_process = where & (statistic > limits.process) & (lead > limits.process_margin)
+    is_process = is_process & np.take_along_axis(large, count + process[..., None], -1)[..., 0]
     return Accepted(sensor, is_sensor, process, is_process)
 
 

@@ -63,7 +63,9 @@ from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, 
 Array = NDArray[Any]
 
 QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
-PERSISTENT = 3  # samples in a row that isolate a sensor soon after the process has changed
+LATELY = 15  # samples after a process hypothesis was accepted, in which what changed may turn out to be more
+USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
+PERSISTENT = 3  # samples in a row that isolate a sensor then
 
 
 class RobustMemory(NamedTuple):
@@ -91,6 +93,8 @@ class RobustBank(ExcludingBank):
     are too quiet, the rest in equal parts for the sample and the windows; process_false_alarm: the same of the process
     hypotheses. By Bonferroni both are bounds, for a correct model. sensor_margin, process_margin: by how
     much the evidence (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process, and the reverse.
+    smallest: size, over the noise of a sensor, below which the windows isolate no sensor, as a model errs by as much; a parameter
+    or input must differ by `USUAL` of its prior standard deviation.
     max_faults: sensors that may be left out at once (None: what the plant's redundancy allows).
     accommodate: leave out isolated sensors and follow the process; without it the statistics are those of one filter, for
     sweeps over the threshold.
@@ -102,6 +106,7 @@ class RobustBank(ExcludingBank):
     process_false_alarm: float = 1e-5
     sensor_margin: float = 3.0
     process_margin: float = 10.0
+    smallest: float = 1.5
     max_faults: int | None = None
     accommodate: bool = True
     estimator: Extended = field(default_factory=Extended)
@@ -110,7 +115,7 @@ class RobustBank(ExcludingBank):
         super().__post_init__()
         whole("window, in samples,", self.window, least=4)
         whole("memory, in samples,", self.memory, least=4 * SLOW_STEP)
-        for what in ("sensor_margin", "process_margin"):
+        for what in ("sensor_margin", "process_margin", "smallest"):
             if not 0 <= number(what, getattr(self, what)) < np.inf:
                 raise ValueError(f"{what} is {getattr(self, what)}; expected a finite number of at least 0")
 
@@ -139,7 +144,9 @@ class RobustBank(ExcludingBank):
         half = (1 - QUIET_SHARE) * self.false_alarm / 2 / len(self.plant.sensors)
         shares = (half, half / onsets, self.process_false_alarm / len(self.process_hypotheses) / onsets)
         one, window, process = (float((scale * ndtri(s / 2)) ** 2) for s in shares)
-        return Limits(one, window, process, np.array(self.sensor_margin), self.process_margin)
+        of, none = self._hypotheses, np.zeros(len(self.plant.states))
+        smallest = np.concatenate([self.smallest * self.plant.sensor_sigma, USUAL * of.sd, none])
+        return Limits(one, window, process, np.array(self.sensor_margin), self.process_margin, smallest)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> RobustMemory:
         of, count = self._hypotheses, len(self.plant.sensors)
@@ -160,7 +167,7 @@ class RobustBank(ExcludingBank):
         estimate, exclusion, out_for, led, *windows, standing, pairs = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
         stands = np.any(standing.accepted, axis=-1)
-        lately = stands & (standing.since <= self.window)
+        lately = stands & (standing.since <= LATELY)
         limits = self._limits._replace(sensor_margin=np.where(stands, self.process_margin, self.sensor_margin))
         handicap = np.where(stands[..., None], 0.0, of.handicap)
         prior = self._predict(estimate, standing, now, u)
@@ -168,9 +175,8 @@ class RobustBank(ExcludingBank):
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
         tested = self._test(windows, prior, joint, now.k, everything)
-        evidence = gathered(
-            tested.best_recent, tested.best_slow, one_sample_evidence(everything, of.recent_sizes[:count]), handicap
-        )
+        one = one_sample_evidence(everything, of.recent_sizes[:count])
+        evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.window.age, one, handicap)
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
         present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
         isolated, capped = eliminated(everything, evidence, present, limits, room)
