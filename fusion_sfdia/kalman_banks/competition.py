@@ -17,6 +17,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import Best
 
 Array = NDArray[Any]
 
+AS_BIAS = 2 / 3  # a bias c looks like a ramp that ends at c (sum k / sum k^2) times its length, 3 c / 2
 ABSORBED = 2.0  # evidence by which an earlier onset is preferred to the present sample
 LEAST_WEIGHT = 0.1  # of an alternative to an accepted process hypothesis
 PRIOR = 1e-3  # probability of each hypothesis before any reading
@@ -39,12 +40,12 @@ class Limits(NamedTuple):
 class Evidence(NamedTuple):
     """The best explanation by each sensor (..., N) and by each process hypothesis (..., P).
 
-    slow_sensor (..., N), slow_process (..., p): whether it is a ramp or drift. now (..., N + P): what its size is by now, the
-    slope of a ramp or drift times its length. statistic_s, size_s, information_s (..., N), of the windows; statistic_p, size_p, information_p (..., P). sensor, one_sample (..., N): evidence of the windows and of the
-    present sample; process (..., P).
+    level (..., N + P): sizes, of a ramp or drift that of the bias or jump nearest to it. slow_sensor (..., N), slow_process
+    (..., p): whether it is a ramp or drift. statistic_s, size_s, information_s (..., N), of the windows; statistic_p, size_p,
+    information_p (..., P). sensor, one_sample (..., N): evidence of the windows and of the present sample; process (..., P).
     """
 
-    now: Array
+    level: Array
     slow_sensor: Array
     statistic_s: Array
     size_s: Array
@@ -94,11 +95,11 @@ def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: 
     whole = [np.concatenate([m, r[..., both:]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
     statistic, size, information, evidence = whole
     evidence[..., count:] -= handicap
-    length = np.where(far, np.take_along_axis(age, slow.slot, axis=-1), 1.0)
-    now = size.copy()
-    now[..., :both] *= length
+    length = np.where(far, np.take_along_axis(age, slow.slot, axis=-1) * AS_BIAS, 1.0)
+    level = size.copy()
+    level[..., :both] *= length
     return Evidence(
-        now,
+        level,
         far[..., :count], statistic[..., :count], size[..., :count], information[..., :count], evidence[..., :count],
         one_sample,
         far[..., count:], statistic[..., count:], size[..., count:], information[..., count:], evidence[..., count:],
@@ -173,7 +174,7 @@ class Accepted(NamedTuple):
 
 def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
     """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
-    large, count = np.abs(evidence.now) >= limits.smallest, evidence.sensor.shape[-1]
+    large, count = np.abs(evidence.level) >= limits.smallest, evidence.sensor.shape[-1]
     sensor = np.argmax(evidence.sensor, axis=-1)
     of_sensor, statistic = (
         np.take_along_axis(v, sensor[..., None], -1)[..., 0] for v in (evidence.sensor, evidence.statistic_s)

@@ -91,10 +91,10 @@ class RobustBank(ExcludingBank):
     window, memory: samples in which the onset of a bias, jump or error of an equation, and that of a ramp or drift, is sought.
     false_alarm: probability that an alarm of the sensors begins in one step, as of `LeaveOneOutBank`: a tenth for readings that
     are too quiet, the rest in equal parts for the sample and the windows; process_false_alarm: the same of the process
-    hypotheses. By Bonferroni both are bounds, for a correct model. sensor_margin, process_margin: by how
-    much the evidence (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process, and the reverse.
-    smallest: size, over the noise of a sensor, below which the windows isolate no sensor, as a model errs by as much; a parameter
-    or input must differ by `USUAL` of its prior standard deviation.
+    hypotheses. By Bonferroni both are bounds, for a correct model. sensor_margin, process_margin: by how much the evidence
+    (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process, and the reverse. smallest: size, over
+    the noise of a sensor, below which the windows isolate no sensor, since a model errs by as much: the alarm is undecided. A
+    parameter or input must differ by `USUAL` of its prior standard deviation.
     max_faults: sensors that may be left out at once (None: what the plant's redundancy allows).
     accommodate: leave out isolated sensors and follow the process; without it the statistics are those of one filter, for
     sweeps over the threshold.

@@ -33,7 +33,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import Best
 
 Array = NDArray[Any]
 NOTHING = -np.inf
-LIMITS = Limits(one=12.0, window=15.0, process=20.0, sensor_margin=np.array(3.0), process_margin=10.0)
+LIMITS = Limits(one=12.0, window=15.0, process=20.0, sensor_margin=np.array(3.0), process_margin=10.0, smallest=np.array(0.5))
 
 
 def evidence(sensor: Any, process: Any, one_sample: Any = None, statistic: float = 100.0) -> Evidence:
@@ -41,8 +41,9 @@ def evidence(sensor: Any, process: Any, one_sample: Any = None, statistic: float
     s, p = np.asarray(sensor, dtype=float), np.asarray(process, dtype=float)
     one = np.full(s.shape, NOTHING) if one_sample is None else np.asarray(one_sample, dtype=float)
     far_s, far_p = np.zeros(s.shape, bool), np.zeros(p.shape, bool)
+    level = np.ones((*s.shape[:-1], s.shape[-1] + p.shape[-1]))
     return Evidence(
-        far_s, np.full(s.shape, statistic), np.ones(s.shape), np.ones(s.shape), s, one,
+        level, far_s, np.full(s.shape, statistic), np.ones(s.shape), np.ones(s.shape), s, one,
         far_p, np.full(p.shape, statistic), np.ones(p.shape), np.ones(p.shape), p,
     )  # fmt: skip
 
@@ -97,6 +98,18 @@ def test_suspects_are_those_within_the_margin_of_the_best() -> None:
     assert not suspects(now, np.array(False), 10.0).any()
 
 
+def test_sizes_that_a_model_may_err_by_are_not_accepted() -> None:
+    """The second sensor and the first process hypothesis are of the smallest size that is."""
+    limits = LIMITS._replace(smallest=np.array([1.1, 1.0, 1.0, 1.1]))
+    for sensors, process, expected in (
+        ([50.0, 0.0], [0.0, 0.0], (False, False)), ([0.0, 50.0], [0.0, 0.0], (True, False)),
+        ([0.0, 0.0], [50.0, 0.0], (False, True)), ([0.0, 0.0], [0.0, 50.0], (False, False)),
+    ):  # fmt: skip
+        now = evidence(sensors, process)
+        found = accepted(now._replace(level=-now.level), limits, np.array(True))  # of either sign
+        assert (found.is_sensor, found.is_process) == expected
+
+
 def test_probabilities_are_those_of_bayes_rule_for_at_most_one_cause() -> None:
     sensors, process = np.array([4.0, -3.0]), np.array([8.0])
     weights = PRIOR * np.exp(np.concatenate([sensors, process]) / 2)
@@ -117,7 +130,10 @@ def test_probabilities_add_up_to_at_most_one(level: float) -> None:
 def test_the_window_with_more_evidence_explains_a_hypothesis() -> None:
     """Two sensors, one augmented state, one equation, which the slow window does not have."""
     recent, slow = best([10.0, 20.0, 30.0, 40.0]), best([15.0, 5.0, 35.0])
-    found = gathered(recent, slow, np.array([1.0, 2.0]), np.array([0.5, 6.0]))
+    found = gathered(recent, slow, np.array([7.0]), np.array([1.0, 2.0]), np.array([0.5, 6.0]))
+    np.testing.assert_allclose(
+        found.level, [7 * 15.1 * 2 / 3, 20.1, 7 * 35.1 * 2 / 3, 40.1], rtol=1e-15
+    )  # slopes over 7 samples
     np.testing.assert_array_equal(found.slow_sensor, [True, False])
     np.testing.assert_array_equal(found.slow_process, [True])
     np.testing.assert_array_equal(found.statistic_s, [15, 20])

@@ -44,7 +44,8 @@ TESTED = freed_estimates.Tested(
 def evidence(slow_sensor: bool, slow_process: bool) -> Evidence:
     s, p = np.zeros((RUNS, SENSORS)), np.zeros((RUNS, PROCESS))
     far_s, far_p = np.full((RUNS, SENSORS), slow_sensor), np.full((RUNS, ADDED), slow_process)
-    return Evidence(far_s, s, s, s, s, s, far_p, p, p, p, p)
+    level = np.concatenate([s, p], axis=-1)
+    return Evidence(level, far_s, s, s, s, s, s, far_p, p, p, p, p)
 
 
 def explained(slow: bool, run: int, column: int) -> tuple[Array, float, float]:

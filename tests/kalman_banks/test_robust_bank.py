@@ -384,3 +384,14 @@ def test_what_changes_slowly_is_a_ramp_or_drift_of_its_slope(of: str, monkeypatc
     assert slow.mean() > 0.8
     # onsets so far back are up to a factor of 2 apart: an earlier one has a smaller slope
     assert 0.4 * slope < np.median(size[slow]) < 1.25 * slope
+
+
+def test_a_bias_that_a_model_may_err_by_is_an_alarm_without_a_name() -> None:
+    """A bias of one sigma for 200 samples: found by the windows, and isolated where it is large enough for that."""
+    _, y = drawn(300, 20, seed=31)
+    y[100:, :, 4] += PLANT.sensor_sigma[4]
+    usual, every = (diagnosed(RobustBank(PLANT, smallest=smallest), y) for smallest in (1.5, 0.0))
+    # a sensor with such a bias is used again and isolated again, in turns
+    assert every.isolated[200:, :, 4].mean() > 0.3 and usual.isolated[:, :, 4].mean() < 0.05
+    assert usual.alarm[200:].any(axis=0).mean() > 0.9
+    assert usual.suspect is not None and usual.suspect[200:, :, 4].any(axis=0).mean() > 0.9
