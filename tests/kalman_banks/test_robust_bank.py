@@ -256,7 +256,9 @@ def test_a_leak_of_the_tanks_is_reported_and_no_sensor_is_isolated() -> None:
     bank = RobustBank(plant)
     found = diagnosed(bank, y, u)
     assert found.process is not None
-    assert not found.process[:100].any() and found.process[160:].any(axis=(0, -1)).mean() > 0.9
+    assert not found.process[:100].any()
+    # a verdict in .95 of the runs: of 20 at least 16 with a probability of .999
+    assert np.sum(found.process[100:].any(axis=(0, -1))) >= binom(20, 0.95).ppf(0.001)
     assert found.isolated.mean() < 0.02
 
 
