@@ -92,6 +92,11 @@ def error_of(name: str) -> str:
     return f"error of {name}"
 
 
+def equation_of(name: str) -> str:
+    """The name of the hypothesis that the equation of a state errs."""
+    return f"equation of {name}"
+
+
 def _require_treatment(whose: str, treatment: str) -> None:
     if treatment not in TREATMENTS:
         raise ValueError(f"{whose}: treatment is {shown(treatment)}; expected one of {', '.join(TREATMENTS)}")

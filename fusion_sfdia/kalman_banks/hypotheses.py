@@ -24,6 +24,7 @@ from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.detector import ProcessHypothesis
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.uncertainty import equation_of
 from fusion_sfdia.kalman_banks.likelihood_window import Effect
 
 Array = NDArray[Any]
@@ -74,7 +75,7 @@ class Hypotheses:
         added = self.model.states[len(self.plant.states) :]
         return (
             *(ProcessHypothesis(s.name, s.unit, kind, s.nominal) for s, kind in zip(added, kinds, strict=True)),
-            *(ProcessHypothesis(f"equation of {s.name}", s.unit, "state", np.nan) for s in self.plant.states),
+            *(ProcessHypothesis(equation_of(s.name), s.unit, "state", np.nan) for s in self.plant.states),
         )
 
     @cached_property

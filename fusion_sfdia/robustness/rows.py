@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.protocol import HEALTHY, PROCESS, PUBLISHED
 from fusion_sfdia.comparison.subjects import cases_of, compared_plant, plant_of
-from fusion_sfdia.core.uncertainty import error_of
+from fusion_sfdia.core.uncertainty import equation_of, error_of
 from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.evaluation.detection_metrics import auc
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, proportion, rate_over_runs
@@ -74,7 +74,7 @@ def numbers(condition: Condition, runs: Arrays, dt: float) -> dict[str, Estimate
         found["isolated_at_end"] = proportion(int(runs["at_end"].sum()), count)
     if fault.kind == PROCESS:
         assert isinstance(fault.case, ProcessFaultCase)
-        right = np.isin(runs["process_name"], names_of(fault.case))
+        right = np.isin(runs["process_name"], [*names_of(fault.case), *equations_of(fault.case)])
         found["process_naming_probability"] = proportion(int(right.sum()), count)
         for metric, since in (("detection_delay", "first"), ("process_delay", "first_process")):
             seen = np.isfinite(runs[since])  # the fault shows a sample after it begins
@@ -87,6 +87,11 @@ def numbers(condition: Condition, runs: Arrays, dt: float) -> dict[str, Estimate
 def names_of(case: ProcessFaultCase) -> list[str]:
     """What a right verdict may be called: what the case names, and the error of an input of that name."""
     return [*case.named, *map(error_of, case.named)]
+
+
+def equations_of(case: ProcessFaultCase) -> list[str]:
+    """What a right verdict on a state that the case names is called: that its equation errs."""
+    return list(map(equation_of, case.named))
 
 
 def area_of(healthy: Array, biased: Array) -> Estimate:

@@ -11,7 +11,9 @@ from fusion_sfdia import registry
 from fusion_sfdia.comparison.protocol import SETTINGS, mismatch_cases
 from fusion_sfdia.comparison.recordings import mismatched, simulated
 from fusion_sfdia.comparison.subjects import cases_of, compared_plant, plant_of
+from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.robustness.material import logged
+from fusion_sfdia.robustness.rows import equations_of, names_of
 
 PLANTS = [name for name, entry in registry.plants().items() if entry.cases]
 STEPS, START = 12, 6  # samples
@@ -25,6 +27,17 @@ def test_what_a_verdict_may_name_is_known_of_the_plant(plant: str) -> None:
     for case in cases_of(compared_plant(plant)).process_faults:
         assert case.named, f"{plant}: process fault {case.name} names nothing"
         assert set(case.named) <= known, f"{plant}, {case.name}: unknown {set(case.named) - known}"
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_what_a_right_verdict_names_is_a_hypothesis_about_the_process(plant: str) -> None:
+    """Of `robust-glr`: the parameter, the error of the input or of the equation of the state of each name."""
+    hypotheses = {h.name for h in Hypotheses(registry.plant(plant)).process}
+    for case in cases_of(compared_plant(plant)).process_faults:
+        for name in case.named:
+            one = case._replace(named=(name,))
+            called = {*names_of(one), *equations_of(one)}
+            assert hypotheses & called, f"{plant}, {case.name}: nothing is called after {name}"
 
 
 @pytest.mark.parametrize("plant", PLANTS)

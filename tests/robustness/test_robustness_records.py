@@ -72,6 +72,13 @@ def test_a_process_fault_has_the_right_name_where_it_is_the_most_frequent() -> N
     assert names_of(LEAK) == ["inflow", error_of("inflow")]
 
 
+def test_a_verdict_on_the_equation_of_a_state_is_right_where_the_case_names_the_state() -> None:
+    one = kept(PROCESS, np.zeros((SAMPLES, SEEDS, SENSORS), bool), ("rate", "equation of inflow"))
+    one.process[2:, 0, 1] = one.process[2:, 1, 0] = True
+    found = numbers(one.branched.condition, record(one), dt=1.0)
+    assert found["process_naming_probability"].value == pytest.approx(1 / 3)
+
+
 def test_numbers_are_shares_within_their_intervals() -> None:
     rng = np.random.default_rng(0)
     for kind in (HEALTHY, "bias", PROCESS, PUBLISHED):
