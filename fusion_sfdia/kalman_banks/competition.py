@@ -1,7 +1,7 @@
 """The decision between sensor and process, from the evidence of competing hypotheses.
 
 The evidence of a hypothesis is twice the logarithm of its likelihood ratio to "nothing", averaged over its size (see
-`likelihood_window.best_onset`). A cause is accepted where its statistic exceeds its limit and its evidence that of the best
+`likelihood_window.averaged`). A cause is accepted where its statistic exceeds its limit and its evidence that of the best
 cause of the other kind by a margin. Where no cause is accepted, those within the margin of the best are suspects.
 """
 
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate
-from fusion_sfdia.kalman_banks.likelihood_window import Best
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, value_at
+from fusion_sfdia.kalman_banks.likelihood_window import Best, averaged
 
 Array = NDArray[Any]
 
@@ -79,9 +79,7 @@ class Evidence(NamedTuple):
 
 def one_sample_evidence(found: LeaveOneOut, size: Array) -> Array:
     """Evidence of a bias of the present sample alone (..., N), of a size N(0, size^2), size (N,); -inf where not used."""
-    known = found.weight * size**2
-    evidence = found.chi_square * (known / (1 + known)) - np.log1p(known)
-    return np.where(found.used, evidence, -np.inf)
+    return np.where(found.used, averaged(found.chi_square, found.weight * size**2), -np.inf)
 
 
 def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: Array) -> Evidence:
@@ -128,12 +126,12 @@ def eliminated(found: LeaveOneOut, evidence: Evidence, present: Present, limits:
         chi_square = found.chi_square
         worst = np.argmax(chi_square, axis=-1)
         above = np.max(chi_square, axis=-1) > limits.one
-        lead = np.take_along_axis(of_sensors, worst[..., None], axis=-1)[..., 0] - of_process
+        lead = value_at(of_sensors, worst) - of_process
         free = np.sum(isolated, axis=-1) < room
         where = above & free & (lead > limits.sensor_margin)
         if not np.any(where):
             return isolated, above & ~free
-        isolated = isolated | (where[..., None] & (np.arange(count) == worst[..., None]))
+        isolated = isolated | (where[..., None] & one_hot(worst, count))
         found = eliminate(found, worst, where)
         of_sensors = np.where(where[..., None], one_sample_evidence(found, present.sizes[:count]), of_sensors)
         of_process = np.where(where, _beginning_now(found, present), of_process)
@@ -151,10 +149,9 @@ def _beginning_now(found: LeaveOneOut, present: Present) -> Array:
 
 def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array:
     """Whether the isolated sensor (...) has more evidence by the windows than by the sample: the filter has absorbed it."""
-    at = sensor[..., None]
     with np.errstate(invalid="ignore"):  # -inf - -inf of a sensor that is not used
-        more = np.take_along_axis(evidence.sensor - evidence.one_sample, at, axis=-1)[..., 0] > ABSORBED
-    return np.asarray(np.take_along_axis(isolated, at, axis=-1)[..., 0] & more)
+        more = value_at(evidence.sensor - evidence.one_sample, sensor) > ABSORBED
+    return np.asarray(value_at(isolated, sensor) & more)
 
 
 def led_by(led: Array, leads: Array, fault: Array) -> Array:
@@ -176,18 +173,14 @@ def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
     """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
     large, count = np.abs(evidence.level) >= limits.smallest, evidence.sensor.shape[-1]
     sensor = np.argmax(evidence.sensor, axis=-1)
-    of_sensor, statistic = (
-        np.take_along_axis(v, sensor[..., None], -1)[..., 0] for v in (evidence.sensor, evidence.statistic_s)
-    )
+    of_sensor, statistic = (value_at(v, sensor) for v in (evidence.sensor, evidence.statistic_s))
     is_sensor = where & (statistic > limits.window) & (of_sensor - evidence.best_process > limits.sensor_margin)
-    is_sensor = is_sensor & np.take_along_axis(large, sensor[..., None], -1)[..., 0]
+    is_sensor = is_sensor & value_at(large, sensor)
     process = np.argmax(evidence.process, axis=-1)
-    of_process, statistic = (
-        np.take_along_axis(v, process[..., None], -1)[..., 0] for v in (evidence.process, evidence.statistic_p)
-    )
+    of_process, statistic = (value_at(v, process) for v in (evidence.process, evidence.statistic_p))
     lead = of_process - np.max(evidence.of_sensors, axis=-1)
     is_process = where & (statistic > limits.process) & (lead > limits.process_margin)
-    is_process = is_process & np.take_along_axis(large, count + process[..., None], -1)[..., 0]
+    is_process = is_process & value_at(large, count + process)
     return Accepted(sensor, is_sensor, process, is_process)
 
 

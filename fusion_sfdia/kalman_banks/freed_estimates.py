@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.filters.estimators import GaussianState, Prior
 from fusion_sfdia.kalman_banks.competition import Accepted, Evidence
+from fusion_sfdia.kalman_banks.leave_one_out import value_at
 from fusion_sfdia.kalman_banks.likelihood_window import Best, Weighed, absorbed
 from fusion_sfdia.kalman_banks.standing import DOUBT
 
@@ -39,15 +40,15 @@ def moved(prior: Prior, tested: Tested, evidence: Evidence, by_windows: Accepted
     ):
         if not np.any(where):
             continue
-        slow = np.take_along_axis(far, index[..., None], axis=-1)[..., 0]
+        slow = value_at(far, index)
         column = index + first
         near = absorbed(tested.recent, tested.best_recent, column)
-        size, information = (_at(v, column) for v in (tested.best_recent.size, tested.best_recent.information))
+        size, information = (value_at(v, column) for v in (tested.best_recent.size, tested.best_recent.information))
         if np.any(slow):
             column = np.minimum(column, tested.best_slow.size.shape[-1] - 1)
             near = np.where(slow[..., None], absorbed(tested.slow, tested.best_slow, column), near)
-            size = np.where(slow, _at(tested.best_slow.size, column), size)
-            information = np.where(slow, _at(tested.best_slow.information, column), information)
+            size = np.where(slow, value_at(tested.best_slow.size, column), size)
+            information = np.where(slow, value_at(tested.best_slow.information, column), information)
         change = np.where(where[..., None], near, 0.0)
         x = x - change * size[..., None]
         p = p + change[..., :, None] * (change * (1.0 / information + doubt * size**2)[..., None])[..., None, :]
@@ -76,8 +77,3 @@ def widened(prior: Prior, where: Array, sd: Array) -> Prior:
     added = np.einsum("...ii->...i", wider)[..., x.shape[-1] - sd.size :]
     added += np.where(where, sd**2, 0.0)
     return prior._replace(core=GaussianState(x, wider))
-
-
-def _at(v: Array, index: Array) -> Array:
-    """The values of v (..., q) at an index (...)."""
-    return np.asarray(np.take_along_axis(v, index[..., None], axis=-1)[..., 0])

@@ -77,7 +77,7 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
     u_worst = np.take_along_axis(found.whitened, index, axis=-1)
     whitened = found.whitened - column * (u_worst / pivot)
     s_inv = found.inverse - column[..., :, None] * (column / pivot)[..., None, :]
-    keep = ~((np.arange(whitened.shape[-1]) == index) & where[..., None])
+    keep = ~(one_hot(worst, whitened.shape[-1]) & where[..., None])
     s_inv = s_inv * keep[..., :, None] * keep[..., None, :]
     weight = np.maximum(np.diagonal(s_inv, axis1=-2, axis2=-1), 0.0)
     return LeaveOneOut(whitened * keep, weight, s_inv, found.used & keep, None, None)
@@ -108,3 +108,13 @@ def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) ->
     """Return d' S^-1 d over the readings used, divided by their number (...): 1 on average for a consistent filter."""
     innovation = np.where(found.used, y, joint.y) - joint.y
     return np.asarray(np.sum(innovation * found.whitened, axis=-1) / np.maximum(np.sum(found.used, axis=-1), 1))
+
+
+def one_hot(index: Array, count: int) -> Array:
+    """Whether each of so many is the one at that index (...): (..., count)."""
+    return np.asarray(np.arange(count) == index[..., None])
+
+
+def value_at(v: Array, index: Array) -> Array:
+    """The values (...) of v (..., q) at an index (...)."""
+    return np.asarray(np.take_along_axis(v, index[..., None], axis=-1)[..., 0])

@@ -29,7 +29,7 @@ from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Best,
     Effect,
@@ -122,7 +122,7 @@ class LeaveOneOutBank(ExcludingBank):
             further = ~np.any(isolated, axis=-1) & (np.max(best.statistic, axis=-1) > window_limit)
             room = np.sum(exclusion.out, axis=-1) < self.most_faults
             capped = capped | (further & ~room)
-            chosen = (further & room)[..., None] & _only(worst, y)
+            chosen = (further & room)[..., None] & one_hot(worst, y.shape[-1])
             size = np.where(chosen, best.size, size)
             if np.any(chosen) and self.accommodate:
                 joint = est.joint(plant, prior := _without_fault(prior, onsets, best, worst, chosen), t, u)
@@ -155,13 +155,8 @@ class LeaveOneOutBank(ExcludingBank):
             where = above & (np.sum(out | isolated, axis=-1) < self.most_faults)
             if not np.any(where):
                 return found, isolated, above
-            isolated = isolated | (where[..., None] & _only(worst, isolated))
+            isolated = isolated | (where[..., None] & one_hot(worst, found.used.shape[-1]))
             found = eliminate(found, worst, where)
-
-
-def _only(sensor: Array, like: Array) -> Array:
-    """One-hot (..., N) of the sensor's index (...)."""
-    return np.asarray(np.arange(like.shape[-1]) == sensor[..., None])
 
 
 def _without_fault(prior: Prior, onsets: Weighed, best: Best, sensor: Array, chosen: Array) -> Prior:

@@ -192,12 +192,19 @@ def _predicted(window: Window, tangent: Array, effect: Effect, still: int) -> Ar
     return eta
 
 
+def averaged(statistic: Array, expected: Array) -> Array:
+    """Return twice the logarithm of the likelihood ratio, averaged over sizes N(0, size^2).
+
+    It is a^2 / (b + size^-2) - ln(1 + b size^2); statistic: a^2 / b, expected: b size^2.
+    """
+    return np.asarray(statistic * (expected / (1 + expected)) - np.log1p(expected))
+
+
 def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> Best:
     """Maximise over the onsets from slot `first` on; a statistic of 0 where there is no information.
 
     usable (..., q). size (q,) or (..., L, q): standard deviation of the hypothesis's size before any reading. The evidence of
-    an onset is twice the logarithm of the likelihood ratio, averaged over sizes N(0, size^2):
-    a^2 / (b + size^-2) - ln(1 + b size^2).
+    an onset is that of `averaged`.
     """
     a, b = weighed.window.a[..., first:, :], weighed.window.b[..., first:, :]
     spread = np.square(size) if np.ndim(size) == 1 else np.square(size[..., first:, :])
@@ -207,7 +214,7 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
     information = np.where(known, b, 1.0)
     size = np.where(known, a, 0.0) / information
     statistic = size**2 * information
-    evidence = np.where(known, statistic * (expected / (1 + expected)) - np.log1p(expected), -np.inf)
+    evidence = np.where(known, averaged(statistic, expected), -np.inf)
     return Best(statistic, size, information, evidence, slot + first)
 
 

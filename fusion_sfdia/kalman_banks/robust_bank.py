@@ -47,7 +47,7 @@ from fusion_sfdia.kalman_banks.competition import (
 from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, with_alternatives
 from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Grid,
     Window,
@@ -64,8 +64,8 @@ Array = NDArray[Any]
 
 QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
 LATELY = 15  # samples after a process hypothesis was accepted, in which what changed may turn out to be more
-USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
 PERSISTENT = 3  # samples in a row that isolate a sensor then
+USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
 
 
 class RobustMemory(NamedTuple):
@@ -183,24 +183,23 @@ class RobustBank(ExcludingBank):
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = capped | (by_windows.is_sensor & (room < 1))
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
-        isolated = isolated | (sensor[..., None] & _only(by_windows.sensor, count))
+        isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
         led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
         isolated = isolated & (np.abs(led) >= np.where(lately, PERSISTENT, 1)[..., None])
         reopened = np.any(isolated, axis=-1) & lately & ~standing.reopened & self.accommodate
         isolated = isolated & ~reopened[..., None]
         freed = absorbed_before(evidence, isolated, by_windows.sensor)
         if self.accommodate and np.any(freed | process | reopened):
-            standing = self._stand(standing, by_windows, evidence, prior, reopened)
             rivals = alternatives(evidence, by_windows, self.process_margin)
+            standing = self._stand(standing, by_windows, evidence, prior, rivals > 0)
+            standing = standing._replace(reopened=standing.reopened | reopened)
             prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
             likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
             prior = widened(prior, likely, PARAMETER_SIZE * of.sd)
             joint = est.joint(of.model, prior, now.t, u)
+        found = everything
+        if self.accommodate and np.any(freed | process | reopened | np.any(isolated, axis=-1)):
             found = statistics(joint, y, usable & ~isolated)
-        elif self.accommodate and np.any(isolated):
-            found = statistics(joint, y, usable & ~isolated)
-        else:
-            found = everything
         x, p = posterior(joint, found)
         restart = (np.any(isolated, axis=-1) | process | reopened) & self.accommodate
         K = gain(joint, found.inverse)
@@ -246,14 +245,11 @@ class RobustBank(ExcludingBank):
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
 
-    def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior, reopened: Array) -> Standing:
+    def _stand(self, standing: Standing, by_windows: Accepted, evidence: Evidence, prior: Prior, rivals: Array) -> Standing:
         """The process hypotheses that stand, with those accepted now and their rivals."""
-        which = by_windows.is_process[..., None] & _only(by_windows.process, evidence.process.shape[-1])
+        which = by_windows.is_process[..., None] & one_hot(by_windows.process, evidence.process.shape[-1])
         z = prior.core.x[..., len(self.plant.states) :]
-        rivals = alternatives(evidence, by_windows, self.process_margin) > 0
-        sd = np.sqrt(1.0 / evidence.information_p)
-        standing = with_accepted(standing, which, rivals, z, evidence.size_p, sd)
-        return standing._replace(reopened=standing.reopened | reopened)
+        return with_accepted(standing, which, rivals, z, evidence.size_p, np.sqrt(1.0 / evidence.information_p))
 
     def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
         """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
@@ -281,8 +277,3 @@ class RobustBank(ExcludingBank):
             suspect=suspects(evidence, undecided, self.process_margin),
             probability=evidence.probability,
         )
-
-
-def _only(index: Array, count: int) -> Array:
-    """One-hot (..., count) of an index (...)."""
-    return np.asarray(np.arange(count) == index[..., None])

@@ -32,7 +32,7 @@ from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, posterior, statistics
 from fusion_sfdia.kalman_banks.sequential_rules import SequentialRule, Shewhart
 
 Array = NDArray[Any]
@@ -154,6 +154,6 @@ class SequentialBank(ExcludingBank):
             where = above & room & (self.leave_one_out | ~np.any(isolated, axis=-1))
             if not np.any(where):
                 return found, isolated, above & ~room
-            isolated = isolated | (where[..., None] & (np.arange(y.shape[-1]) == worst[..., None]))
+            isolated = isolated | (where[..., None] & one_hot(worst, y.shape[-1]))
             found = eliminate(found, worst, where)
             innovations = self._test(joint, found, y, of_rules)
