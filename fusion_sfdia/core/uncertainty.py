@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,23 @@ class Parameter:
                 f"parameter {self.name!r}: nominal is {self.nominal}; expected a value from low {self.low} to high {self.high}"
             )
         _require_treatment(f"parameter {self.name!r}", self.treatment)
+
+
+class Spread(NamedTuple):
+    """How far numbers of one kind may differ from the model, apart from their values.
+
+    sd, rate: as of `Parameter`, over its nominal value; of a temperature in K in kelvin.
+    """
+
+    unit: str
+    sd: float
+    rate: float
+    source: str
+
+    def parameter(self, name: str, nominal: float, low: float = -np.inf) -> Parameter:
+        """The parameter with that nominal value."""
+        scale = 1.0 if self.unit == "K" else nominal
+        return Parameter(name, self.unit, nominal, self.sd * scale, self.rate * scale, source=self.source, low=low)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.uncertainty import Parameter
+from fusion_sfdia.core.uncertainty import Parameter, Spread
 from fusion_sfdia.models.gas_pipeline.equations import UNKNOWN, PipelineParameters
 
 Array = NDArray[Any]
 
-SPREAD = {  # unit, standard deviation over the value (K: of the value), its change within an hour, source
-    "roughness": ("m", 0.3, 0.0, "tables give pipes of one kind a factor of two; 30 % is our choice"),
-    "ambient": ("K", 2.5, 0.1, "ground at laying depth follows the seasons by several kelvin, by one in a week"),
-    "heat_transfer": ("W/(m2 K)", 0.3, 0.0, "conductivity of soil: by a factor of two between dry and wet; our choice"),
-    "gas_constant": (
+SPREAD = {
+    "roughness": Spread("m", 0.3, 0.0, "tables give pipes of one kind a factor of two; 30 % is our choice"),
+    "ambient": Spread("K", 2.5, 0.1, "ground at laying depth follows the seasons by several kelvin, by one in a week"),
+    "heat_transfer": Spread("W/(m2 K)", 0.3, 0.0, "conductivity of soil: by a factor of two between dry and wet; our choice"),
+    "gas_constant": Spread(
         "J/(kg K)",
         0.01,
         0.001,
@@ -46,9 +46,6 @@ def unknown_parameters(c: PipelineParameters) -> tuple[Parameter, ...]:
     """The parameters at these positions, with their spreads."""
     found = []
     for name in (UNKNOWN[j] for j in unknown_of(c)):
-        unit, sd, rate, source = SPREAD[name]
-        nominal = float(getattr(c, name))
-        scale = 1.0 if unit == "K" else nominal
         low = 0.0 if name == "heat_transfer" else np.finfo(float).tiny
-        found.append(Parameter(name, unit, nominal, sd * scale, rate * scale, source=source, low=low))
+        found.append(SPREAD[name].parameter(name, float(getattr(c, name)), low))
     return tuple(found)

@@ -31,7 +31,7 @@ from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
 from fusion_sfdia.core.signals import Sensor
-from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
+from fusion_sfdia.core.uncertainty import Spread, Uncertainty
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium, follows_law
@@ -47,17 +47,19 @@ FINER = 4  # substeps of the high-fidelity model in one of the model
 INITIAL = 0.01  # standard deviation of x0, relative; our choice
 PROCESS = (1e-3, 1e-3, 1e-4)  # standard deviation of the process noise in 0.01 s, relative; our choice
 QUANTITY = {"f": "fuel", "p": "pressure", "T": "temperature", "t": "torque"}
-SPREAD = {  # unit, standard deviation over the value (K: of the value), its change within an hour, source
-    "load": (
+SPREAD = {
+    "load": Spread(
         "W s3",
         0.05,
         0.02,
         "a propeller law holds for one draught and weather; hull fouling takes 5 to 15 % between dockings",
     ),
-    "heat": ("J/kg", 0.015, 0.0, "heating values of marine distillates differ by a percent, the share released by another"),
-    "turbine_area": ("m2", 0.03, 1e-4, "deposits narrow the nozzle ring by some percent between cleanings; our choice"),
-    "turbocharger_efficiency": ("1", 0.02, 1e-4, "a fouled compressor loses a few percent between washings; our choice"),
-    "T_cooler": ("K", 3.0, 0.5, "sea water and valves of the cooler; our choice"),
+    "heat": Spread(
+        "J/kg", 0.015, 0.0, "heating values of marine distillates differ by a percent, the share released by another"
+    ),
+    "turbine_area": Spread("m2", 0.03, 1e-4, "deposits narrow the nozzle ring by some percent between cleanings; our choice"),
+    "turbocharger_efficiency": Spread("1", 0.02, 1e-4, "a fouled compressor loses a few percent between washings; our choice"),
+    "T_cooler": Spread("K", 3.0, 0.5, "sea water and valves of the cooler; our choice"),
 }
 FUEL_SETTING = 0.01  # standard deviation of the rack's error, of full load; our choice
 SENSORS = {  # sensor: variable, in the order of K24 (29), (34), (44), (50)
@@ -179,12 +181,7 @@ def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
     full_injection is not declared: it only multiplies the fuel setting, whose error is. At a steady load the estimates of load
     and turbine area have the correlation -0.96, of the heat of the fuel and the error of its setting -0.80.
     """
-    parameters = []
-    for name in equations.UNKNOWN:
-        unit, sd, rate, source = SPREAD[name]
-        nominal = float(getattr(c, name))
-        scale = 1.0 if unit == "K" else nominal
-        parameters.append(Parameter(name, unit, nominal, sd * scale, rate * scale, source=source))
+    parameters = [SPREAD[name].parameter(name, float(getattr(c, name))) for name in equations.UNKNOWN]
     return Uncertainty(tuple(parameters), model.step_at, model.output_at, inputs={"fuel_setting": FUEL_SETTING}, at_rest=True)
 
 
