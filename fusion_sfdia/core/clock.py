@@ -1,0 +1,19 @@
+"""Wall-clock times of a log, whose detectors count seconds."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from typing import NamedTuple
+
+
+class Clock(NamedTuple):
+    """Where the seconds t of a log begin: start, with its time zone, or None where the log has seconds alone."""
+
+    start: datetime | None = None
+
+    def at(self, t: float) -> str:
+        """A time t (s) in words: "2026-03-01 14:20:05+01:00", or "1205 s" without a start."""
+        if self.start is None:
+            return f"{t:g} s"
+        moment = self.start + timedelta(seconds=t)
+        return moment.isoformat(sep=" ", timespec="milliseconds" if moment.microsecond else "seconds")
