@@ -19,6 +19,7 @@ Array = NDArray[Any]
 
 WRONG, REFUSED, KINK = "wrong", "refused", "kink"  # of the complex step: a wrong derivative, an error, that of one side
 LEFT_OUT = "leave it out of the model: its derivative is 0 or undefined (the resolution of a sensor belongs to its noise)"
+MEET = "correct on both sides; make both branches and their slopes meet where operation crosses"
 COMPARISONS = ("less", "less_equal", "greater", "greater_equal", "equal", "not_equal", "isclose")
 EFFECTS: dict[str, tuple[str, str]] = {
     "absolute": (WRONG, "write np.where(x < 0, -x, x) in place of abs(x)"),
@@ -44,9 +45,9 @@ EFFECTS: dict[str, tuple[str, str]] = {
     ),
     **dict.fromkeys(
         ("where", "select", "piecewise", "searchsorted", "argmax", "argmin", "sort", "median", "percentile"),
-        (KINK, "correct on both sides; make both branches and their slopes meet where operation crosses"),
+        (KINK, MEET),
     ),
-    **dict.fromkeys(COMPARISONS, (KINK, "correct on both sides; make both branches and their slopes meet where operation crosses")),
+    **dict.fromkeys(COMPARISONS, (KINK, MEET)),
 }  # fmt: skip
 OWN = Path(__file__).name
 
