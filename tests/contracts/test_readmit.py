@@ -35,7 +35,7 @@ def counter() -> Plant:
 
 @cache
 def leaking() -> Log:
-    """Readings of the counter: from sample 20 on `total` has a bias, and 1 a sample enters uncounted until it is repaired at 40."""
+    """Readings of the counter: `total` has a bias from sample 20 to 39, while 1 a sample enters uncounted."""
     recording = simulate(counter(), 120, seeds=[1, 2], process_noise=True)
     y = recording.y.copy()
     y[FAULT:OUT_UNTIL, :, 0] += 5.0
