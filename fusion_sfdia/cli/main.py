@@ -1,4 +1,4 @@
-"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, measure the speed."""
+"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, inspect a plant, bench."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from fusion_sfdia import __version__
+from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_diagnose, add_simulate
 from fusion_sfdia.cli.runs import add_compare, add_run
@@ -35,6 +36,7 @@ def parser() -> argparse.ArgumentParser:
     add_compare(commands)
     add_simulate(commands)
     add_diagnose(commands)
+    add_inspect(commands)
     add_bench(commands)
     return top
 

@@ -30,6 +30,7 @@ FOLDERS: dict[str, set[str]] = {
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
     "named": {"core", "evaluation", "registry", "builders", "detectors"},
     "checks": {"core", "evaluation", "registry"},
+    "inspection": {"core", "evaluation", "registry", "checks", "identification", "kalman_banks"},
     "report": {"core", "evaluation"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
