@@ -31,6 +31,7 @@ FOLDERS: dict[str, set[str]] = {
     "named": {"core", "evaluation", "registry", "builders", "detectors"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation"},
+    "live": {"core", "evaluation"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
 FOLDERS["scenarios"] = {"core", "registry", "experiments"}
