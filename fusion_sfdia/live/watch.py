@@ -62,7 +62,7 @@ class Watch:
 
     - A row whose numbers do not fit, or without an input, is not taken.
     - A row not later than the one before, late, out of order or after a clock was set back, is not taken, one line for the
-      first and one for the number of them. Directly after `load` such rows are those in the state already.
+      first and one for the number of them. Directly after `load` such rows are in the state already: no line.
     - The first row, and one later by more than longest_gap, wait for the next row. If that is later still, the time is right:
       after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier, the waiting row is not
       taken: its clock was wrong.
@@ -152,9 +152,8 @@ class Watch:
         """Whether a row at t is not later than the last one, and a line for a run of such rows."""
         last = self.waiting.t if self.waiting is not None and t == self.waiting.t else self.t
         if last is None or t > last:
-            if self.late:
-                taken = "were in the saved state" if self.resumed else "were not taken"
-                self.refused(f"{self.late} rows until {self.clock.at(t)} {taken}")
+            if self.late and not self.resumed:
+                self.refused(f"{self.late} rows until {self.clock.at(t)} were not taken")
             self.late, self.resumed = 0, False
             return False
         if not self.late and not self.resumed:

@@ -110,8 +110,7 @@ def test_verdicts_on_the_process_are_those_of_a_diagnosis() -> None:
     assert len(standing) == sum(e.open for e in expected.events)
 
 
-@pytest.mark.parametrize("cut", [3, 22, 30, 79, 81, 100])
-@pytest.mark.parametrize("again", ["after", "all"])
+@pytest.mark.parametrize(("cut", "again"), [(3, "all"), (22, "after"), (79, "after"), (81, "all")])
 def test_a_watch_taken_up_again_gives_the_same_changes_and_bits(cut: int, again: str, tmp_path: Path) -> None:
     rows, detector, path = faulty(), bank(), tmp_path / "new" / "watch.state"
     whole = Watch(detector)
@@ -129,8 +128,7 @@ def test_a_watch_taken_up_again_gives_the_same_changes_and_bits(cut: int, again:
     assert second.state is not None and whole.state is not None
     for a, b in zip(leaves(second.state), leaves(whole.state), strict=True):
         np.testing.assert_array_equal(a, b)
-    count = f"{cut} rows until {rows[cut][0]:g} s were in the saved state"
-    assert remarks == ([count] if again == "all" else [])
+    assert not remarks
 
 
 def test_a_state_of_another_kind_or_detector_is_refused(tmp_path: Path) -> None:
