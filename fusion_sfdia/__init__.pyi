@@ -57,8 +57,6 @@ from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
 from fusion_sfdia.evaluation.faults import Fault as Fault
 from fusion_sfdia.evaluation.faults import load_faults as load_faults
-from fusion_sfdia.evaluation.logs import read_log as read_log
-from fusion_sfdia.evaluation.logs import write_log as write_log
 from fusion_sfdia.evaluation.simulate import Recording as Recording
 from fusion_sfdia.evaluation.simulate import simulate as simulate
 from fusion_sfdia.filters.estimators import Ensemble as Ensemble
@@ -85,6 +83,12 @@ from fusion_sfdia.kalman_banks.sequential_rules import Ewma as Ewma
 from fusion_sfdia.kalman_banks.sequential_rules import Shewhart as Shewhart
 from fusion_sfdia.kalman_banks.sequential_rules import SumOfSquares as SumOfSquares
 from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
+from fusion_sfdia.logs.csv_log import read_log as read_log
+from fusion_sfdia.logs.csv_log import write_log as write_log
+from fusion_sfdia.logs.log_map import Column as Column
+from fusion_sfdia.logs.log_map import LogMap as LogMap
+from fusion_sfdia.logs.log_map import load_map as load_map
+from fusion_sfdia.logs.reading import load_log as load_log
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
 from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine
 from fusion_sfdia.models.power_network.plant import power_network as power_network

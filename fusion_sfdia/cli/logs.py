@@ -71,8 +71,8 @@ def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.fault_draws import draw_apart
     from fusion_sfdia.evaluation.fault_effects import apply_faults
     from fusion_sfdia.evaluation.faults import load_faults
-    from fusion_sfdia.evaluation.logs import write_log
     from fusion_sfdia.evaluation.simulate import simulate
+    from fusion_sfdia.logs.csv_log import write_log
     from fusion_sfdia.registry import plant
 
     if chosen.out.is_dir():

@@ -16,7 +16,7 @@ from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
-from fusion_sfdia.evaluation.logs import read_log, write_log
+from fusion_sfdia.logs.csv_log import read_log, write_log
 from fusion_sfdia.report.log_figures import process_size, time_line
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 

@@ -13,7 +13,8 @@ from kernels import NOT_NUMERICAL
 SCHOOLS = ("kalman_banks", "adaptive_thresholds", "stochastic_thresholds", "data_driven", "structural_residuals")
 # the folders of fusion_sfdia and its modules, and what each imports besides its own: no school imports another
 FOLDERS: dict[str, set[str]] = {
-    "core": set(),
+    "core": {"logs"},  # for pandas frames, once one is given
+    "logs": {"core"},
     "intervals": set(),
     "filters": {"core"},
     "commissioning": {"core", "filters"},
@@ -30,8 +31,8 @@ FOLDERS: dict[str, set[str]] = {
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
     "named": {"core", "evaluation", "registry", "builders", "detectors"},
     "checks": {"core", "evaluation", "registry"},
-    "report": {"core", "evaluation"},
-    "live": {"core", "evaluation"},
+    "report": {"core", "evaluation", "logs"},
+    "live": {"core", "evaluation", "logs"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
 FOLDERS["scenarios"] = {"core", "registry", "experiments"}
