@@ -22,4 +22,6 @@ def steps_over(plant: Plant, t_before: float, u_before: Array, t: float, u: Arra
     if gap <= longest * (1 + 1e-9):
         return []
     parts = int(np.ceil(gap / plant.dt * (1 - 1e-9)))
-    return [(t - ahead * (gap / parts), u * (1 - ahead / parts) + u_before * (ahead / parts)) for ahead in range(parts - 1, 0, -1)]
+    return [
+        (t - ahead * (gap / parts), u * (1 - ahead / parts) + u_before * (ahead / parts)) for ahead in range(parts - 1, 0, -1)
+    ]

@@ -11,7 +11,6 @@ from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.plant import Plant
 
 UNCERTAIN = ("use", "missing")
-INPUTS = ("until the sample", "at the sample")
 OF_SENSOR = ("value", "sigma", "verdict")
 OF_ALL = ("verdict", "alarm")
 
@@ -21,17 +20,16 @@ class Nodes:
     """Nodes by their OPC UA ids, such as "ns=2;s=TT-101.PV", and how they are read.
 
     read: the node of each sensor and input, in the plant's units. write: of some sensors {"value", "sigma", "verdict": node},
-    and the nodes "verdict" and "alarm" of the whole. uncertain: whether values of that quality are used or are "missing". inputs:
-    whether an input acted "until the sample" or acts from then on, "at the sample". stale: seconds by which the source time of
-    a reading may be before the newest one, without which it is missing. period: seconds between two readings of all nodes, by
-    default the plant's dt. retry: seconds between attempts to connect; timeout: seconds for an answer. user, password, security
-    (asyncua's "Policy,Mode,certificate,key[,server certificate]"): of the connection.
+    and the nodes "verdict" and "alarm" of the whole. uncertain: whether values of that quality are used ("use") or "missing".
+    stale: seconds by which the source time of a value may be before the newest one; an older one is missing (None: it counts,
+    as servers that report changes alone do not renew it). period: seconds between two readings of all nodes, None for the
+    plant's dt. retry: seconds between attempts to connect; timeout: seconds for an answer. user, password, security (asyncua's
+    "Policy,Mode,certificate,key[,server certificate]"): of the connection.
     """
 
     read: dict[str, str]
     write: dict[str, Any] = field(default_factory=dict)
     uncertain: str = "use"
-    inputs: str = "until the sample"
     stale: float | None = None
     period: float | None = None
     retry: float = 5.0
@@ -62,9 +60,8 @@ def load_nodes(path: str | Path, plant: Plant) -> Nodes:
                 raise ValueError(f"{path}: {name} is {value}; expected a positive number of seconds")
         elif not isinstance(value, str):
             raise ValueError(f"{path}: {name} is {shown(value)}; expected a text")
-    for name, allowed in (("uncertain", UNCERTAIN), ("inputs", INPUTS)):
-        if (given := found.get(name, allowed[0])) not in allowed:
-            raise ValueError(f"{path}: {name} is {given!r}; expected {' or '.join(map(repr, allowed))}")
+    if (given := found.get("uncertain", "use")) not in UNCERTAIN:
+        raise ValueError(f"{path}: uncertain is {given!r}; expected {' or '.join(map(repr, UNCERTAIN))}")
     read = found.get("read", {})
     _require_known(f"{path}, [read]:", read, [*sensors, *inputs])
     _require_ids(f"{path}, [read]:", read)

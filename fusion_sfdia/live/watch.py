@@ -29,7 +29,7 @@ class WatchWarning(UserWarning):
 
 
 class Row(NamedTuple):
-    """Readings y (N,) at t (s), NaN where missing, and the inputs u (m,) that acted until t."""
+    """Readings y (N,) at t (s), NaN where missing, and the inputs u (m,) as they came."""
 
     t: float
     y: Array
@@ -54,7 +54,8 @@ class Watch:
     """A detector over rows that arrive one after another, in constant memory; the isolated samples are those of `diagnose`.
 
     gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
-    limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. longest_gap:
+    limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
+    whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap:
     seconds over which the detector predicts without readings, in steps of dt; default 1000 dt. refused: called with a line for
     each row or run of rows that is not taken; by default a WatchWarning.
 
@@ -76,12 +77,13 @@ class Watch:
         gap: int = 3,
         hold: float = 0.0,
         nominal_inputs: bool = False,
+        at_sample: bool = False,
         longest_gap: float | None = None,
         refused: Callable[[str], None] = _warn,
     ) -> None:
         require_detector(detector)
         self.detector, self.refused = detector, refused
-        self.hold, self.nominal_inputs = number("hold", hold), nominal_inputs
+        self.hold, self.nominal_inputs, self.at_sample = number("hold", hold), nominal_inputs, at_sample
         self.longest_gap = LONGEST_GAP * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
         for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap)):
             if not 0 <= seconds < np.inf:
@@ -92,7 +94,7 @@ class Watch:
         self.clock = Clock()
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
-        self.u = np.empty(0)  # its inputs
+        self.u = self.given = np.empty(0)  # the inputs that acted until then, and those of its row
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.waiting: Row | None = None
         self.late = 0  # rows since the last one that was not
@@ -106,7 +108,7 @@ class Watch:
                 yield from sample.changes
 
     def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
-        """Diagnose the readings y (N,) at t, NaN where missing, under the inputs u (m,) that acted until t.
+        """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,), see `at_sample`.
 
         t: in seconds, or all rows as time stamps, which become seconds since the first. Returns the rows diagnosed: this one,
         none where it is not taken or waits, two after one that waited.
@@ -170,7 +172,8 @@ class Watch:
         pause = np.inf if self.t is None else row.t - self.t
         too_long = self.t is not None and pause > self.longest_gap
         try:
-            u, known_at = self._inputs(row)
+            given, known_at = self._inputs(row)
+            u = self.given if self.at_sample and self.t is not None else given
             if state is None or too_long:
                 since = min(pause, ahead)
                 state = self.detector.init((), row.t - (plant.dt if plant.numerics.fixed_dt else min(plant.dt, since)))
@@ -185,7 +188,8 @@ class Watch:
         changes += self.changes.after(row.t, decision)
         if (lost := bool(decision.diverged)) and not self.lost:
             changes += self.changes.reset(row.t, "the estimate diverged")
-        self.state, self.lost, self.t, self.u, self.known_at = None if lost else state, lost, row.t, u, known_at
+        self.state, self.lost, self.t = None if lost else state, lost, row.t
+        self.u, self.given, self.known_at = u, given, known_at
         return (Sample(row.t, row.y, u, decision, tuple(changes)),)
 
     def _inputs(self, row: Row) -> tuple[Array, Array]:
@@ -203,7 +207,7 @@ class Watch:
             return np.where(read, row.u, plant.input_at(before)), known_at
         unknown = row.t - known_at > self.hold
         if not unknown.any():
-            return np.where(read, row.u, self.u), known_at
+            return np.where(read, row.u, self.given), known_at
         value, s = next((v, s) for v, s, bad in zip(row.u, plant.inputs, unknown, strict=True) if bad)
         came = f"is {value:g} {s.unit}, beyond {s.low:g} to {s.high:g}" if np.isfinite(value) else "is missing"
         raise ValueError(f"input {s.name} {came}, and its last value is held for {self.hold:g} s only")
@@ -215,7 +219,7 @@ class Watch:
         """
         if self.t is None:
             return
-        own = {"t": np.array(self.t), "u": self.u, "known_at": self.known_at, "lost": np.array(self.lost)}
+        own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
         own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
         state = {} if self.state is None else state_arrays(self.detector, self.state)
         parts = {"watch": own, "changes": self.changes.arrays(), "state": state}
@@ -237,8 +241,8 @@ class Watch:
             own = parts["watch"]
             found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
             found.changes = Changes.restored(detector, found.changes.gap, parts["changes"])
-            found.t, found.u, found.known_at = float(own["t"]), own["u"], own["known_at"]
-            found.lost, found.resumed = bool(own["lost"]), True
+            found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
+            found.known_at, found.lost, found.resumed = own["known_at"], bool(own["lost"]), True
         except (KeyError, ValueError) as error:
             raise ValueError(f"{path} is not the saved state of a watch ({error}); name another file") from error
         found.state = None if not parts["state"] else state_of(path, detector, parts["state"])

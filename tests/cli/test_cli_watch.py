@@ -15,10 +15,10 @@ import pytest
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.evaluation.logs import write_log
+from fusion_sfdia.logs.csv_log import write_log
 
 PATIENCE = 120  # s, after which the test fails instead of hanging
-DETECTOR = ["--plant", "two-tanks", "--detector", "kf-chi2"]
+DETECTOR = ["--plant", "two-tanks", "--detector", "loo-chi2"]
 
 
 @pytest.fixture
@@ -71,9 +71,9 @@ def test_what_is_no_row_is_said_and_counted_and_ends_nothing(
     assert events and watched(monkeypatch, log.read_bytes()) == 0
     assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == events
     said = err.splitlines()
-    assert "fusion-sfdia: line 22: 2 cells under a header of 6" in said[0] and "line 23: time is" in said[1]
+    assert "fusion-sfdia: line 22: 2 cells under a header of 6" in said[0] and "line 23: column time [s]: " in said[1]
     assert "row at 20 s: it is not later than the last one, at 100 s" in said[2]
-    assert said[-1] == f"fusion-sfdia: {len(said) - 1} remarks on rows that were not taken"
+    assert said[-1] == f"fusion-sfdia: {len(said) - 1} remarks in all"
     assert watched(monkeypatch, b"time,l1\n1,2\n") == 2
     assert "no column for the sensors" in capsys.readouterr().err
     assert watched(monkeypatch, b"", "--state", str(log / "x")) == 2 and watched(monkeypatch, b"", "--save-every", "0") == 2
@@ -95,8 +95,9 @@ def test_a_watch_that_is_killed_and_started_again_has_written_the_same_events(tm
     first.stdin.writelines(lines[:130])
     first.stdin.flush()
     before = ""
-    while '"t": 645.0' not in before:  # the 129th row: beyond the save at 600 s; the test's time limit is that of the process
-        assert (line := first.stdout.readline()), "the watch has ended"
+    while '"t": 645.0' not in before:  # the 129th row, after the save at 600 s
+        line = first.stdout.readline()
+        assert line, "the watch has ended"
         before += line
     first.kill()
     rest, _ = first.communicate(timeout=PATIENCE)

@@ -8,6 +8,7 @@ from toy_plants import tanks
 
 from fusion_sfdia.live.remarks import Remarks
 from fusion_sfdia.live.rows import TextRows
+from fusion_sfdia.logs.log_map import Column, LogMap
 
 HEADER = "inflow,time [s],q2,q12,l2,l1\n"
 
@@ -27,9 +28,9 @@ def test_csv_by_the_names_of_the_header() -> None:
     ("line", "message"),
     [
         ("1,2,3", r"3 cells under a header of 6; leave a missing value's cell empty"),
-        ("6e-4,5,1,1,1,Bad", r"l1 is 'Bad'; expected a number, or nothing where the value is missing"),
-        ("6e-4,5,1,1,1,1_0", r"l1 is '1_0'"),
-        ("6e-4,yesterday,1,1,1,1", r"time is 'yesterday'; expected seconds, or a time stamp like"),
+        ("6e-4,5,1,1,1,Bad", r"column l1: 'Bad'; expected a finite number, or nothing"),
+        ("6e-4,5,1,1,1,1_0", r"column l1: '1_0'"),
+        ("6e-4,yesterday,1,1,1,1", r"time \[s\]: 'yesterday'; expected a time"),
         ('6e-4,5,1,1,1,"1', r"not CSV"),
     ],
 )
@@ -38,6 +39,23 @@ def test_csv_that_is_none(line: str, message: str) -> None:
     rows.row(HEADER)
     with pytest.raises(ValueError, match=message):
         rows.row(line)
+
+
+def test_csv_by_a_map() -> None:
+    """Titles, separator, decimal comma, units and bad texts of a historian, below a preamble."""
+    columns = {"T1.LT1": Column(sensor="l1", unit="mm"), "feed": Column(input="inflow", unit="m3/h")}
+    written = LogMap(
+        time="Timestamp", tz="Europe/Amsterdam", separator=";", decimal=",", preamble=1, bad=("Bad",), columns=columns
+    )
+    rows = TextRows(tanks(), written, absent_sensors=True)
+    assert rows.row("Export; of today") is None and rows.row("Timestamp;T1.LT1;feed;q2") is None
+    t, y, u = rows.row("2026-07-01 14:00:00;1100,5;3,6;Bad")
+    assert isinstance(t, datetime) and t.isoformat() == "2026-07-01T14:00:00+02:00"
+    np.testing.assert_allclose(y, [1.1005, np.nan, np.nan, np.nan], rtol=1e-15)
+    np.testing.assert_allclose(u, [1e-3], rtol=1e-15)
+    for odd in ({"tag": "Tag", "value": "Value"}, {"mask": "l1 < 0.1"}):
+        with pytest.raises(ValueError, match="long format or a mask, which a watch cannot take"):
+            TextRows(tanks(), LogMap(**odd))  # type: ignore[arg-type]
 
 
 def test_json_by_its_keys() -> None:
@@ -49,9 +67,10 @@ def test_json_by_its_keys() -> None:
     for line, message in (
         ('{"time": 5, ', "not JSON"),
         ("[1, 2]", "no JSON object"),
-        ('{"time": 5, "l1": true}', "l1 is True"),
-        ('{"time": 5, "l1": ' + "9" * 400 + "}", "l1 is 999"),
-        ('{"time": [1]}', r"time is \[1\]; expected seconds"),
+        ('{"time": 5, "l1": [1]}', r"column l1: \[1\]; expected a finite number"),
+        ('{"time": 5, "l1": ' + "9" * 400 + "}", "column l1: 999"),
+        ('{"time": [1]}', r"time: \[1\]; expected"),
+        ('{"l1": 1}', "no 'time' among"),
         ("[" * 100_000, "not JSON"),
     ):
         with pytest.raises(ValueError, match=message):

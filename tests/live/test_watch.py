@@ -203,7 +203,8 @@ def test_missing_inputs_are_held_for_a_time_and_never_guessed() -> None:
     assert [s.t for s in samples] == [t for k, (t, _, _) in enumerate(rows) if not 13 <= k < 16]
     assert all(s.u == rows[9][2] for s in samples[9:13]) and samples[17].u == rows[19][2]
     assert remarks == [
-        f"row at {t} s: input inflow is missing, and its last value is held for 15 s only; it is not taken" for t in (70, 75, 80)
+        f"row at {t} s: input inflow is missing, and its last value is held for 15 s only; it is not taken"
+        for t in (70, 75, 80)
     ]
     usual = taken(Watch(bank(), nominal_inputs=True), missing)
     assert [float(s.u[0]) for s in usual[10:16]] == [float(tanks().input_at(0.0)[0])] * 6
@@ -213,10 +214,24 @@ def test_rows_that_do_not_fit_are_skipped_and_never_end_a_watch() -> None:
     rows, remarks = rows_of(tanks(), 12), []
     watch = Watch(bank(), refused=remarks.append)
     t, y, u = rows[5]
-    bad: Rows = [(t, y[:3], u), (t, y, np.zeros(2)), (np.nan, y, u), ("noon", y, u), (t, ["x"] * 4, u), (datetime.now(UTC), y, u)]
+    bad: Rows = [
+        (t, y[:3], u),
+        (t, y, np.zeros(2)),
+        (np.nan, y, u),
+        ("noon", y, u),
+        (t, ["x"] * 4, u),
+        (datetime.now(UTC), y, u),
+    ]
     samples = taken(watch, [*rows[:5], *bad, *rows[5:]])
     assert [s.t for s in samples] == [row[0] for row in rows] and len(remarks) == len(bad)
-    expected = ("(3,); expected (4,)", "(2,); expected (1,)", "not finite", "'noon'; expected a number", "y is", "as in the rows")
+    expected = (
+        "(3,); expected (4,)",
+        "(2,); expected (1,)",
+        "not finite",
+        "'noon'; expected a number",
+        "y is",
+        "as in the rows",
+    )
     assert all(what in remark for what, remark in zip(expected, remarks, strict=True))
     fixed = Watch(CentralFilter(changed(tanks(), fixed_dt=True)), refused=remarks.append)
     assert len(taken(fixed, [*rows[:4], (21.5, y, u), *rows[4:]])) == len(rows)
