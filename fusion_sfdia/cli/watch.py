@@ -117,10 +117,12 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
 
 def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
     import asyncio
+    import logging
 
     from fusion_sfdia.live.nodes import load_nodes
     from fusion_sfdia.live.opcua import watch_server
 
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it logs each lost connection with a traceback
     asyncio.run(watch_server(saved, chosen.opcua, load_nodes(chosen.nodes, saved.watch.detector.plant)))
 
 

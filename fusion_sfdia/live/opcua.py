@@ -61,8 +61,8 @@ class Bridge:
     def __init__(self, saved: SavedWatch, url: str, nodes: Nodes) -> None:
         self.ua, self.saved, self.url, self.nodes = asyncua().ua, saved, url, nodes
         self.plant: Plant = saved.watch.detector.plant
-        names = (*self.plant.sensor_names, *(s.name for s in self.plant.inputs))
-        self.read = [(i, self._id(nodes.read[name])) for i, name in enumerate(names) if name in nodes.read]
+        self.names = (*self.plant.sensor_names, *(s.name for s in self.plant.inputs))
+        self.read = [(i, self._id(nodes.read[name])) for i, name in enumerate(self.names) if name in nodes.read]
         self.newest: datetime | None = None
 
     def _id(self, text: str) -> Any:
@@ -73,13 +73,27 @@ class Bridge:
 
     async def rows(self, client: Any) -> None:
         """Read and diagnose one row after another; returns with an error of the connection."""
-        period = self.nodes.period or self.plant.dt
+        period, checked = self.nodes.period or self.plant.dt, False
         while True:
             found = await client.uaclient.read_attributes([node for _, node in self.read], self.ua.AttributeIds.Value)
+            if not checked:
+                self.check(found)
+                checked = True
             if (row := self._row(found)) is not None:
                 for sample in self.saved.take(*row):
                     await self._write(client, sample)
             await asyncio.sleep(period)
+
+    def check(self, found: list[Any]) -> None:
+        """Remark on nodes that have never a value, such as one that the server does not know."""
+        for (i, _), value in zip(self.read, found, strict=True):
+            if value.StatusCode is not None and value.StatusCode.name.startswith(
+                ("BadNodeId", "BadNotReadable", "BadUserAccess")
+            ):
+                name = self.names[i]
+                self.saved.watch.refused(f"{name}: its node {self.nodes.read[name]} has no value ({value.StatusCode.name})")
+        if not any(v.SourceTimestamp or v.ServerTimestamp for v in found):
+            self.saved.watch.refused("no node has a time stamp: there are no rows")
 
     def _row(self, found: list[Any]) -> tuple[datetime, Array, Array] | None:
         """The time stamp, y (N,) and u (m,) of the values read; None where no node has a newer time stamp."""
@@ -94,12 +108,12 @@ class Bridge:
             if not old and self._counts(value.StatusCode) and value.Value is not None:
                 values[i] = _real(value.Value.Value)
         count = len(self.plant.sensors)
-        return self._on_grid(newest), values[:count], values[count:]
+        return self.on_grid(newest), values[:count], values[count:]
 
     def _counts(self, status: Any) -> bool:
         return status is None or status.is_good() or (self.nodes.uncertain == "use" and status.is_uncertain())
 
-    def _on_grid(self, stamp: datetime) -> datetime:
+    def on_grid(self, stamp: datetime) -> datetime:
         """The stamp, of a plant that holds for steps of dt only the nearest one a number of steps after the first."""
         start, dt = self.saved.watch.clock.start or stamp, self.plant.dt
         if not self.plant.numerics.fixed_dt:
@@ -138,7 +152,13 @@ async def connected(url: str, nodes: Nodes) -> Any:
     if nodes.password is not None:
         client.set_password(nodes.password)
     if nodes.security is not None:
-        await client.set_security_string(nodes.security)
+        try:
+            await client.set_security_string(nodes.security)
+        except AttributeError as error:
+            raise ValueError(
+                f"security is {nodes.security!r}; expected Policy,Mode,certificate,key, such as "
+                "'Basic256Sha256,SignAndEncrypt,own.pem,own.key'"
+            ) from error
     await client.connect()
     return client
 

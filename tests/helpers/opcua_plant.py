@@ -1,7 +1,7 @@
 """An OPC UA server with the two tanks, as a process: `python opcua_plant.py PORT ROWS.npz FIRST`.
 
-Each request that reads the first node moves on by one row, from row FIRST on; the last row stays. It prints "ready" when it takes
-connections, and the verdicts written to it before each row.
+Each request that reads the first node moves on by one row, from row FIRST on; the last row stays. It prints "ready" when it
+takes connections, and at the end of its input what was written to it last.
 """
 
 from __future__ import annotations
