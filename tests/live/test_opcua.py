@@ -218,7 +218,7 @@ def test_the_security_of_the_connection_is_passed_on(tmp_path: Path, monkeypatch
     assert asked == [("opc.tcp://x", 9), "me", "secret", "Basic256Sha256,Sign,a.pem,b.pem", "connected"]
     path.write_text('security = "Basic1,Sign,a.pem,b.pem"\n' + NODES)
     monkeypatch.undo()
-    with pytest.raises(ValueError, match="security is 'Basic1,Sign,a.pem,b.pem'; expected Policy,Mode,certificate,key"):
+    with pytest.raises(ValueError, match=r"security is .*; expected Policy,Mode,certificate,key"):
         asyncio.run(opcua.connected("opc.tcp://127.0.0.1:1", load_nodes(path, tanks())))
 
 
