@@ -69,10 +69,13 @@ def estimated(plant: Plant, log: Log, use: Array, stretch: Array) -> Estimate:
 
 
 def moved(plant: Plant, found: Estimate) -> Plant:
-    """The plant with what was estimated."""
-    free, (_, value, sd) = _free(plant), _declared(plant)
+    """The plant with what was estimated; later changes are judged by what was declared."""
+    free, (names, value, declared) = _free(plant), _declared(plant)
+    changes = dict(zip(names, declared.tolist(), strict=True)) | dict(plant.uncertainty.changes)
+    sd = declared.copy()
     value[free], sd[free] = found.value, found.sd
-    return at(plant, value, sd)
+    there = at(plant, value, sd)
+    return replace(there, uncertainty=replace(there.uncertainty, changes=changes))
 
 
 def _free(plant: Plant) -> Array:

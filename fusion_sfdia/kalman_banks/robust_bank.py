@@ -65,6 +65,8 @@ Array = NDArray[Any]
 QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
 LATELY = 15  # samples after a process hypothesis was accepted, in which what changed may turn out to be more
 PERSISTENT = 3  # samples in a row that isolate a sensor then
+UNEXPLAINED = 1.5  # normalised innovation squared, beyond that of the worst sensor, that no accepted difference leaves
+FADING = 1 / 16  # share of the present sample in its running mean
 USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
 
 
@@ -72,6 +74,7 @@ class RobustMemory(NamedTuple):
     """Estimate of the augmented state, sensors left out and for how many samples (..., N), windows, accepted hypotheses.
 
     led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
+    nis (...): running mean of `beyond_one`.
     """
 
     estimate: GaussianState
@@ -82,6 +85,14 @@ class RobustMemory(NamedTuple):
     slow: Window
     standing: Standing
     pairs: Pairs
+    nis: Array
+
+
+def beyond_one(found: LeaveOneOut) -> Array:
+    """Normalised innovation squared (...) of the readings without the sensor that explains most of it."""
+    total = np.sum(np.where(found.used, found.innovation * found.whitened, 0.0), axis=-1)
+    others = np.sum(found.used, axis=-1) - 1
+    return np.where(others > 0, (total - np.max(found.chi_square, axis=-1)) / np.maximum(others, 1), 1.0)
 
 
 @dataclass(frozen=True)
@@ -161,10 +172,11 @@ class RobustBank(ExcludingBank):
             empty(batch, far, states, count + p, np.float32),
             nothing(batch, p, n),
             no_pairs(batch, count),
+            np.ones(batch),
         )
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, *windows, standing, pairs = memory
+        estimate, exclusion, out_for, led, *windows, standing, pairs, nis = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
         stands = np.any(standing.accepted, axis=-1)
         lately = stands & (standing.since <= LATELY)
@@ -179,9 +191,11 @@ class RobustBank(ExcludingBank):
         evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.window.age, one, handicap)
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
         present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
+        unexplained = stands & (nis > UNEXPLAINED)  # no sensor is isolated then
+        room = np.where(unexplained, 0, room)
         isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
-        capped = capped | (by_windows.is_sensor & (room < 1))
+        capped = (capped | (by_windows.is_sensor & (room < 1))) & ~unexplained
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
         isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
         led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
@@ -195,7 +209,7 @@ class RobustBank(ExcludingBank):
             standing = standing._replace(reopened=standing.reopened | reopened)
             prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
             likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
-            prior = widened(prior, likely, PARAMETER_SIZE * of.sd)
+            prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
             joint = est.joint(of.model, prior, now.t, u)
         found = everything
         if self.accommodate and np.any(freed | process | reopened | np.any(isolated, axis=-1)):
@@ -208,10 +222,11 @@ class RobustBank(ExcludingBank):
         pairs = paired(pairs, y, self.plant.sensor_sigma)
         quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
         held = exclusion.out | isolated
+        quiet = quiet & ~unexplained[..., None]
         fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
         quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate:
-            exclusion = restored(exclusion, process[..., None] & (out_for <= self.window))
+            exclusion = restored(exclusion, (process | unexplained)[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, found)
         exclusion, decision = self._conclude(
             now, y, u, exclusion, update, self._shown(everything, evidence, usable, isolated | quiet, capped)
@@ -220,7 +235,15 @@ class RobustBank(ExcludingBank):
         variance = np.diagonal(p, axis1=-2, axis2=-1)[..., added]
         standing = followed(standing, x[..., added], variance)
         memory = RobustMemory(
-            GaussianState(x, p), exclusion, np.where(exclusion.out, out_for + 1, 0.0), led, recent, slow, standing, pairs
+            GaussianState(x, p),
+            exclusion,
+            np.where(exclusion.out, out_for + 1, 0.0),
+            led,
+            recent,
+            slow,
+            standing,
+            pairs,
+            nis + FADING * (beyond_one(found) - nis),
         )
         undecided = decision.alarm & ~np.any(decision.isolated, axis=-1) & ~process
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))

@@ -226,6 +226,19 @@ def test_a_jump_of_a_parameter_is_a_difference_of_the_process_and_sensors_stay_m
         assert np.mean(np.abs(error) < 3) > 0.9 and abs(np.median(error)) < 3 * 1.25 / np.sqrt(error.size) * 1.5
 
 
+def test_no_sensor_is_isolated_while_a_verdict_on_the_process_does_not_explain_the_readings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, y = drawn(160, 20, seed=4, jumps={60: JUMP})
+    y[100:] += np.array([8.0, -8.0, 8.0, -8.0, 8.0, 0.0, 0.0]) * PLANT.sensor_sigma
+    found = diagnosed(RobustBank(PLANT), y)
+    assert np.all(np.any(found.process[99], axis=-1))
+    stands = np.any(found.process[116:], axis=-1)  # the running mean of the innovations takes some samples
+    assert stands.mean() > 0.9 and not np.any(found.isolated[116:][stands]) and np.all(np.any(found.alarm[116:], axis=0))
+    monkeypatch.setattr(robust_bank, "UNEXPLAINED", np.inf)
+    assert np.any(diagnosed(RobustBank(PLANT), y).isolated[116:], axis=-1).mean() > 0.5
+
+
 def test_reported_sizes_and_suspects_belong_to_the_verdict() -> None:
     """A size where a hypothesis is accepted; suspects where an alarm is undecided, and nowhere else."""
     _, y = drawn(300, 60, seed=13, jumps={120: 0.5 * JUMP})
