@@ -1,4 +1,4 @@
-"""The commands on logs of readings: `simulate` writes one, `diagnose` isolates the faults in one."""
+"""The commands on logs of readings: `simulate` writes one, `check-log` checks one, `diagnose` isolates the faults in one."""
 
 from __future__ import annotations
 
@@ -46,16 +46,8 @@ def add_simulate(commands: Any) -> None:
 def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
-    one.add_argument(
-        "--data", type=Path, required=True, metavar="LOG.csv", help="the log: a column a sensor, empty for missing"
-    )
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    _add_log(one)
     one.add_argument("--detector", default="loo-glr", help=f"{WHICH} (default: loo-glr)")
-    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
-    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
-    one.add_argument(
-        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
-    )
     one.add_argument(
         "--out",
         type=Path,
@@ -65,6 +57,44 @@ def add_diagnose(commands: Any) -> None:
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")
     one.add_argument("--json", action="store_true", help="print the events as JSON")
     one.set_defaults(work=_diagnose)
+
+
+def add_check_log(commands: Any) -> None:
+    """Add `check-log`."""
+    one = commands.add_parser("check-log", help="state how a log is read, and what looks wrong in it", allow_abbrev=False)
+    _add_log(one)
+    one.add_argument("--json", action="store_true", help="print the findings as JSON")
+    one.set_defaults(work=_check_log)
+
+
+def _add_log(one: Any) -> None:
+    """The options on a log and its plant."""
+    one.add_argument(
+        "--data", type=Path, required=True, metavar="LOG", help="the log, CSV or Parquet: a column a sensor, empty for missing"
+    )
+    one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the log is written, and which column is which sensor")
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
+    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
+    one.add_argument(
+        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
+    )
+
+
+def _check_log(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.logs.check import check_log
+    from fusion_sfdia.registry import plant
+
+    found = check_log(
+        chosen.data,
+        plant(chosen.plant),
+        chosen.map,
+        absent_sensors=chosen.absent_sensors,
+        other_columns=chosen.other_columns,
+        nominal_inputs=chosen.nominal_inputs,
+    )
+    print(json.dumps([f._asdict() for f in found.findings], indent=2) if chosen.json else found)
+    return 0
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
@@ -122,6 +152,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
             chosen.data,
             detector(chosen.detector, plant(chosen.plant)),
             out,
+            log_map=chosen.map,
             absent_sensors=chosen.absent_sensors,
             other_columns=chosen.other_columns,
             nominal_inputs=chosen.nominal_inputs,

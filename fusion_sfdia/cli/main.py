@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.listing import add_list
-from fusion_sfdia.cli.logs import add_diagnose, add_simulate
+from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
 from fusion_sfdia.cli.watch import add_watch
@@ -35,6 +35,7 @@ def parser() -> argparse.ArgumentParser:
     add_run(commands)
     add_compare(commands)
     add_simulate(commands)
+    add_check_log(commands)
     add_diagnose(commands)
     add_watch(commands)
     add_bench(commands)

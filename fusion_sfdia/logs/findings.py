@@ -9,7 +9,7 @@ from fusion_sfdia.core.log import Log
 
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
-    "bad", "duplicates", "gap", "held", "inputs", "left out", "masked", "nominal inputs", "order", "quality", "unit suspected",
+    "bad", "duplicates", "held", "inputs shifted", "left out", "masked", "nominal inputs", "order", "quality", "unit suspected",
     "zone",
 )  # fmt: skip
 

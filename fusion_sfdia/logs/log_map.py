@@ -120,9 +120,8 @@ class LogMap:
             raise ValueError(f"time names {len(self.time)} columns; expected one, or two that are joined, date and time")
         if len(self.separator) != 1 or self.separator in '"\r\n':
             raise ValueError(f'separator is {self.separator!r}; expected one character, as in ";" or "\\t"')
-        if self.decimal in (self.separator, self.thousands):
-            other = "separator" if self.decimal == self.separator else "thousands"
-            raise ValueError(f"decimal and {other} are both {self.decimal!r}; give each its own")
+        if self.decimal == self.thousands:
+            raise ValueError(f"decimal and thousands are both {self.decimal!r}; give each its own")
         whole("preamble", self.preamble, 0)
         if not isinstance(self.unit_row, bool):
             raise ValueError(f"unit_row is {shown(self.unit_row)}; expected true or false")

@@ -10,6 +10,7 @@ from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.tables import some
 from fusion_sfdia.logs.times import Times
 
+STEP = 50.0  # usual steps over those of the plant, above which the times look as if in another unit than seconds
 GAP = 2.5  # usual steps: a time between rows that is longer counts as a gap
 
 
@@ -23,7 +24,7 @@ def overview(plant: Plant, log: Log, times: Times) -> list[Finding]:
     if clock.start is not None and clock.start.tzinfo is None:
         text = "the stamps state no time zone: state tz in a map, or an hour is wrong where clocks change"
         found.append(Finding("zone", "", 0, text))
-    if not 0.2 <= step / plant.dt <= 5:
+    if not 1 / STEP <= step / plant.dt <= STEP:
         text = f"rows are {step:.6g} s apart, the readings of plant {plant.name!r} {plant.dt:g} s: are the times in seconds?"
         found.append(Finding("unit suspected", "", 0, text))
     gaps = np.flatnonzero(np.diff(t) > GAP * step)

@@ -30,6 +30,11 @@ class Table(NamedTuple):
     def column(self, title: str) -> Any:
         return self.columns[self.titles.index(title)]
 
+    def require_rows(self) -> None:
+        """Raise ValueError for a header alone."""
+        if not len(self.rows):
+            raise ValueError(f"{self.where} has a header and no rows; expected at least one reading")
+
     def text(self, position: int) -> str:
         """A row for an error: "log.csv, row 3"."""
         return f"{self.where}, row {self.rows[position]}"
@@ -88,9 +93,7 @@ def _of_text(path: Path, log_map: LogMap) -> Table:
     units = [""] * width
     if log_map.unit_row and below:
         units, below = [c.strip().strip("[]") for c in below[0][1]], below[1:]
-    if not below:
-        raise ValueError(f"{path} has a header and no rows; expected at least one reading")
-    return Table(str(path), titles, [list(c) for c in zip(*(r for _, r in below), strict=True)], [n for n, _ in below], units)
+    return Table(str(path), titles, [[row[i] for _, row in below] for i in range(width)], [n for n, _ in below], units)
 
 
 def _parquet(path: Path) -> Any:
@@ -123,8 +126,6 @@ def _of_frame(where: str, frame: Any, log_map: LogMap) -> Table:
             f"{where}: no column {log_map.time[0]!r} among {some(titles)}, and its index has the name {index.name!r}; give the "
             "column of the times (s) that name, or the index: frame.rename_axis('time')"
         )
-    if not len(frame):
-        raise ValueError(f"{where} has no rows; expected at least one reading")
     return Table(where, _titles(where, titles), columns, range(1, len(frame) + 1), [""] * len(titles))
 
 
