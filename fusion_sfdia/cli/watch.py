@@ -44,7 +44,7 @@ def add_watch(commands: Any) -> None:
         "--longest-gap",
         type=decimal,
         metavar="S",
-        help="pause after which the detector starts anew (default: 1000 steps of the plant)",
+        help="pause after which the detector starts anew (default: 10 000 steps of the plant)",
     )
     one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
@@ -56,8 +56,7 @@ def _watch(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.live.remarks import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.watch import Watch
-    from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, load_map
-    from fusion_sfdia.logs.reading import PLAIN_MAP
+    from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
     from fusion_sfdia.registry import detector, plant
 
     if chosen.state is not None and not chosen.state.absolute().parent.is_dir():

@@ -65,7 +65,7 @@ def sensor_verdicts(plant: Plant, y: Array, d: Decision) -> list[str]:
     found = np.where(np.isnan(y), "missing", "healthy")
     found = np.where(suspect, "suspected", found)
     found = np.where(d.isolated[:count], "isolated", found)
-    return np.where(d.diverged, "no verdict", found).tolist()
+    return list(map(str, np.where(d.diverged, "no verdict", found)))
 
 
 def _when(t: float, clock: Clock) -> dict[str, Any]:

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import find_sources, require_columns_of
-from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
 from fusion_sfdia.logs.numbers import Numbers
-from fusion_sfdia.logs.reading import PLAIN_MAP
 from fusion_sfdia.logs.rows import RowReader
 
 Array = NDArray[Any]

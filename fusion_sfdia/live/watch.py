@@ -21,7 +21,7 @@ from fusion_sfdia.live.gaps import steps_over
 
 Array = NDArray[Any]
 
-LONGEST_GAP = 1000  # steps of dt that are predicted without readings
+LONGEST_GAP = 10_000  # steps of dt that are predicted without readings, as by `diagnose`
 
 
 class WatchWarning(UserWarning):
@@ -56,8 +56,8 @@ class Watch:
     gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
     limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
     whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap:
-    seconds over which the detector predicts without readings, in steps of dt; default 1000 dt. refused: called with a line for
-    each row or run of rows that is not taken; by default a WatchWarning.
+    seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. refused: called with a line
+    for each row or run of rows that is not taken; by default a WatchWarning.
 
     Rows that are not as expected never end a watch:
 
