@@ -83,6 +83,10 @@ from fusion_sfdia.kalman_banks.sequential_rules import Ewma as Ewma
 from fusion_sfdia.kalman_banks.sequential_rules import Shewhart as Shewhart
 from fusion_sfdia.kalman_banks.sequential_rules import SumOfSquares as SumOfSquares
 from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
+from fusion_sfdia.live.changes import Change as Change
+from fusion_sfdia.live.watch import Sample as Sample
+from fusion_sfdia.live.watch import Watch as Watch
+from fusion_sfdia.live.watch import WatchWarning as WatchWarning
 from fusion_sfdia.logs.check import check_log as check_log
 from fusion_sfdia.logs.csv_log import read_log as read_log
 from fusion_sfdia.logs.csv_log import write_log as write_log

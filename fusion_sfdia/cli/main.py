@@ -17,6 +17,7 @@ from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
+from fusion_sfdia.cli.watch import add_watch
 
 
 def parser() -> argparse.ArgumentParser:
@@ -36,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     add_simulate(commands)
     add_check_log(commands)
     add_diagnose(commands)
+    add_watch(commands)
     add_bench(commands)
     return top
 

@@ -32,6 +32,7 @@ FOLDERS: dict[str, set[str]] = {
     "named": {"core", "evaluation", "registry", "builders", "detectors"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation", "logs"},
+    "live": {"core", "evaluation", "logs"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
 FOLDERS["scenarios"] = {"core", "registry", "experiments"}
