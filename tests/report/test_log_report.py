@@ -37,13 +37,13 @@ def test_the_verdict_is_first() -> None:
         "40 readings, 3 events by process-bank",
         "  outlet 5.0 % +- 0.8 below the model since 45 s: not a sensor",
         "  cannot tell: l1 or error of inflow, from 10 s to 25 s",
-        "  q12: 105 s to end of the log, size 0.0001199 m3/s",
+        "  q12: 105 s to end of the log, bias 0.00012 m3/s (0.0001169 to 0.000123), 20 sigma",
     ]
     assert as_text(found(Y[:, 0]), "process-bank") == "no fault\n40 readings, 0 events by process-bank"
     of_sensors = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), T, BIASED, U[:, 0])
     assert as_text(of_sensors, "loo").splitlines() == [
         "40 readings, 1 event by loo",
-        "  q12: 105 s to end of the log, size 0.0001199 m3/s",
+        "  q12: 105 s to end of the log, bias 0.00012 m3/s (0.0001169 to 0.000123), 20 sigma",
     ]
 
 
