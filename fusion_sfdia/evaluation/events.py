@@ -18,6 +18,7 @@ Array = NDArray[Any]
 
 MOST_NAMES = 4  # in a sentence
 LASTING = 3  # samples
+CERTAIN = 0.95  # a confidence below is stated
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Event:
     def told(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
         end = "end of the log" if self.open else clock.at(self.end)
-        doubts = [f"not excluded: {listed(self.alternatives)}"] if self.alternatives else []
+        doubts = [f"confidence {self.confidence:.2f}"] if self.confidence < CERTAIN else []
+        doubts += [f"not excluded: {listed(self.alternatives)}"] if self.alternatives else []
         return "; ".join([f"{self.hypothesis}: {clock.at(self.start)} to {end}, {self.extent}", *doubts])
 
     @property

@@ -37,7 +37,8 @@ class Named(NamedTuple):
     """The kind of a fault, its size with a 95 % interval, in the unit of the sensor, and other kinds that it may be.
 
     size: of a bias the mean residual, of a drift the deviation that it has reached at the end, of noise the added standard
-    deviation, of spikes their mean height, of a freeze the largest deviation. NaN where unknown, and of a dropout.
+    deviation, of spikes their mean height, without a sign where they have both, of a freeze the largest deviation. NaN where
+    unknown, and of a dropout.
     """
 
     kind: str
@@ -45,6 +46,15 @@ class Named(NamedTuple):
     low: float
     high: float
     alternatives: tuple[str, ...] = ()
+
+
+def resized(named: Named, error: Array, sd: Array, sigma: float) -> Named:
+    """A fault named over several events with the size of one of them: of spikes their height, else as it was."""
+    known = np.isfinite(error) & np.isfinite(sd)
+    if named.kind != "spikes" or not np.any(known):
+        return named
+    size, low, high = _size("spikes", error[known], sd[known], sigma, [], 0.0)
+    return named._replace(size=size, low=low, high=high)
 
 
 def name(error: Array, sd: Array, sigma: float, y: Array, *, still: bool, over: bool) -> Named:
@@ -68,7 +78,7 @@ def name(error: Array, sd: Array, sigma: float, y: Array, *, still: bool, over: 
     if not still and pairs.size >= 4 and np.mean(pairs == 0) >= EQUAL:
         worst = int(np.argmax(np.abs(z)))
         return Named("freeze", *_interval(float(e[worst]), float(s[worst])))
-    scores, ramp, rho = _scores(z, x / max(x[-1], 1.0))
+    scores, ramps, rho = _scores(z, x / max(x[-1], 1.0))
     if z.size <= FEW:
         kind, others = ("spikes", ()) if over else ("bias", ("spikes", "drift", "noise"))
     else:
@@ -76,22 +86,21 @@ def name(error: Array, sd: Array, sigma: float, y: Array, *, still: bool, over: 
         weight = {k: float(np.exp(v - scores[kind])) for k, v in scores.items()}
         total = sum(weight.values())
         others = tuple(k for k in sorted(weight, key=lambda k: -weight[k]) if k != kind and weight[k] / total > POSSIBLE)
-    return Named(kind, *_size(kind, e, s, sigma, ramp, rho), others)
+    return Named(kind, *_size(kind, e, s, sigma, ramps, rho), others)
 
 
-def _scores(z: Array, x: Array) -> tuple[dict[str, float], Array, float]:
-    """The criterion of each kind; the regressors (n, 2) of the best drift; the autocorrelation about it."""
+Ramps = list[tuple[float, Array]]  # of possible drifts: the probability and the regressors (n, 2)
+
+
+def _scores(z: Array, x: Array) -> tuple[dict[str, float], Ramps, float]:
+    """The criterion of each kind; the drifts; the autocorrelation of the residuals about the best drift."""
     n = z.size
     penalty = np.log(n) / 2
-    if n > 3:
-        fits = []
-        for rise in RISES:
-            columns = np.stack([np.ones(n), np.minimum(x / rise, 1.0)], axis=-1)
-            found, *_ = np.linalg.lstsq(columns, z)
-            fits.append((_normal(z - columns @ found) - (3 + (rise < 1)) * penalty, columns, found))
-        drift, columns, (a, c) = max(fits, key=lambda fit: fit[0])
-    else:
-        drift, columns, a, c = -np.inf, np.stack([np.ones(n), x], axis=-1), float(np.mean(z)), 0.0
+    ramps = [np.stack([np.ones(n), np.minimum(x / rise, 1.0)], axis=-1) for rise in (RISES if n > 3 else RISES[:1])]
+    fits = np.array([_normal(z - _fitted(ramp, z)) - (3 + (k > 0)) * penalty for k, ramp in enumerate(ramps)])
+    columns = ramps[int(np.argmax(fits))]
+    drift = float(np.max(fits)) if n > 3 else -np.inf
+    (a, c), *_ = np.linalg.lstsq(columns, z)
     r = z - columns @ np.array([a, c])
     rho = float(np.clip(r[1:] @ r[:-1] / max(r @ r, 1e-300), 0.0, STEADIEST)) if n > 3 else 0.0
     bias = _normal(z - np.mean(z)) - 2 * penalty
@@ -103,7 +112,13 @@ def _scores(z: Array, x: Array) -> tuple[dict[str, float], Array, float]:
     if abs(c) < max(1.0, CHANGE * max(abs(a), abs(a + c))) or abs(c) * np.sqrt(changes @ changes) < SURE * np.std(r):
         drift = -np.inf
     scores = {"bias": bias, "drift": drift, "noise": _normal(z) - penalty, "spikes": _spikes(z) - 2 * penalty}
-    return scores, columns, rho
+    share = np.exp(fits - np.max(fits))
+    return scores, list(zip((share / np.sum(share)).tolist(), ramps, strict=True)), rho
+
+
+def _fitted(columns: Array, values: Array) -> Array:
+    found, *_ = np.linalg.lstsq(columns, values)
+    return np.asarray(columns @ found)
 
 
 def _normal(r: Array) -> float:
@@ -134,12 +149,13 @@ def _spikes(z: Array) -> float:
     return best
 
 
-def _size(kind: str, e: Array, s: Array, sigma: float, ramp: Array, rho: float) -> tuple[float, float, float]:
+def _size(kind: str, e: Array, s: Array, sigma: float, ramps: Ramps, rho: float) -> tuple[float, float, float]:
     """Size of a fault with its 95 % interval, from the residuals e (n,) and their standard deviations s (n,).
 
     The error of a mean has two parts: the noise of the readings, which is independent, sigma^2 / n, and the error of the
     estimate, s^2 - sigma^2, which may be the same throughout and is not reduced. Where the residuals vary more, their own
-    variance over the number of independent ones counts, n (1 - rho) / (1 + rho).
+    variance over the number of independent ones counts, n (1 - rho) / (1 + rho). Of a drift the mean over the times in which
+    it may have risen, weighted by their probability, with the variance between them.
     """
     n = e.size
     common = float(np.mean(np.maximum(s**2 - sigma**2, 0.0)))
@@ -148,20 +164,26 @@ def _size(kind: str, e: Array, s: Array, sigma: float, ramp: Array, rho: float) 
         spread = float(np.var(e, ddof=1)) / n * inflated if n > 1 else 0.0
         return _interval(float(np.mean(e)), np.sqrt(max(sigma**2 / n + common, spread)))
     if kind == "drift":
-        found, *_ = np.linalg.lstsq(ramp, e)
-        end = ramp[-1]
-        leverage = float(end @ np.linalg.pinv(ramp.T @ ramp) @ end)
-        r = e - ramp @ found
-        spread = float(r @ r) / max(n - 2, 1) * leverage * inflated
-        return _interval(float(end @ found), np.sqrt(max(sigma**2 * leverage + common, spread)))
+        value, variance = [], []
+        for _, ramp in ramps:
+            fitted, end = _fitted(ramp, e), ramp[-1]
+            leverage = float(end @ np.linalg.pinv(ramp.T @ ramp) @ end)
+            spread = float(np.sum((e - fitted) ** 2)) / max(n - 2, 1) * leverage * inflated
+            value.append(fitted[-1])
+            variance.append(max(sigma**2 * leverage + common, spread))
+        share, ends = np.array([p for p, _ in ramps]), np.array(value)
+        size = float(share @ ends)
+        return _interval(size, np.sqrt(share @ (np.array(variance) + (ends - size) ** 2)))
     if kind == "noise":
         total, none = float(np.sum(e**2)), float(np.mean(s**2))
         values = (total / n, total / float(chi2.ppf(0.975, n)), total / float(chi2.ppf(0.025, n)))
         size, low, high = (float(np.sqrt(max(v - none, 0.0))) for v in values)
         return size, low, high
-    height = np.abs(e)[np.abs(e) > QUIET * s]
+    height = e[np.abs(e) > QUIET * s]
     if not height.size:
-        height = np.abs(e)
+        height = e
+    if not (np.all(height > 0) or np.all(height < 0)):
+        height = np.abs(height)
     spread = float(np.var(height, ddof=1)) if height.size > 1 else 0.0
     return _interval(float(np.mean(height)), np.sqrt(max(spread, float(np.mean(s**2))) / height.size))
 

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.evaluation.absent import dropouts
 from fusion_sfdia.evaluation.events import Event
-from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name
+from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
 from fusion_sfdia.evaluation.hindsight import Hindsight
 
 Array = NDArray[Any]
@@ -59,12 +59,12 @@ def explained(
             a, b = spans[first][0], spans[last][1]
             part = slice(a, b + 1)
             over = b < len(t) - 1
-            named = name(
-                after.error[part, i], after.sd[part, i], sensor.noise_sigma, y[part, i], still=still, over=over
-            )  # fmt: skip
-            for e, (k, _) in zip(own[first : last + 1], spans[first : last + 1], strict=True):
+            named = name(after.error[part, i], after.sd[part, i], sensor.noise_sigma, y[part, i], still=still, over=over)
+            for e, (k, end) in zip(own[first : last + 1], spans[first : last + 1], strict=True):
+                only = slice(k, end + 1)
+                of_it = resized(named, after.error[only, i], after.sd[only, i], sensor.noise_sigma)
                 confidence, rivals = rivals_at(detector, decisions, i, k)
-                mine.append(replace(_with(e, named, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
+                mine.append(replace(_with(e, of_it, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
         for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
             for a, b in stretches:
                 mine = _joined(mine, kind, t, a, b, sensor.name, sensor.unit)
@@ -104,8 +104,11 @@ def _joined(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: st
     """The events of a sensor with a stretch from sample a to b in which it is silent or frozen.
 
     Events of that kind that overlap the stretch are one with it, and so is, of a frozen sensor, any event that begins in it:
-    what follows is how long the detector takes to trust the sensor again.
+    what follows is how long the detector takes to trust the sensor again. A stretch of equal readings within another fault
+    adds nothing.
     """
+    if kind == "freeze" and any(e.start < t[a] and e.end >= t[b] for e in events):
+        return events
     start, end, certain = float(t[a]), float(t[b]), 1.0 if kind == "dropout" else np.nan
     one = Event(sensor, start, end, np.nan, unit, b == len(t) - 1, fault=kind, confidence=certain)
     kept = []
@@ -141,10 +144,10 @@ def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[
     else:
         q = ndtri(false_alarm_of(detector) / count / 2) * getattr(detector, "threshold_scale", 1.0)
         score = np.where(np.isfinite(decisions.scores[k]), decisions.scores[k], 0.0)
-        half = np.minimum(score * q, 1e6) ** 2 / 2
         others = ~together[:count]
         others[i] = True
-        weight = np.where(others, np.exp(half - np.max(half[others])), 0.0) if np.any(score[others] > 0) else others / count
+        half = np.where(others, np.minimum(np.abs(score * q), 1e6) ** 2 / 2, -np.inf)
+        weight = np.exp(half - np.max(half))
         probability = np.zeros(len(names))
         probability[:count] = weight / np.sum(weight)
     possible = probability > POSSIBLE

@@ -65,7 +65,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         about=about,
         health=_sentence(found.health.line if found.health else "model not tested"),
         suspect=found.health is None or found.health.suspect,
-        verdict=_sentence(found.verdict),
+        verdict=f"{found.verdict}.",
         samples=len(found.t),
         sensors=len(plant.sensors),
         plant=plant.name,
