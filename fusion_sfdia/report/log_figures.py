@@ -44,16 +44,16 @@ class TimeAxis(NamedTuple):
         """Times (s), a number or (K,), as places on the axis."""
         if self.clock.start is None:
             return np.asarray(t) / self.seconds
-        start = self.clock.start
-        return float(date2num(start.replace(tzinfo=None))) + np.asarray(t) / 86400
+        return float(date2num(self.clock.start)) + np.asarray(t) / 86400
 
     def label_on(self, axes: Axes) -> None:
         """Name the axis, with wall-clock times where there are any."""
         axes.set_xlabel(self.label)
         if self.clock.start is not None:
-            locator = AutoDateLocator(minticks=3, maxticks=6)
+            zone = self.clock.start.tzinfo
+            locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)
             axes.xaxis.set_major_locator(locator)
-            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))
 
 
 def time_axis(found: Diagnosis) -> TimeAxis:
