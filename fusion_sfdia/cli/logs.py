@@ -157,6 +157,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
             other_columns=chosen.other_columns,
             nominal_inputs=chosen.nominal_inputs,
             force=chosen.force,
+            detector_name=chosen.detector,
         )
     for warning in issued:
         print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)

@@ -10,9 +10,10 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from fusion_sfdia import __version__
+from fusion_sfdia.cli.compiling import announced
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.runs import add_compare, add_run
@@ -43,12 +44,15 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; return its exit code (see the parser's epilog)."""
+    """Run a command line; return its exit code (see the parser's epilog).
+
+    Without arguments it is that of this process, which also reports that code is compiled.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without π shows \\u03c0
             stream.reconfigure(errors="backslashreplace")
     chosen = parser().parse_args(arguments)
-    with _terminated_as_interrupted():
+    with _terminated_as_interrupted(), nullcontext() if arguments is not None or chosen.command == "list" else announced():
         return _done(chosen)
 
 

@@ -23,7 +23,7 @@ FOLDERS: dict[str, set[str]] = {
     "stochastic_thresholds": {"core", "filters"},
     "data_driven": {"core"},
     "structural_residuals": {"core"},
-    "evaluation": {"core"},
+    "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
     "registry": {"core", "detectors", "models"},  # of the last two only names, until one is used
     "detectors": {"registry"},
