@@ -17,6 +17,7 @@ from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_diagnose, add_simulate
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
+from fusion_sfdia.cli.tune import add_tune
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,6 +36,7 @@ def parser() -> argparse.ArgumentParser:
     add_compare(commands)
     add_simulate(commands)
     add_diagnose(commands)
+    add_tune(commands)
     add_bench(commands)
     return top
 

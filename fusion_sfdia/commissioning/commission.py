@@ -18,8 +18,8 @@ from fusion_sfdia.commissioning.innovations import fixed, settling
 from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
 from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
-from fusion_sfdia.commissioning.score import coloured, fitted
-from fusion_sfdia.commissioning.start import started
+from fusion_sfdia.commissioning.score import Fit, coloured, fitted
+from fusion_sfdia.commissioning.start import Start, first_state, with_start
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.plant import Plant
@@ -47,7 +47,9 @@ class Commissioning(NamedTuple):
 
     plant: the commissioned one. settle: samples that were left out at the beginning of each run. before, after: the plant on
     the halves that it was not learnt from, without and with what was learnt. kept: the stages that were. parameters,
-    disturbances, noise: what they found in the whole log; None, or empty, where not kept.
+    disturbances, noise: what they found in the whole log; None, or empty, where not kept. start: where runs begin, None where
+    as the plant states. halves: the plants that were learnt from the samples from settle to middle, and from middle on. fits:
+    what these predict.
     """
 
     plant: Plant
@@ -58,6 +60,10 @@ class Commissioning(NamedTuple):
     parameters: Estimate | None
     disturbances: tuple[Found, ...]
     noise: Noise | None
+    start: Start | None
+    middle: int
+    halves: tuple[Plant, Plant]
+    fits: tuple[Fit, Fit]
 
 
 def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
@@ -65,16 +71,17 @@ def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
     return commissioned(plant, *healthy, false_alarm=false_alarm).plant
 
 
-def commissioned(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Commissioning:
+def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3) -> Commissioning:
     """Adapt a plant to healthy readings of the real one, and report what was found.
 
     healthy: t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`. false_alarm: the
     rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
-    1 / false_alarm samples, best of other readings than these.
+    1 / false_alarm samples, best of other readings than these; None where a log of any length will do.
     Raises ValueError for a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one
     sensor explains what the plant does not.
     """
-    probability("false_alarm", false_alarm)
+    if false_alarm is not None:
+        probability("false_alarm", false_alarm)
     log = as_runs(plant, healthy)
     require_moving(plant, log)
     settle = settling(fixed(plant), log)
@@ -107,8 +114,12 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Comm
     if "noise" in kept:
         noise = joined(*parts["noise"])
         result = with_noise(result, noise)
-    result = started(result, log)
-    return Commissioning(result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise)
+    if (start := first_state(result, log)) is not None:
+        result = with_start(result, start)
+    return Commissioning(
+        result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start, middle,
+        (halfway[0], halfway[1]), (now[0], now[1]),
+    )  # fmt: skip
 
 
 def as_runs(plant: Plant, healthy: Any) -> Log:
@@ -129,7 +140,7 @@ def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, Estimate | N
     used = np.cumsum(use) - 1
     stretch = np.clip(used * STRETCHES // np.sum(use), 0, STRETCHES - 1)
     found = estimated(plant, log, use, stretch)
-    return moved(plant, found), found
+    return moved(plant, found.value, found.sd), found
 
 
 def _noise(plant: Plant, log: Log, use: Array) -> tuple[Plant, Noise]:
