@@ -140,7 +140,7 @@ def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, Estimate | N
     used = np.cumsum(use) - 1
     stretch = np.clip(used * STRETCHES // np.sum(use), 0, STRETCHES - 1)
     found = estimated(plant, log, use, stretch)
-    return moved(plant, found.value, found.sd), found
+    return moved(plant, found), found
 
 
 def _noise(plant: Plant, log: Log, use: Array) -> tuple[Plant, Noise]:

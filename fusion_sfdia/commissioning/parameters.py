@@ -68,11 +68,14 @@ def estimated(plant: Plant, log: Log, use: Array, stretch: Array) -> Estimate:
     return Estimate(chosen, value[where], sd, prior[where], scale, cov * np.outer(scale, scale), scale * np.sqrt(between))
 
 
-def moved(plant: Plant, value: Array, sd: Array) -> Plant:
-    """The plant with estimates of what is free to be estimated, in the order of `declared`."""
-    where, (_, values, sds) = free(plant), declared(plant)
-    values[where], sds[where] = value, sd
-    return at(plant, values, sds)
+def moved(plant: Plant, found: Estimate) -> Plant:
+    """The plant with what was estimated; later changes are judged by what was declared."""
+    where, (names, value, prior_sd) = free(plant), declared(plant)
+    changes = dict(zip(names, prior_sd.tolist(), strict=True)) | dict(plant.uncertainty.changes)
+    sd = prior_sd.copy()
+    value[where], sd[where] = found.value, found.sd
+    there = at(plant, value, sd)
+    return replace(there, uncertainty=replace(there.uncertainty, changes=changes))
 
 
 def free(plant: Plant) -> Array:

@@ -195,7 +195,7 @@ class RobustBank(ExcludingBank):
             standing = standing._replace(reopened=standing.reopened | reopened)
             prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
             likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
-            prior = widened(prior, likely, PARAMETER_SIZE * of.sd)
+            prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
             joint = est.joint(of.model, prior, now.t, u)
         found = everything
         if self.accommodate and np.any(freed | process | reopened | np.any(isolated, axis=-1)):

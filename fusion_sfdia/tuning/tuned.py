@@ -15,7 +15,7 @@ from fusion_sfdia.commissioning.commission import Commissioning
 from fusion_sfdia.commissioning.disturbances import Found, with_disturbance
 from fusion_sfdia.commissioning.innovations import fixed
 from fusion_sfdia.commissioning.noise import Noise, state_groups, with_noise
-from fusion_sfdia.commissioning.parameters import declared, free, moved
+from fusion_sfdia.commissioning.parameters import Estimate, declared, free, moved
 from fusion_sfdia.commissioning.start import Start, with_start
 from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.plant import Plant
@@ -212,9 +212,9 @@ def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
     """The plant with what the tables of a document hold; ValueError for values that do not fit it."""
     try:
         if rows := document.get("parameters"):
-            names = [declared(plant)[0][i] for i in free(plant)]
+            names = tuple(declared(plant)[0][i] for i in free(plant))
             value, sd = (np.array([number(f"{what} of {n}", rows[n][what]) for n in names]) for what in ("value", "sd"))
-            plant = moved(plant, value, sd)
+            plant = moved(plant, Estimate(names, value, sd, value, sd, np.empty((0, 0)), sd))
         for d in document.get("disturbance", []):
             none = np.empty((0, 0))
             arrays = (np.array(d[what], dtype=float) for what in ("state", "reading"))
