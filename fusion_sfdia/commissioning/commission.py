@@ -1,6 +1,7 @@
 """Commissioning: a plant adapted to a healthy log of the real one, so that any detector on it knows what the log shows.
 
-Three stages, each on the result of the one before: declared parameters and errors of inputs (`parameters`), directions of
+A sensor that scatters clearly more than stated first gets the noise that it has. Then three stages, each on the result of the
+one before: declared parameters and errors of inputs (`parameters`), directions of
 mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise`). Each is learnt from one half of the
 log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole log.
 """
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windows
 from fusion_sfdia.commissioning.innovations import fixed, settling
-from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, with_noise
+from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, louder_sensors, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
 from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
 from fusion_sfdia.commissioning.score import Fit, coloured, fitted
@@ -92,6 +93,9 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3) 
     halves = [settled & (np.arange(steps) < middle), settled & (np.arange(steps) >= middle)]
     now = [fitted(plant, log)] * 2
     before = _held_out(now, halves)
+    plant = louder_sensors(stated := plant, now[0].single[settled])
+    if not np.array_equal(plant.sensor_sigma, stated.sensor_sigma):
+        now = [fitted(plant, log)] * 2
     halfway, parts = [plant, plant], {}
     for name, stage in STAGES.items():
         found = [stage(p, log, half) for p, half in zip(halfway, halves, strict=True)]
@@ -127,7 +131,7 @@ def as_runs(plant: Plant, healthy: Any) -> Log:
     t, y, u = as_log(plant, *healthy)
     y = y.reshape(len(t), -1, y.shape[-1])
     if u.ndim > 2:
-        u = u.reshape(len(t), -1, u.shape[-1])
+        u = u.reshape(len(t), int(np.prod(u.shape[1:-1])), u.shape[-1])
     else:
         u = u[:, None]
     return Log(t, y, np.broadcast_to(u, (*y.shape[:2], u.shape[-1])))

@@ -80,6 +80,8 @@ def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[floa
 
 def claim(name: str, detector: Any) -> float:
     """Alarms a step over all sensors that a detector claims at most, NaN where it claims nothing below 1."""
+    if (fitted := getattr(detector, "fitted_rate", None)) is not None:
+        return float(fitted)
     if (rate := getattr(detector, "false_alarm", None)) is not None:
         return float(rate)
     if (alpha := getattr(detector, "alpha", None)) is not None:  # Chebyshev's inequality for each sensor

@@ -8,7 +8,6 @@ the whole log.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import __version__, registry
-from fusion_sfdia.commissioning.commission import Commissioning, commissioned
+from fusion_sfdia.commissioning.commission import Commissioning, as_runs, commissioned
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import NotApplicableError
-from fusion_sfdia.core.log import Log, as_log
+from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import require_scale, silent, silent_scores
 from fusion_sfdia.tuning.delays import Delays, delays
@@ -27,10 +26,11 @@ from fusion_sfdia.tuning.rate import Rate, lasting
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
 from fusion_sfdia.tuning.tail import Count, Threshold, counted, shortest, threshold
-from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_tables, plant_table
+from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_tables, plant_table, scaled
 
 Array = NDArray[Any]
 
+FAR, COLOURED, WRONG, WIDE, UNSURE = 3.0, 0.15, 1.5, 2.0, 1.5  # beyond which a figure is remarked on
 LEARNT_ON = 40  # samples above its limits from which a detector that learns sets them itself, before they are scaled
 
 
@@ -45,20 +45,20 @@ def tune(
     plant: Plant | str,
     *healthy: Any,
     false_alarm: str | float | Rate = "1/day",
-    detector: Any = "loo-glr",
+    detector: str = "loo-glr",
     sources: Sequence[Source] = (),
     made: str = "",
 ) -> Tuned:
     """Tune a plant and a detector on healthy readings of the real plant.
 
     healthy: logs, each as `as_log` takes it in one argument, of one run or several. false_alarm: samples in alarm, such as
-    "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, a reference, a class or a function. sources: where
-    each log comes from, made: the date, both for the file alone.
+    "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, or a reference such as "mine.py:MyDetector".
+    sources: where each log comes from, made: the date, both for the file alone.
     ValueError, with the reason, for readings that cannot carry it: too short for the plant or the rate, a fault among them, not
     stationary; NotApplicableError where the detector does not apply to the plant.
     """
     plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
-    logs = [_runs(as_log(plant, one)) for one in healthy]
+    logs = [_runs(as_runs(plant, (one,))) for one in healthy]
     log = as_even_runs(plant, [run for runs in logs for run in runs])
     dt = float(np.median(np.diff(log.t)))
     per_sample = rate.per_sample(dt)
@@ -66,8 +66,9 @@ def tune(
     found = commissioned(plant, log, false_alarm=None)
     _require_enough(log, found.settle, rate, dt)
     clock = sources[0].clock if sources else Clock()
-    settled = log.t[found.settle :]
-    require_stationary(plant, _held_out_residual(found), lambda k: clock.at(float(settled[k])))
+    settled, middle = log.t[found.settle :], found.middle - found.settle
+    residuals = [fit.single[found.settle :] for fit in found.fits]
+    require_stationary(plant, (residuals[0], residuals[1]), middle, lambda k: clock.at(float(settled[k])))
 
     build = partial(_build, entry, per_sample, (len(log.t) - found.settle) // 2 * log.y.shape[1])
     parts = _held_out_scores(found, log, build)
@@ -81,7 +82,7 @@ def tune(
 
     tables = {"plant": plant_table(plant)} | learnt_tables(plant, found)
     final = build(acting_plant(learnt_plant(tables, plant), entry.name), _cut(log, found.settle, len(log.t)))
-    final = replace(final, threshold_scale=limit.scale * final.threshold_scale)
+    final = scaled(final, limit.scale, per_sample)
     late = delays(final, log, found.settle)
     for i, row in enumerate(tables["sensors"].values()):
         row |= {f"delay_{size:g}": float(late.delay[s, i]) for s, size in enumerate(late.sizes)}
@@ -106,10 +107,7 @@ def tune(
 
 def _runs(log: Log) -> list[Log]:
     """Each run of a log by itself: y (K, N), u (K, m)."""
-    t, y, u = log
-    y = y.reshape(len(t), -1, y.shape[-1])
-    u = np.broadcast_to(u[:, None] if u.ndim == 2 else u.reshape(len(t), -1, u.shape[-1]), (*y.shape[:2], u.shape[-1]))
-    return [Log(t, y[:, i], u[:, i]) for i in range(y.shape[1])]
+    return [Log(log.t, log.y[:, i], log.u[:, i]) for i in range(log.y.shape[1])]
 
 
 def _cut(log: Log, start: int, end: int) -> Log:
@@ -127,12 +125,6 @@ def _require_enough(log: Log, settle: int, rate: Rate, dt: float) -> None:
             f"shortest log is {least // runs + settle} samples long, {lasting((least // runs + settle) * dt)}"
             f"{f', in {runs} runs' if runs > 1 else ''}: give a longer one, or a higher rate"
         )
-
-
-def _held_out_residual(found: Commissioning) -> Array:
-    """Errors of each reading predicted from all others (K - settle, B, N), by the plant of the other half."""
-    first, second = found.fits
-    return np.concatenate([second.single[found.settle : found.middle], first.single[found.middle :]])
 
 
 def _build(entry: registry.NamedDetector, rate: float, samples: int, plant: Plant, healthy: Log) -> Any:
@@ -199,4 +191,29 @@ def _quality(
             "worst": float(np.max(late.delay[s])),
             "found": float(np.mean(late.found[s])),
         }
+    figures["remarks"] = _remarks(found, figures, limit)
     return figures
+
+
+def _remarks(found: Commissioning, figures: dict[str, Any], limit: Threshold) -> list[str]:
+    """What a user should know before relying on it."""
+    remarks = []
+    if found.parameters is not None:
+        away = np.abs(found.parameters.value - found.parameters.prior) / found.parameters.prior_sd
+        remarks += [
+            f"{name} is {a:.1f} of its stated deviations off: the model may lack something, or a fault be hidden in it"
+            for name, a in zip(found.parameters.names, away, strict=True)
+            if a > FAR
+        ]
+    if figures["coloured"] > COLOURED:
+        remarks.append(
+            f"{100 * figures['coloured']:.0f} % of the autocorrelations of the prediction errors are outside their bands: the "
+            "model lacks something, or a slow fault is in the log"
+        )
+    if not 1 / WRONG < figures["nis"] < WRONG:
+        remarks.append(f"prediction errors are {np.sqrt(figures['nis']):.2g} times as large as the model expects (NIS, root)")
+    if limit.scale > WIDE:
+        remarks.append(f"thresholds are {limit.scale:.2g} times those of a right model: small faults are not seen")
+    if limit.high > UNSURE * limit.low:
+        remarks.append("the threshold is uncertain by more than a factor of 1.5: a longer log would settle it")
+    return remarks

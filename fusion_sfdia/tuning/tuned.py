@@ -18,8 +18,8 @@ from fusion_sfdia.commissioning.noise import Noise, state_groups, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, declared, free, moved
 from fusion_sfdia.commissioning.start import Start, with_start
 from fusion_sfdia.core.arguments import number, shown
+from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Structure
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
 from fusion_sfdia.tuning.document import read_document, write_document
 from fusion_sfdia.tuning.rate import Rate
@@ -83,7 +83,7 @@ class Tuned:
         if self.fitted is not None:
             return replace(self.fitted, plant=acting)
         built: Any = registry.detector(self.detector_name, acting)
-        return replace(built, threshold_scale=self.threshold_scale * built.threshold_scale)
+        return scaled(built, self.threshold_scale, number("per_sample", self.document["detector"]["per_sample"]))
 
     def write(self, path: str | Path) -> None:
         """Write the file, and beside it (.npz) a detector that learns from data."""
@@ -118,20 +118,27 @@ class Tuned:
 
 NEEDED = {
     "plant": ("name", "dt", "digest"),
-    "detector": ("name", "threshold_scale", "false_alarm"),
+    "detector": ("name", "threshold_scale", "false_alarm", "per_sample"),
     "sensors": (),
     "quality": (),
 }
 
 
-def acting_plant(plant: Plant, detector: str) -> Plant:
-    """The plant on which a detector acts: one that tests sensors only estimates learnt disturbances along.
+def scaled(detector: Any, scale: float, rate: float) -> Any:
+    """The detector with its thresholds times a scale that was fitted for that rate per sample."""
+    fitted = {"fitted_rate": rate} if isinstance(detector, BatchDetector) else {}
+    return replace(detector, threshold_scale=scale * detector.threshold_scale, **fitted)
 
-    On a plant that states modules or areas it does not, since the augmented plant has none.
+
+def acting_plant(plant: Plant, detector: str) -> Plant:
+    """The plant on which a detector acts: one that runs a filter on it estimates learnt disturbances along.
+
+    A detector that tests the process does so by itself.
     """
-    if registry.find_detector(detector).tests_process or plant.structure != Structure():
+    entry = registry.find_detector(detector)
+    if entry.tests_process or entry.learns or not plant.uncertainty.disturbances:
         return plant
-    return fixed(plant) if plant.uncertainty.disturbances else plant
+    return fixed(plant) if hasattr(registry.detector(entry, plant), "estimator") else plant
 
 
 def plant_table(plant: Plant) -> dict[str, Any]:
@@ -177,10 +184,9 @@ def require_same_plant(document: dict[str, Any], plant: Plant) -> None:
 def learnt_tables(plant: Plant, found: Commissioning) -> dict[str, Any]:
     """The tables of what was learnt, from the plant before."""
     tables: dict[str, Any] = {}
-    factor = np.ones(len(plant.sensors)) if found.noise is None else np.sqrt(found.noise.sensors)
     tables["sensors"] = {
-        s.name: {"sigma": float(s.noise_sigma * f), "stated": s.noise_sigma, "unit": s.unit}
-        for s, f in zip(plant.sensors, factor, strict=True)
+        s.name: {"sigma": float(sigma), "stated": s.noise_sigma, "unit": s.unit}
+        for s, sigma in zip(plant.sensors, found.plant.sensor_sigma, strict=True)
     }
     if found.noise is not None:
         tables["process_noise"] = {

@@ -45,7 +45,7 @@ def as_text(tuned: Tuned) -> str:
         lines.append(
             f"  10 sigma of {', '.join(late[:8])}{f' and {len(late) - 8} more' * (len(late) > 8)} is not detected in time"
         )
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"note: {remark}" for remark in q["remarks"])])
 
 
 def _delay(seconds: float) -> str:
