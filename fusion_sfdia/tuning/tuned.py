@@ -19,6 +19,7 @@ from fusion_sfdia.commissioning.parameters import Estimate, declared, free, move
 from fusion_sfdia.commissioning.start import Start, with_start
 from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.batch_detector import BatchDetector
+from fusion_sfdia.core.files import all_or_none
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
 from fusion_sfdia.tuning.document import read_document, write_document
@@ -78,23 +79,25 @@ class Tuned:
     def detector(self, plant: Plant) -> Any:
         """The tuned detector on the plant as `plant` gives it, from the plant as its maker gives it; ValueError as there."""
         acting = acting_plant(self.plant(plant), self.detector_name)
-        if isinstance(self.fitted, Path):
-            return load_detector(self.fitted, acting)
         if self.fitted is not None:
-            return replace(self.fitted, plant=acting)
+            return load_detector(self.fitted, acting) if isinstance(self.fitted, Path) else self.fitted
         built: Any = registry.detector(self.detector_name, acting)
         return scaled(built, self.threshold_scale, number("per_sample", self.document["detector"]["per_sample"]))
 
     def write(self, path: str | Path) -> None:
         """Write the file, and beside it (.npz) a detector that learns from data."""
         path = Path(path)
-        document = self.document
-        if self.fitted is not None:
-            beside = path.with_suffix(".npz")
-            fitted = load_detector(self.fitted, self.fitted.plant) if isinstance(self.fitted, Path) else self.fitted
-            save_detector(beside, fitted)
-            document = document | {"detector": document["detector"] | {"fitted": beside.name}}
-        write_document(path, document, COMMENTS)
+        if self.fitted is None:
+            write_document(path, self.document, COMMENTS)
+            return
+        beside = path.with_suffix(".npz").name
+        document = self.document | {"detector": self.document["detector"] | {"fitted": beside}}
+        with all_or_none(path.parent) as new:
+            if isinstance(self.fitted, Path):
+                (new / beside).write_bytes(self.fitted.read_bytes())
+            else:
+                save_detector(new / beside, self.fitted)
+            write_document(new / path.name, document, COMMENTS)
 
     @classmethod
     def read(cls, path: str | Path) -> Tuned:
@@ -144,7 +147,7 @@ def acting_plant(plant: Plant, detector: str) -> Plant:
 def plant_table(plant: Plant) -> dict[str, Any]:
     """Name, step, sizes and digest of the names and units of a plant."""
     known = plant.uncertainty
-    named = [*plant.states, *plant.inputs, *plant.sensors, *known.parameters]
+    named: list[Any] = [*plant.states, *plant.inputs, *plant.sensors, *known.parameters]
     text = "\n".join([plant.name, repr(plant.dt), *(f"{v.name} [{v.unit}]" for v in named), *sorted(known.inputs)])
     return {
         "name": plant.name,
@@ -219,12 +222,13 @@ def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
     try:
         if rows := document.get("parameters"):
             names = tuple(declared(plant)[0][i] for i in free(plant))
-            value, sd = (np.array([number(f"{what} of {n}", rows[n][what]) for n in names]) for what in ("value", "sd"))
-            plant = moved(plant, Estimate(names, value, sd, value, sd, np.empty((0, 0)), sd))
+            values, sds = (np.array([number(f"{what} of {n}", rows[n][what]) for n in names]) for what in ("value", "sd"))
+            plant = moved(plant, Estimate(names, values, sds, values, sds, np.empty((0, 0)), sds))
         for d in document.get("disturbance", []):
             none = np.empty((0, 0))
-            arrays = (np.array(d[what], dtype=float) for what in ("state", "reading"))
-            plant = with_disturbance(plant, Found(*arrays, none, none, d["mean"], d["sd"], d["time_constant"], 1.0))
+            state, reading = (np.array(d[what], dtype=float) for what in ("state", "reading"))
+            mean, sd, lasting = (number(f"{what} of a disturbance", d[what]) for what in ("mean", "sd", "time_constant"))
+            plant = with_disturbance(plant, Found(state, reading, none, none, mean, sd, lasting, 1.0))
         groups, table = state_groups(plant), document.get("process_noise", {})
         process = np.array([number(f"process noise in {unit}", table.get(unit, 1.0)) for unit in groups]) ** 2
         sigma = np.array([number(f"sigma of {n}", document["sensors"][n]["sigma"]) for n in plant.sensor_names])
