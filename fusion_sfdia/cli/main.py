@@ -18,6 +18,7 @@ from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
+from fusion_sfdia.cli.tune import add_tune
 from fusion_sfdia.cli.watch import add_watch
 
 
@@ -39,6 +40,7 @@ def parser() -> argparse.ArgumentParser:
     add_check_log(commands)
     add_diagnose(commands)
     add_watch(commands)
+    add_tune(commands)
     add_bench(commands)
     return top
 

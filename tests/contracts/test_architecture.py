@@ -30,6 +30,7 @@ FOLDERS: dict[str, set[str]] = {
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
     "named": {"core", "evaluation", "registry", "builders", "detectors"},
+    "tuning": {"core", "commissioning", "registry"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation", "logs"},
     "live": {"core", "evaluation", "logs"},
