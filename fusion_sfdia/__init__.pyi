@@ -67,6 +67,8 @@ from fusion_sfdia.identification.identify import identify as identify
 from fusion_sfdia.identification.recording import without_repeats as without_repeats
 from fusion_sfdia.identification.whiteness import Whiteness as Whiteness
 from fusion_sfdia.identification.whiteness import whiteness as whiteness
+from fusion_sfdia.inspection.inspection import Inspection as Inspection
+from fusion_sfdia.inspection.inspection import inspect_plant as inspect_plant
 from fusion_sfdia.kalman_banks.area_banks import RobustAreas as RobustAreas
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank

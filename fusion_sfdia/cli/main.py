@@ -1,4 +1,4 @@
-"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, measure the speed."""
+"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, inspect a plant, bench."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from contextlib import contextmanager, nullcontext
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.compiling import announced
+from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
 from fusion_sfdia.cli.runs import add_compare, add_run
@@ -41,6 +42,7 @@ def parser() -> argparse.ArgumentParser:
     add_diagnose(commands)
     add_watch(commands)
     add_tune(commands)
+    add_inspect(commands)
     add_bench(commands)
     return top
 

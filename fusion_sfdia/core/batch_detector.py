@@ -7,6 +7,7 @@ of vectors.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -149,6 +150,25 @@ class BatchDetector(ABC):
             diverged, after = diverged[0, ...], mapped(_as_single, after)
             found = {name: None if a is None else a[0, ...] for name, a in found.items()}
         return State(state.seed, np.array(now.k), np.array(now.t), diverged, after), Decision(**found)
+
+    def readmit(self, state: State, sensors: str | Iterable[str]) -> State:
+        """The state in which sensors, by name, are used again in all runs: after their repair, or where an isolation was wrong.
+
+        A sensor that alone sees a lasting mode of the plant may never be used again on its own, since the estimate without it
+        keeps its error (`inspect_plant` lists them): a bank then also widens the covariance of its estimate by what the
+        readings differed from it, so that it follows the repaired sensor. Nor is any of a detector whose alarms latch.
+        Detectors that judge each reading anew keep none out; they return the state as it is. ValueError for a state of
+        another detector and an unknown sensor.
+        """
+        self._batch_of(state)
+        named = [sensors] if isinstance(sensors, str) else list(sensors)
+        which = np.zeros(len(self.plant.sensors), bool)
+        which[[self.plant.sensor_index(name) for name in named]] = True
+        return state._replace(memory=self._readmitted(state.memory, float(state.t), which))
+
+    def _readmitted(self, memory: Any, t: float, which: Array) -> Any:
+        """The memory at t (s) with the sensors `which` (N,) in use again."""
+        return memory
 
     @cached_property
     def _input_limits(self) -> InputLimits:

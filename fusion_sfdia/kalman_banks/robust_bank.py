@@ -130,6 +130,13 @@ class RobustBank(ExcludingBank):
         of = self._hypotheses
         return nothing_known(of, self.estimator.start(of.model, batch, step_stream(seed, 0)), batch, self._grids)
 
+    def _readmitted(self, memory: RobustMemory, t: float, which: Array) -> RobustMemory:
+        used: RobustMemory = super()._readmitted(memory, t, which)
+        out_for, led = (np.where(which, 0.0, a) for a in (memory.out_for, memory.led))
+        fresh = no_pairs(memory.led.shape[:-1], which.size)
+        pairs = Pairs(*(np.where(which, new, old) for new, old in zip(fresh, memory.pairs, strict=True)))
+        return used._replace(out_for=out_for, led=led, pairs=pairs)
+
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
         estimate, exclusion, out_for, led, *windows, standing, pairs, nis = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
