@@ -65,6 +65,9 @@ from fusion_sfdia.filters.estimators import Ensemble as Ensemble
 from fusion_sfdia.filters.estimators import Extended as Extended
 from fusion_sfdia.filters.estimators import Unscented as Unscented
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
+from fusion_sfdia.identification.choice import Candidate as Candidate
+from fusion_sfdia.identification.choice import ModelChoice as ModelChoice
+from fusion_sfdia.identification.choice import choose_model as choose_model
 from fusion_sfdia.identification.identify import identify as identify
 from fusion_sfdia.identification.recording import without_repeats as without_repeats
 from fusion_sfdia.identification.whiteness import Whiteness as Whiteness

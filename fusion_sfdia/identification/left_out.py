@@ -1,0 +1,58 @@
+"""How well a plant predicts readings that it was not identified from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.estimators import Extended
+from fusion_sfdia.filters.gaussian import condition
+
+Array = NDArray[Any]
+
+WARM_UP = 10  # samples after the start of a run that are not judged
+LONGEST = 1000  # samples that are stepped as one run
+
+
+class LeftOut(NamedTuple):
+    """Sums over the judged readings: log-likelihood in units of `scale`, normalised innovation squared, their number."""
+
+    log_likelihood: float
+    chi_square: float
+    readings: int
+
+
+def left_out(plant: Plant, logs: Sequence[Log], scale: Array) -> LeftOut:
+    """The one-step predictions by the extended Kalman filter of runs without gaps, -(e' S^-1 e + log |2 pi S|) / 2.
+
+    scale (N,): the unit of each reading. Runs are stepped side by side; of one longer than LONGEST samples the parts, each from
+    the initial state, and the first WARM_UP samples of each are not judged.
+    """
+    parts = [Log(*(part[a : a + LONGEST] for part in log)) for log in logs for a in range(0, len(log.t), LONGEST)]
+    steps, size = max(len(part.t) for part in parts), len(parts)
+    y, u = np.full((steps, size, len(scale)), np.nan), np.zeros((steps, size, len(plant.inputs)))
+    for b, part in enumerate(parts):
+        y[: len(part.t), b], u[: len(part.t), b] = part.y, part.u
+        u[len(part.t) :, b] = part.u[-1]
+    estimator, rng = Extended(), np.random.default_rng(0)  # this filter draws nothing
+    core = estimator.start(plant, (size,), rng)
+    total = LeftOut(0.0, 0.0, 0)
+    for k in range(steps):
+        prior = estimator.predict(plant, core, k * plant.dt, u[k], plant.dt, rng)
+        joint = estimator.joint(plant, prior, (k + 1) * plant.dt, u[k])
+        found = condition(joint, y[k])
+        core = core._replace(x=found.x, P=found.P)
+        if k >= WARM_UP and (count := int(found.used.sum())):
+            both = found.used[..., :, None] & found.used[..., None, :]
+            S = np.where(both, joint.S / np.outer(scale, scale), np.eye(len(scale)))
+            chi_square = float(np.sum(np.where(found.used.any(axis=-1), found.nis * found.used.sum(axis=-1), 0.0)))
+            log_det = float(np.sum(np.linalg.slogdet(S)[1])) + count * np.log(2 * np.pi)
+            total = LeftOut(
+                total.log_likelihood - (chi_square + log_det) / 2, total.chi_square + chi_square, total.readings + count
+            )
+    return total
