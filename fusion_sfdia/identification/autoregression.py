@@ -28,16 +28,17 @@ def autoregression(parts: Sequence[tuple[Array, Array]], order: int, ridge: floa
     by least squares a sensor, with `ridge` samples' worth of a prior of zero of all but the constant. B has the offset and the
     feedthrough of the present input. A missing regressor is the last reading. S of the residuals is shrunk to its diagonal by
     N over the number of samples. The states are y_t to y_t-p+1; S is split into the noise of readings, a share of what no other
-    sensor explains, and the noise of the states.
+    sensor explains, and the noise of the states. Of order 0 the states have no memory: each reading is predicted
+    from the other ones and the inputs at the same time, by the ridge regression of each sensor on the others.
     """
     rows, targets, windows = [], [], []
+    stacked = max(order, 1)
     for y, z in parts:
         if len(y) > order:
             last = held(y)
-            before = np.hstack([last[order - k : len(y) - k] for k in range(1, order + 1)])
-            rows.append(np.hstack([z[order:], before]))
+            rows.append(np.hstack([z[order:], *(last[order - k : len(y) - k] for k in range(1, order + 1))]))
             targets.append(y[order:])
-            windows.append(np.hstack([last[order - k : len(y) - k] for k in range(order)]))
+            windows.append(np.hstack([last[order - k : len(y) - k] for k in range(stacked)]))
     count = parts[0][0].shape[1]
     if sum(map(len, rows)) <= count:
         raise ValueError(f"{sum(map(len, rows))} samples for {count} sensors of an autoregression; record more")
@@ -56,12 +57,12 @@ def autoregression(parts: Sequence[tuple[Array, Array]], order: int, ridge: floa
     largest = np.linalg.eigvalsh(np.linalg.inv(S) * np.sqrt(np.outer(own, own)))[-1]
     r = np.maximum(NOISE / largest * own, LEAST_NOISE / 2)
 
-    n = count * order
+    n = count * stacked
     A, B, Q = np.zeros((n, n)), np.zeros((n, inputs)), np.zeros((n, n))
-    A[:count], B[:count] = weights[:, inputs:], weights[:, :inputs]
+    A[:count, : count * order], B[:count] = weights[:, inputs:], weights[:, :inputs]
     A[count:, :-count] = np.eye(n - count)
     Q[:count, :count] = positive(S - np.diag(r))
     P0 = positive(np.cov(W.T).reshape(n, n) + LEAST_NOISE * np.eye(n))
     C = np.eye(count, n)
-    names = tuple(f"true {s.name}" + (f" {k} before" if k else "") for k in range(order) for s in sensors)
-    return StateSpace(A, B, C, np.zeros((count, inputs)), Q, r, P0, names, tuple(range(count)) * order)
+    names = tuple(f"true {s.name}" + (f" {k} before" if k else "") for k in range(stacked) for s in sensors)
+    return StateSpace(A, B, C, np.zeros((count, inputs)), Q, r, P0, names, tuple(range(count)) * stacked)

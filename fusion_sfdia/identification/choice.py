@@ -72,6 +72,11 @@ class ModelChoice:
     samples: int
     still: tuple[str, ...]
 
+    @property
+    def nis(self) -> float:
+        """The normalised innovation squared by which the covariances of the plant were scaled."""
+        return next(s.nis for s in self.scores if s.candidate == self.chosen)
+
     def __str__(self) -> str:
         lines = [
             f"{self.plant.name}: {self.chosen}; chosen of {len(self.scores)} by the likelihood of {self.groups} groups of "
@@ -132,13 +137,14 @@ def choose_model(
             + "; ".join(dict.fromkeys(s.failed for s in scores))
         )
     best = next(s for s in found if s.log_likelihood >= scores[0].log_likelihood - MARGIN)
-    plant = model_of(best.candidate, name, runs, runs.logs, moving, inputs)
-    plant = replace(
-        plant,
-        process_cov=best.nis * plant.process_cov,
-        sensors=tuple(replace(s, sigma=float(np.sqrt(best.nis) * s.noise_sigma)) for s in plant.sensors),
-    )
+    plant = times(model_of(best.candidate, name, runs, runs.logs, moving, inputs), best.nis)
     return ModelChoice(plant, best.candidate, tuple(scores), by, len(groups), runs.samples, still)
+
+
+def times(plant: Plant, factor: float) -> Plant:
+    """The plant with the covariances of its process and its sensors times a factor."""
+    sensors = tuple(replace(s, sigma=float(np.sqrt(factor) * s.noise_sigma)) for s in plant.sensors)
+    return replace(plant, process_cov=factor * plant.process_cov, sensors=sensors)
 
 
 def model_of(
@@ -172,7 +178,7 @@ def _score(
         for k, group in enumerate(groups):
             rest = [log for j, other in enumerate(groups) if j != k for log in other]
             found = left_out(model_of(candidate, name, runs, rest, sensors, inputs), group, runs.y_sd)
-            total = LeftOut(*(a + b for a, b in zip(total, found, strict=True)))
+            total = total.plus(found)
     except (ValueError, np.linalg.LinAlgError) as error:
         return Score(candidate, -np.inf, np.nan, str(error))
     if not total.readings or not np.isfinite(total.log_likelihood):
