@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_diagnose, add_simulate
+from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
 
@@ -35,6 +36,7 @@ def parser() -> argparse.ArgumentParser:
     add_compare(commands)
     add_simulate(commands)
     add_diagnose(commands)
+    add_monitor(commands)
     add_bench(commands)
     return top
 

@@ -17,6 +17,7 @@ from fusion_sfdia.identification.subspace import held
 Array = NDArray[Any]
 
 LAGS = (1, 5)  # samples, of the two autocovariances that separate an offset from noise
+UNSEEN = 4.0  # variance of the offset at the start of a run that was not learnt from, over that of the others
 SLOWEST = 0.9995  # largest autocorrelation of an offset from one sample to the next: changes over some hours at 1 Hz
 
 
@@ -63,7 +64,7 @@ def factors(parts: Sequence[tuple[Array, Array]], count: int, ridge: float, sens
         D=D,
         Q=block_diag(Q, np.diag((1 - rho**2) * offset)),
         r=r,
-        P0=block_diag(P, np.diag(offset)),
+        P0=block_diag(P, np.diag(UNSEEN * offset)),
         names=names,
         sensors=(*(-1,) * count, *range(N)),
     )

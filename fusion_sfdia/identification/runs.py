@@ -107,7 +107,7 @@ def _checked(k: int, log: Log, count: int, inputs: int) -> Log:
 
 def _parts(log: Log, dt: float) -> list[Log]:
     """The stretches of even steps and known inputs of at least two samples."""
-    known = np.isfinite(log.u).all(axis=1)
+    known = np.asarray(np.isfinite(log.u).all(axis=1))
     even = np.asarray(np.abs(np.diff(log.t) / dt - 1) <= JITTER)
     breaks = np.flatnonzero(~even | ~known[1:] | ~known[:-1]) + 1
     found = (np.arange(len(log.t))[a:b] for a, b in zip((0, *breaks), (*breaks, len(log.t)), strict=True))

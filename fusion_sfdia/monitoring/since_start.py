@@ -23,7 +23,7 @@ class SinceStartMemory(NamedTuple):
     sum_y: Array
     count_y: Array
     sum_u: Array
-    count: Array
+    samples: Array
     inner: Any
 
 
