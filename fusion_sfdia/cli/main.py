@@ -17,6 +17,7 @@ from fusion_sfdia.cli.compiling import announced
 from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
+from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
 from fusion_sfdia.cli.tune import add_tune
@@ -43,6 +44,7 @@ def parser() -> argparse.ArgumentParser:
     add_watch(commands)
     add_tune(commands)
     add_inspect(commands)
+    add_monitor(commands)
     add_bench(commands)
     return top
 
