@@ -40,7 +40,7 @@ def add_tune(commands: Any) -> None:
 def tuned_detector(chosen: argparse.Namespace) -> tuple[str, Any]:
     """Name and detector of `diagnose`: as registered, of --tuned, or tuned on the stretch --healthy of the log."""
     from fusion_sfdia import registry
-    from fusion_sfdia.evaluation.logs import read_log
+    from fusion_sfdia.logs.csv_log import read_log
     from fusion_sfdia.tuning.stretch import on_stretch
     from fusion_sfdia.tuning.tuned import Tuned
 
@@ -65,7 +65,7 @@ def tuned_detector(chosen: argparse.Namespace) -> tuple[str, Any]:
 
 
 def _tune(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.evaluation.logs import read_log
+    from fusion_sfdia.logs.csv_log import read_log
     from fusion_sfdia.registry import plant
     from fusion_sfdia.tuning.tune import Source, tune
     from fusion_sfdia.tuning.words import as_text
