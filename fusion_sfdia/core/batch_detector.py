@@ -40,11 +40,14 @@ class BatchDetector(ABC):
     """A detector whose state is a `State`: a subclass defines its memory, how it starts, and how it judges readings.
 
     The memory is a NamedTuple of arrays with the batch as leading axes, or of such tuples, see `core.state`.
-    threshold_scale: factor on all thresholds, for the comparison of detectors at one false-alarm rate.
+    threshold_scale: factor on all thresholds, for the comparison of detectors at one false-alarm rate. fitted_rate: the rate
+    per step over all sensors for which that factor was fitted to healthy readings, None where it was not: `false_alarm`, where
+    a detector has it, is what its thresholds have at a factor of 1 on the model itself.
     """
 
     plant: Plant
     threshold_scale: float = field(default=1.0, kw_only=True)
+    fitted_rate: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
@@ -53,6 +56,8 @@ class BatchDetector(ABC):
             raise ValueError(
                 f"threshold_scale is {self.threshold_scale}; expected a positive number; 1 leaves the thresholds unchanged"
             )
+        if self.fitted_rate is not None:
+            probability("fitted_rate", self.fitted_rate)
 
     @abstractmethod
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
@@ -94,7 +99,7 @@ class BatchDetector(ABC):
                 f"one score in {1 / false_alarm:.0f} of the healthy readings exceeds {scale:g}, so that no scale of the "
                 f"thresholds of {type(self).__name__} has that false-alarm rate; use the detector unchanged"
             )
-        return replace(self, threshold_scale=scale)
+        return replace(self, threshold_scale=scale, fitted_rate=false_alarm)
 
     def _healthy(self, healthy: Any, false_alarm: float, warm_up: int) -> Log:
         """The healthy readings as a Log; ValueError where they or the numbers do not fit."""

@@ -9,7 +9,7 @@ import pytest
 
 from fusion_sfdia import simulate
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.evaluation.logs import write_log
+from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.models.two_tanks.plant import two_tanks
 
 BROADCAST = """
