@@ -93,7 +93,7 @@ def _check_log(chosen: argparse.Namespace) -> int:
         other_columns=chosen.other_columns,
         nominal_inputs=chosen.nominal_inputs,
     )
-    print(json.dumps([f._asdict() for f in found.findings], indent=2) if chosen.json else found)
+    print(json.dumps([asdict(f) for f in found.findings], indent=2) if chosen.json else found)
     return 0
 
 

@@ -63,7 +63,8 @@ def _registry() -> Any:
     registry = pint.UnitRegistry(cache_folder=None)
     registry.define("Nm = newton * meter")
     for unit in PRESSURES:
-        registry.define(f"{unit}_gauge = {unit}; offset: {ATMOSPHERE}")
+        in_pascal = float(registry.Quantity(1.0, unit).m_as("Pa"))
+        registry.define(f"{unit}_gauge = {in_pascal!r} * pascal; offset: {ATMOSPHERE}")
     return registry
 
 

@@ -56,7 +56,7 @@ def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
         table.where,
         table.titles,
         [[column[k] for k in chosen] for column in (list(c) for c in table.columns)],
-        [table.rows[k] for k in chosen],
+        [table.rows[int(k)] for k in chosen],
         table.units,
     )
     tags = [tags[k] for k in chosen]
