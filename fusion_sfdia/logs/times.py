@@ -105,7 +105,9 @@ def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags:
             pandas.Series(texts, dtype=object), format=log_map.format or "ISO8601", utc=with_offset[0], errors="coerce"
         )
     except (ValueError, TypeError, re.error) as error:
-        raise ValueError(f"format is {log_map.format!r} ({error}); expected one as strptime takes it") from error
+        raise ValueError(
+            f"{table.where}, column {title}: format is {log_map.format!r} ({error}); expected one as strptime takes it"
+        ) from error
     if stamps.isna().any():
         k = int(stamps.isna().argmax())
         form = f"a time as {log_map.format}" if log_map.format else "a date and time as 2026-03-01 14:20:05"

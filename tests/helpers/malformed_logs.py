@@ -46,7 +46,8 @@ def base(rng: random.Random) -> tuple[list[list[str]], str, str]:
 
 
 def spoil_cells(rng: random.Random, rows: list[list[str]]) -> None:
-    """One mistake in the table. None makes another number of a number: that would be no mistake that can be seen."""
+    """One mistake in the table. None makes another number of a number, or moves it to another
+    column: such mistakes cannot be seen."""
     if len(rows) < 2:
         return
     k, i = rng.randrange(1, len(rows)), rng.randrange(len(HEADER))
@@ -61,9 +62,9 @@ def spoil_cells(rng: random.Random, rows: list[list[str]]) -> None:
     elif kind == 3:
         other = rng.randrange(1, len(rows))
         rows[k], rows[other] = rows[other], rows[k]
-    elif kind == 4:
+    elif kind == 4 and len(rows[k]) == len(HEADER):
         rows[k].insert(rng.randrange(len(rows[k]) + 1), rng.choice(["", *JUNK]))
-    elif kind == 5 and len(rows[k]) > 1:
+    elif kind == 5 and len(rows[k]) == len(HEADER):
         del rows[k][i]
     elif kind == 6:
         rows[0][min(i, len(rows[0]) - 1)] = rng.choice([*JUNK, *HEADER, "", "TT101", "time"])

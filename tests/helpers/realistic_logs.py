@@ -31,7 +31,7 @@ PLAIN = """
 def step(t_start: float, x: Array, u: Array, dt: float) -> Array:
     """Temperature, pressure and level return to their usual values; the feed moves the level."""
     usual = np.array([350.0, 4e5, 1.2])
-    return usual + (x - usual) * np.exp(-dt / 600.0) + np.array([0.0, 0.0, 1.0]) * 100.0 * (u[..., :1] - 2e-3)
+    return usual + (x - usual) * np.exp(-dt / 600.0) + np.array([0.0, 0.0, 1.0]) * (u[..., :1] - 2e-3)
 
 
 def output(t: float, x: Array, u: Array) -> Array:
