@@ -235,7 +235,7 @@ def test_dates_of_pandas_as_times_are_not_seconds() -> None:
     log = arrays()
     dates = pandas.Timestamp("2024-05-01", tz="Europe/Amsterdam") + pandas.to_timedelta(log.t, unit="s")
     for t in (dates, pandas.Series(dates), dates.tz_localize(None)):
-        with pytest.raises(ValueError, match="t is .*; expected an array of numbers; pass dates as seconds since the first"):
+        with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers; pass dates as seconds since the first"):
             as_log(PLANT, t, log.y, log.u)
     for unit in (1e3, 1e6, 1e9):
         with pytest.raises(ValueError, match="looks like milli-, micro- or nanoseconds since 1970; pass seconds"):
