@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 import tracemalloc
 import warnings
 from collections.abc import Iterator
@@ -14,7 +16,6 @@ import numpy as np
 import pytest
 from toy_plants import chain, changed, declared, readings, tanks
 
-from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import leaves
 from fusion_sfdia.evaluation.events import Event, events_of
@@ -269,37 +270,47 @@ def endless(plant: Plant, count: int) -> Iterator[tuple[float, np.ndarray, np.nd
         yield float(k), y, nothing
 
 
-def memory_growth(detector: Detector, rows: int) -> tuple[int, int]:
-    """Bytes that a watch allocates from its 2000th row to its last, and the number of changes."""
-    watch, found = Watch(detector), 0
-    tracemalloc.start()
-    for k, row in enumerate(endless(detector.plant, rows)):
+def memory_growth(rows: int) -> tuple[int, int]:
+    """Blocks of memory that a watch takes from its 2000th row to its last, and the number of changes."""
+    detector, found, blocks = CentralFilter(chain(3, process=1e-3)), 0, 0
+    watch = Watch(detector)
+    for k, row in enumerate(endless(detector.plant, rows), start=1):
         found += sum(len(sample.changes) for sample in watch.take(*row))
-        if k == 2000:
-            before = tracemalloc.get_traced_memory()[0]
-    after = tracemalloc.get_traced_memory()[0]
-    tracemalloc.stop()
-    return after - before, found
-
-
-def small() -> CentralFilter:
-    return CentralFilter(chain(3, process=1e-3))
+        if k in (2000, rows):
+            gc.collect()
+            blocks = sys.getallocatedblocks() - blocks
+    return blocks, found
 
 
 @pytest.mark.slow
 def test_the_memory_does_not_grow() -> None:
     """What a watch holds is the state, fixed arrays, at most one standing event a hypothesis, and KEPT samples.
 
-    A list of one float a row would be 640 kB more.
+    An object a row would be 20 000 blocks.
     """
-    growth, found = memory_growth(small(), 22_000)
-    assert found > 20 and growth < 50_000
+    growth, found = memory_growth(22_000)
+    assert found > 20 and growth < 1000
+
+
+@pytest.mark.slow
+def test_the_bytes_do_not_grow() -> None:
+    """As above, in bytes: a float a row would be 16 kB."""
+    detector = CentralFilter(chain(3, process=1e-3))
+    watch, before = Watch(detector), 0
+    tracemalloc.start()
+    for k, row in enumerate(endless(detector.plant, 3000), start=1):
+        watch.take(*row)
+        if k in (1000, 3000):
+            gc.collect()
+            before, growth = tracemalloc.get_traced_memory()[0], tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert growth < 10_000
 
 
 @pytest.mark.long
 def test_the_memory_does_not_grow_over_many_rows() -> None:
-    growth, found = memory_growth(small(), 300_000)
-    assert found > 300 and growth < 50_000
+    growth, found = memory_growth(300_000)
+    assert found > 300 and growth < 1000
 
 
 def test_the_generator_yields_each_change_with_its_row() -> None:
