@@ -63,10 +63,15 @@ from fusion_sfdia.filters.estimators import Ensemble as Ensemble
 from fusion_sfdia.filters.estimators import Extended as Extended
 from fusion_sfdia.filters.estimators import Unscented as Unscented
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
+from fusion_sfdia.identification.choice import Candidate as Candidate
+from fusion_sfdia.identification.choice import ModelChoice as ModelChoice
+from fusion_sfdia.identification.choice import choose_model as choose_model
 from fusion_sfdia.identification.identify import identify as identify
 from fusion_sfdia.identification.recording import without_repeats as without_repeats
 from fusion_sfdia.identification.whiteness import Whiteness as Whiteness
 from fusion_sfdia.identification.whiteness import whiteness as whiteness
+from fusion_sfdia.inspection.inspection import Inspection as Inspection
+from fusion_sfdia.inspection.inspection import inspect_plant as inspect_plant
 from fusion_sfdia.kalman_banks.area_banks import RobustAreas as RobustAreas
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
@@ -98,6 +103,12 @@ from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
 from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine
 from fusion_sfdia.models.power_network.plant import power_network as power_network
 from fusion_sfdia.models.two_tanks.plant import two_tanks as two_tanks
+from fusion_sfdia.monitoring.calibration import Calibration as Calibration
+from fusion_sfdia.monitoring.calibration import calibrate as calibrate
+from fusion_sfdia.monitoring.monitor import Monitor as Monitor
+from fusion_sfdia.monitoring.monitor import Monitored as Monitored
+from fusion_sfdia.monitoring.monitor import learn_monitor as learn_monitor
+from fusion_sfdia.monitoring.since_start import SinceStart as SinceStart
 from fusion_sfdia.named import diagnose as diagnose
 from fusion_sfdia.named import fit as fit
 from fusion_sfdia.registry import register_detector as register_detector
@@ -105,5 +116,7 @@ from fusion_sfdia.registry import register_plant as register_plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
 from fusion_sfdia.stochastic_thresholds.replug import replug as replug
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals as StructuralResiduals
+from fusion_sfdia.tuning.tune import tune as tune
+from fusion_sfdia.tuning.tuned import Tuned as Tuned
 
 __version__: str

@@ -47,7 +47,11 @@ def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     _add_log(one)
-    one.add_argument("--detector", default="loo-glr", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--detector", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
+    one.add_argument(
+        "--healthy", metavar="FROM..TO", help="a stretch of the log (s) in which all is in order, to tune on first"
+    )
     one.add_argument(
         "--out",
         type=Path,
@@ -142,21 +146,23 @@ def _fault(text: str) -> tuple[str, str | None]:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.registry import detector, plant
+    from fusion_sfdia.cli.tune import tuned_detector
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with warnings.catch_warnings(record=True) as issued:
         warnings.simplefilter("always", UserWarning)
+        name, built = tuned_detector(chosen)
         found = diagnose_log(
             chosen.data,
-            detector(chosen.detector, plant(chosen.plant)),
+            built,
             out,
             log_map=chosen.map,
             absent_sensors=chosen.absent_sensors,
             other_columns=chosen.other_columns,
             nominal_inputs=chosen.nominal_inputs,
             force=chosen.force,
+            detector_name=chosen.detector,
         )
     for warning in issued:
         print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
@@ -166,7 +172,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         entries = [kind | {k: _finite(v) for k, v in asdict(e).items()} for kind, e in zip(kinds, found.events, strict=True)]
         print(json.dumps(entries, indent=2))
         return code
-    print(f"{as_text(found, chosen.detector)}\n{', '.join(FILES)}: in {out}")
+    print(f"{as_text(found, name)}\n{', '.join(FILES)}: in {out}")
     return code
 
 

@@ -23,16 +23,19 @@ FOLDERS: dict[str, set[str]] = {
     "stochastic_thresholds": {"core", "filters"},
     "data_driven": {"core"},
     "structural_residuals": {"core"},
-    "evaluation": {"core"},
+    "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
+    "monitoring": {"core", "evaluation", "identification", "kalman_banks", "data_driven"},
     "registry": {"core", "detectors", "models"},  # of the last two only names, until one is used
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
     "named": {"core", "evaluation", "registry", "builders", "detectors"},
+    "tuning": {"core", "commissioning", "registry"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation", "logs"},
     "live": {"core", "evaluation", "logs"},
+    "inspection": {"core", "evaluation", "registry", "checks", "identification", "kalman_banks"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
 FOLDERS["scenarios"] = {"core", "registry", "experiments"}

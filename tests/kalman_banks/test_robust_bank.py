@@ -19,7 +19,7 @@ from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
 from fusion_sfdia.core.storage import load_state, save_state
-from fusion_sfdia.kalman_banks import robust_bank
+from fusion_sfdia.kalman_banks import robust_bank, robust_memory
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.robust_bank import QUIET_SHARE, RobustBank
 
@@ -235,7 +235,7 @@ def test_no_sensor_is_isolated_while_a_verdict_on_the_process_does_not_explain_t
     assert np.all(np.any(found.process[99], axis=-1))
     stands = np.any(found.process[116:], axis=-1)  # the running mean of the innovations takes some samples
     assert stands.mean() > 0.9 and not np.any(found.isolated[116:][stands]) and np.all(np.any(found.alarm[116:], axis=0))
-    monkeypatch.setattr(robust_bank, "UNEXPLAINED", np.inf)
+    monkeypatch.setattr(robust_memory, "UNEXPLAINED", np.inf)
     assert np.any(diagnosed(RobustBank(PLANT), y).isolated[116:], axis=-1).mean() > 0.5
 
 
