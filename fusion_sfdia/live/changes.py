@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -59,8 +58,7 @@ class Changes:
     def after(self, t: float, decision: Decision) -> list[Change]:
         """What the decision of the row at t changes: first what closes, then what opens."""
         self.recent.append((t, decision if decision.covariance is None else replace(decision, covariance=None)))
-        held = set(np.flatnonzero(_held(decision)).tolist())
-        found = []
+        held, found = _held(decision), []
         for i, event in list(self.standing.items()):
             missed = 0 if i in held else event.missed + 1
             if missed < self.gap:
@@ -117,11 +115,11 @@ class Changes:
         return found
 
 
-def _held(decision: Decision) -> Array:
-    """Whether each hypothesis is isolated, each of the process accepted, and any suspected, in one array."""
-    parts: Iterable[Array] = (
-        decision.isolated,
-        np.zeros(0, bool) if decision.process is None else decision.process,
-        np.zeros(1, bool) if decision.suspect is None else np.any(decision.suspect, axis=-1, keepdims=True),
-    )
-    return np.concatenate([*parts])
+def _held(decision: Decision) -> set[int]:
+    """Which hypotheses are isolated, which of the process accepted, and, as one more, whether any is suspected."""
+    held = set(np.flatnonzero(decision.isolated).tolist()) if decision.isolated.any() else set()
+    if decision.process is not None and decision.process.any():
+        held |= set((np.flatnonzero(decision.process) + decision.isolated.size).tolist())
+    if decision.suspect is not None and decision.suspect.any():
+        held.add(decision.suspect.size)
+    return held

@@ -95,6 +95,7 @@ class Watch:
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
         self.u = self.given = np.empty(0)  # the inputs that acted until then, and those of its row
+        self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.waiting: Row | None = None
         self.late = 0  # rows since the last one that was not
@@ -196,8 +197,7 @@ class Watch:
         """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of
         the last value of each; ValueError where one is neither.
         """
-        plant = self.detector.plant
-        low, high = (np.array([getattr(s, which) for s in plant.inputs]) for which in ("low", "high"))
+        plant, (low, high) = self.detector.plant, self.limits
         read = (row.u >= low) & (row.u <= high) & np.isfinite(row.u)
         known_at = np.where(read, row.t, self.known_at)
         if read.all():
