@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, whole
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.core.gaps import MOST_BRIDGES, longest_step
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
 from fusion_sfdia.live.changes import KEPT, Change, Changes
 from fusion_sfdia.live.gaps import steps_over
 
 Array = NDArray[Any]
-
-LONGEST_GAP = 10_000  # steps of dt that are predicted without readings, as by `diagnose`
 
 
 class WatchWarning(UserWarning):
@@ -84,7 +83,8 @@ class Watch:
         require_detector(detector)
         self.detector, self.refused = detector, refused
         self.hold, self.nominal_inputs, self.at_sample = number("hold", hold), nominal_inputs, at_sample
-        self.longest_gap = LONGEST_GAP * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
+        self.longest_step = longest_step(detector.plant)
+        self.longest_gap = MOST_BRIDGES * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
         for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap)):
             if not 0 <= seconds < np.inf:
                 raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
@@ -179,7 +179,7 @@ class Watch:
                 since = min(pause, ahead)
                 state = self.detector.init((), row.t - (plant.dt if plant.numerics.fixed_dt else min(plant.dt, since)))
             elif self.t is not None:
-                for t, between in steps_over(plant, self.t, self.u, row.t, u):
+                for t, between in steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u)):
                     state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
             state, decision = self.detector.step(state, row.t, row.y, u)
         except (ValueError, ArithmeticError) as error:

@@ -49,8 +49,12 @@ def changes_of(samples: list[Sample]) -> list[Change]:
 def final(changes: list[Change]) -> list[Event]:
     """The events that have closed, in the order of `diagnose`."""
     order = {"process": 0, "undecided": 1}
-    found = [c.event for c in changes if c.what == "closed" and c.event]
+    found = [replace(c.event, sigmas=np.nan) for c in changes if c.what == "closed" and c.event]
     return sorted(found, key=lambda e: (order.get(e.kind, 2), e.start, e.hypothesis))
+
+
+def events_opened(changes: list[Change]) -> list[Event]:
+    return [c.event for c in changes if c.what == "opened" and c.event]
 
 
 def faulty(steps: int = 150) -> Rows:
@@ -76,7 +80,13 @@ def test_the_isolated_samples_and_events_are_those_of_a_diagnosis(spacing: float
     np.testing.assert_array_equal([s.decision.isolated for s in samples], expected.decisions.isolated)
     np.testing.assert_array_equal([s.decision.estimate for s in samples], expected.decisions.estimate)
     assert {e.hypothesis for e in expected.events} >= {"l1", "q2"} and not any(e.open for e in expected.events)
-    assert final(changes_of(samples)) == list(events_of(detector, t, expected.decisions, 3))
+    changes = changes_of(samples)
+    assert repr(final(changes)) == repr(list(events_of(detector, t, expected.decisions, 3)))
+    first, of_diagnosis = (
+        next(e for e in found if e.hypothesis == "l1") for found in (events_opened(changes), expected.events)
+    )
+    assert (first.confidence, first.alternatives) == (of_diagnosis.confidence, of_diagnosis.alternatives)
+    assert first.sigmas == pytest.approx(first.size / 0.01)
 
 
 def test_an_event_opens_with_its_sample_and_closes_after_gap_samples_without_it() -> None:
