@@ -1,8 +1,8 @@
 """A control valve behind a flow sensor that drifts with temperature: an own plant on one page. Units: SI.
 
-The equations and numbers are those of the valve of EstimationPy (Lawrence Berkeley National Laboratory): the mass flow goes with
-the square of the opening and the root of the pressure drop, and the sensor reads (1 + drift (T - 293.15 K)) times the flow. The
-noises are the root mean squares of its log against its truth, rounded up.
+The equations and numbers are those of the valve of EstimationPy (Lawrence Berkeley National Laboratory): the mass flow goes
+with the square of the opening and the root of the pressure drop, and the sensor reads (1 + drift (T - 293.15 K)) times the
+flow. The noises are the root mean squares of its log against its truth, rounded up.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ READS_TRUE = 293.15  # K, where the flow sensor has no error
 
 
 def step(t_start, x, u, dt):
-    """The opening and the drift stay as they are, but for process noise: x (..., 2), u (..., 2) pressure drop and temperature."""
+    """Opening and drift stay as they are, but for process noise: x (..., 2), u (..., 2) pressure drop and temperature."""
     return x
 
 

@@ -26,7 +26,7 @@ NOT_APPLICABLE = {
 }
 
 
-class SensorFaultDetector(OutlierMixin, BaseEstimator):
+class SensorFaultDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]
     """A `LeaveOneOutBank` on a model that is identified from healthy rows; rows are samples in time, at equal steps.
 
     fit(X): X (K, D) healthy readings and inputs, NaN where missing. predict: 1 for a healthy sample and -1 for one in alarm.
