@@ -57,8 +57,6 @@ from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
 from fusion_sfdia.evaluation.faults import Fault as Fault
 from fusion_sfdia.evaluation.faults import load_faults as load_faults
-from fusion_sfdia.evaluation.logs import read_log as read_log
-from fusion_sfdia.evaluation.logs import write_log as write_log
 from fusion_sfdia.evaluation.simulate import Recording as Recording
 from fusion_sfdia.evaluation.simulate import simulate as simulate
 from fusion_sfdia.filters.estimators import Ensemble as Ensemble
@@ -72,6 +70,8 @@ from fusion_sfdia.identification.identify import identify as identify
 from fusion_sfdia.identification.recording import without_repeats as without_repeats
 from fusion_sfdia.identification.whiteness import Whiteness as Whiteness
 from fusion_sfdia.identification.whiteness import whiteness as whiteness
+from fusion_sfdia.inspection.inspection import Inspection as Inspection
+from fusion_sfdia.inspection.inspection import inspect_plant as inspect_plant
 from fusion_sfdia.kalman_banks.area_banks import RobustAreas as RobustAreas
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter as CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank as FusingBank
@@ -88,6 +88,17 @@ from fusion_sfdia.kalman_banks.sequential_rules import Ewma as Ewma
 from fusion_sfdia.kalman_banks.sequential_rules import Shewhart as Shewhart
 from fusion_sfdia.kalman_banks.sequential_rules import SumOfSquares as SumOfSquares
 from fusion_sfdia.kalman_banks.unknown_input import UnknownInputFilter as UnknownInputFilter
+from fusion_sfdia.live.changes import Change as Change
+from fusion_sfdia.live.watch import Sample as Sample
+from fusion_sfdia.live.watch import Watch as Watch
+from fusion_sfdia.live.watch import WatchWarning as WatchWarning
+from fusion_sfdia.logs.check import check_log as check_log
+from fusion_sfdia.logs.csv_log import read_log as read_log
+from fusion_sfdia.logs.csv_log import write_log as write_log
+from fusion_sfdia.logs.log_map import Column as Column
+from fusion_sfdia.logs.log_map import LogMap as LogMap
+from fusion_sfdia.logs.log_map import load_map as load_map
+from fusion_sfdia.logs.reading import load_log as load_log
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
 from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine
 from fusion_sfdia.models.power_network.plant import power_network as power_network
@@ -106,5 +117,7 @@ from fusion_sfdia.registry import register_plant as register_plant
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev as Chebyshev
 from fusion_sfdia.stochastic_thresholds.replug import replug as replug
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals as StructuralResiduals
+from fusion_sfdia.tuning.tune import tune as tune
+from fusion_sfdia.tuning.tuned import Tuned as Tuned
 
 __version__: str
