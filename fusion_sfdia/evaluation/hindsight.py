@@ -65,7 +65,7 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Iterable[i
             k += bool(track.own[s])
             use = np.isfinite(y) & ~out[k] if track.own[s] else np.zeros(n, bool)
             after = condition(joint, y, use)
-            if not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
+            if np.any(prior.lost) or not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
                 break
             if track.own[s]:
                 w = np.where(use, np.diagonal(after.inverse), np.nan)
