@@ -1,4 +1,4 @@
-"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, measure the speed."""
+"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, inspect a plant, bench."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from contextlib import contextmanager, nullcontext
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.compiling import announced
+from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
-from fusion_sfdia.cli.logs import add_diagnose, add_simulate
+from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
+from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
+from fusion_sfdia.cli.tune import add_tune
+from fusion_sfdia.cli.watch import add_watch
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,7 +39,12 @@ def parser() -> argparse.ArgumentParser:
     add_run(commands)
     add_compare(commands)
     add_simulate(commands)
+    add_check_log(commands)
     add_diagnose(commands)
+    add_watch(commands)
+    add_tune(commands)
+    add_inspect(commands)
+    add_monitor(commands)
     add_bench(commands)
     return top
 

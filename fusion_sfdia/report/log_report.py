@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -19,7 +20,9 @@ from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
-from fusion_sfdia.evaluation.logs import read_log, write_log
+from fusion_sfdia.logs.check import check_log, without_suspects
+from fusion_sfdia.logs.csv_log import write_log
+from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.report.log_figures import process_size, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.plots import panels, time_series, write_figure
@@ -34,6 +37,7 @@ def diagnose_log(
     detector: Detector,
     out: Path,
     *,
+    log_map: LogMap | Path | None = None,
     absent_sensors: bool = False,
     other_columns: bool = False,
     nominal_inputs: bool = False,
@@ -44,14 +48,25 @@ def diagnose_log(
 
     A bar shows the progress on a terminal.
 
-    Raises ValueError naming the file where the log does not fit (see read_log), and where the folder is not free; warns as
-    `diagnose_run` does.
+    log_map: how the log is written, see `load_log`. Sensors whose unit looks wrong are taken as missing: that is no fault.
+    Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free; warns of
+    what reading the log found, and as `diagnose_run` does.
     """
     require_free(out, force=force)
     plant = detector.plant
-    log = read_log(data, plant, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs)
+    loaded = check_log(
+        data,
+        plant,
+        log_map,
+        absent_sensors=absent_sensors,
+        other_columns=other_columns,
+        nominal_inputs=nominal_inputs,
+    )
+    for remark in loaded.remarks:
+        warnings.warn(f"{data}: {remark}", stacklevel=2)
+    log = without_suspects(plant, loaded).log
     try:
-        found = diagnose_run(detector, log, each=progress)
+        found = diagnose_run(detector, log, clock=loaded.clock, each=progress)
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
     with all_or_none(out) as new:
