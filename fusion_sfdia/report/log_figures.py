@@ -150,7 +150,7 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     error, sd, reading = found.after.error[window, i], found.after.sd[window, i], y[window, i]
     recon = found.decisions.reconstruction[window, i]
     expected = np.where(np.isfinite(error), reading - error, recon)
-    shown = _thinned(reading)
+    shown = thinned(reading)
     x = at(t[window])[shown]
     figure = Figure(figsize=(4.8, 3.9), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -174,7 +174,7 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     return figure
 
 
-def _thinned(values: Array) -> Array:
+def thinned(values: Array) -> Array:
     """Positions (k,) among values (K,) that keep lowest and highest of each of many parts."""
     if values.size <= MOST_POINTS:
         return np.arange(values.size)
