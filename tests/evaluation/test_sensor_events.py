@@ -56,7 +56,7 @@ def test_events_close_together_are_judged_together() -> None:
 
 
 def test_the_probability_is_that_of_the_likelihood_ratios() -> None:
-    scores = np.array([[0.9, 1.1, 0.2, 0.0]])
+    scores = np.array([[1.0, 1.1, 0.2, 0.0]])
     nothing = np.zeros((1, 4))
     decisions = Decision(nothing, nothing, scores, np.ones((1, 4)), np.arange(4) == np.array([[1]]), *[nothing] * 4)
     own, others = rivals_at(BANK, decisions, 1, 0)
@@ -66,7 +66,7 @@ def test_the_probability_is_that_of_the_likelihood_ratios() -> None:
     twice = replace(decisions, isolated=np.array([[True, True, False, False]]))
     assert rivals_at(BANK, twice, 1, 0)[1] == ()  # isolated with it, not instead of it
     large = replace(decisions, residual=1e300 * scores)
-    assert rivals_at(BANK, large, 1, 0)[0] == pytest.approx(0.5)  # of what is too large for numbers
+    assert rivals_at(BANK, large, 1, 0)[0] == pytest.approx(1 / 3)  # of three that are too large for numbers
 
 
 def test_probabilities_of_the_detector_and_its_suspects_come_first() -> None:

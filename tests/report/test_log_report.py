@@ -117,7 +117,7 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
     wall = diagnose_run(LeaveOneOutBank(PLANT, false_alarm=1e-6), Log(T[kept], y[kept], U[kept, 0]), clock=WHEN)
     write_diagnosis(tmp_path, PLANT, y[kept], U[kept, 0], wall, About("<unit> 4.csv", "loo"))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "<script" not in page and "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"|<!DOCTYPE[^>]*>|rdf:\w+="[^"]*"', "", page)
+    assert "<script" not in page and not re.search(r'(src|xlink:href|href)="(?!#|data:)', page)  # nothing is fetched
     text = html.unescape(re.sub(r"<svg.*?</svg>|<style.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL))
     for told in (
         "Sensor diagnosis: <unit> 4.csv",
