@@ -68,6 +68,8 @@ def test_each_event_of_spikes_has_its_own_height_and_sign() -> None:
     error, sd = np.array([0.1, -20.0, 0.0]), np.ones(3)
     found = resized(Named("spikes", 18.0, 15.0, 21.0, ("noise",)), error, sd, 1.0)
     assert found == Named("spikes", -20.0, pytest.approx(-21.96), pytest.approx(-18.04), ("noise",))
+    spikes = Named("spikes", 18.0, 15.0, 21.0)
+    assert resized(spikes, np.array([0.1, np.nan]), np.ones(2), 1.0) is spikes  # the detector waits for more
     bias = Named("bias", 1.0, 0.5, 1.5)
     assert resized(bias, error, sd, 1.0) is bias
 
