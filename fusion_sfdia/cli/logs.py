@@ -162,14 +162,18 @@ def _diagnose(chosen: argparse.Namespace) -> int:
             other_columns=chosen.other_columns,
             nominal_inputs=chosen.nominal_inputs,
             force=chosen.force,
-            detector_name=chosen.detector,
+            detector_name=name,
         )
     for warning in issued:
         print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
     code = int(found.decisions.diverged.any())
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
-        entries = [kind | {k: _finite(v) for k, v in asdict(e).items()} for kind, e in zip(kinds, found.events, strict=True)]
+        times = [{"start_time": found.clock.at(e.start), "end_time": found.clock.at(e.end)} for e in found.events]
+        entries = [
+            kind | {k: _finite(v) for k, v in asdict(e).items()} | when
+            for kind, e, when in zip(kinds, found.events, times, strict=True)
+        ]
         print(json.dumps(entries, indent=2))
         return code
     print(f"{as_text(found, name)}\n{', '.join(FILES)}: in {out}")
