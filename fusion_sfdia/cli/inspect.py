@@ -26,9 +26,9 @@ def add_inspect(commands: Any) -> None:
 
 def _inspect(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.core.files import all_or_none, require_free
-    from fusion_sfdia.evaluation.logs import read_log
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
+    from fusion_sfdia.logs.csv_log import read_log
     from fusion_sfdia.registry import plant
 
     if chosen.out is not None:

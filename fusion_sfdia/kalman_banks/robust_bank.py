@@ -50,7 +50,7 @@ from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, wi
 from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, best_onset, shifted, updated, weigh
-from fusion_sfdia.kalman_banks.quiet import paired, too_quiet
+from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
 from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, faded, leaves_unexplained, nothing_known
 from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
 

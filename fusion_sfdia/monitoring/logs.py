@@ -12,7 +12,7 @@ import numpy as np
 from fusion_sfdia.core.linear import linear_plant
 from fusion_sfdia.core.log import TIME, Log
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.evaluation.logs import read_log
+from fusion_sfdia.logs.csv_log import read_log
 
 
 def signals_of(path: str | Path, inputs: Sequence[str], ignore: Sequence[str]) -> tuple[list[Signal], list[Signal]]:

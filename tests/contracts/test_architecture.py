@@ -25,7 +25,7 @@ FOLDERS: dict[str, set[str]] = {
     "structural_residuals": {"core"},
     "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
-    "monitoring": {"core", "evaluation", "identification", "kalman_banks", "data_driven"},
+    "monitoring": {"logs", "core", "evaluation", "identification", "kalman_banks", "data_driven"},
     "registry": {"core", "detectors", "models"},  # of the last two only names, until one is used
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},
