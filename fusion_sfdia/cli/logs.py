@@ -146,13 +146,13 @@ def _fault(text: str) -> tuple[str, str | None]:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.cli.tune import tuned_detector
+    from fusion_sfdia.cli.tune import diagnosing_detector
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with warnings.catch_warnings(record=True) as issued:
         warnings.simplefilter("always", UserWarning)
-        name, built = tuned_detector(chosen)
+        name, built = diagnosing_detector(chosen)
         found = diagnose_log(
             chosen.data,
             built,
