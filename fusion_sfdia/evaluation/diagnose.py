@@ -18,8 +18,8 @@ from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
-from fusion_sfdia.evaluation.health import Health, health_of
 from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
+from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import explained, false_alarm_of
 
 Array = NDArray[Any]
