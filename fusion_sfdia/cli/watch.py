@@ -54,7 +54,7 @@ def add_watch(commands: Any) -> None:
 
 
 def _watch(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.cli.tune import tuned_detector
+    from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.live.remarks import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.watch import Watch
@@ -67,7 +67,7 @@ def _watch(chosen: argparse.Namespace) -> int:
     if (chosen.opcua is None) != (chosen.nodes is None) or (chosen.opcua and chosen.map):
         raise ValueError("--opcua needs --nodes, which states what a --map states of text; give both or neither")
     refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
-    _, bound = tuned_detector(chosen)
+    _, bound = bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     settings = {
         "hold": log_map.hold if chosen.hold is None else chosen.hold,
         "nominal_inputs": chosen.nominal_inputs,
