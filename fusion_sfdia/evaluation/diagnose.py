@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
@@ -114,7 +114,13 @@ class DiagnosisWarning(UserWarning):
 
 
 def diagnose_run(
-    detector: Detector, log: Log, *, gap: int = 3, clock: Clock = SECONDS, each: Callable[[Sequence[int]], Iterable[int]] = iter
+    detector: Detector,
+    log: Log,
+    *,
+    gap: int = 3,
+    clock: Clock = SECONDS,
+    each: Callable[[Sequence[int]], Iterable[int]] = iter,
+    unread: Collection[str] = (),
 ) -> Diagnosis:
     """Run a detector over a Log of one run, NaN where a reading is missing, and collect what it isolates into events, of a
     detector that tests the process, too, also what it accepts and what it cannot tell apart.
@@ -123,7 +129,7 @@ def diagnose_run(
     of the plant, the detector steps by dt through the gap without readings, under inputs interpolated between those before
     and after; where that takes too many steps it starts anew (see `core.gaps`). A second look without the isolated readings
     gives kind and size of the faults and whether the model fits. clock: of the times in the result. each: wraps the steps of
-    both passes, to show progress.
+    both passes, to show progress. unread: sensors that the log is known not to have; that they are silent is no event.
 
     ValueError where shapes or times do not fit, or there are several runs. DiagnosisWarning where the estimate diverged or was
     moved back into the limits of the model, where it starts anew, where a sensor was never read, where readings or inputs are
@@ -147,6 +153,7 @@ def diagnose_run(
         taken.u[track.own] = np.where(decisions.absurd_input, usual, u)
     after = hindsight(getattr(detector, "model", detector.plant), taken, out, each)
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
+    events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     names, rate = detector.plant.sensor_names, false_alarm_of(detector)

@@ -29,11 +29,15 @@ class Finding:
 
 
 class LoadedLog(NamedTuple):
-    """A log as it was read: times, readings and inputs of the plant, its wall-clock start, and what was found and done."""
+    """A log as it was read: times, readings and inputs of the plant, its wall-clock start, and what was found and done.
+
+    absent: the sensors without a column.
+    """
 
     log: Log
     clock: Clock
     findings: tuple[Finding, ...]
+    absent: tuple[str, ...] = ()
 
     @property
     def suspects(self) -> tuple[str, ...]:

@@ -54,7 +54,8 @@ def load_log(
     if sources.ignored:
         count = len(sources.ignored)
         findings.append(Finding("ignored", "", count, f"{counted(count, 'column')} not used: {some(sources.ignored)}"))
-    return LoadedLog(log, times.clock, (*overview(plant, log, times), *findings))
+    absent = tuple(n for n in plant.sensor_names if n not in {c.name for c in sources.columns})
+    return LoadedLog(log, times.clock, (*overview(plant, log, times), *findings), absent)
 
 
 def _log(

@@ -66,7 +66,7 @@ def diagnose_log(
         warnings.warn(f"{data}: {remark}", stacklevel=2)
     log = without_suspects(plant, loaded).log
     try:
-        found = diagnose_run(detector, log, clock=loaded.clock, each=progress)
+        found = diagnose_run(detector, log, clock=loaded.clock, each=progress, unread=(*loaded.absent, *loaded.suspects))
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
     with all_or_none(out) as new:
