@@ -108,6 +108,7 @@ from fusion_sfdia.monitoring.calibration import calibrate as calibrate
 from fusion_sfdia.monitoring.monitor import Monitor as Monitor
 from fusion_sfdia.monitoring.monitor import Monitored as Monitored
 from fusion_sfdia.monitoring.monitor import learn_monitor as learn_monitor
+from fusion_sfdia.monitoring.outlier_detector import SensorFaultDetector as SensorFaultDetector
 from fusion_sfdia.monitoring.since_start import SinceStart as SinceStart
 from fusion_sfdia.named import diagnose as diagnose
 from fusion_sfdia.named import fit as fit
