@@ -12,6 +12,10 @@ from fusion_sfdia.core.log import as_log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.logs.check import without_suspects
+from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.logs.tables import is_frame
 
 
 def diagnose(
@@ -20,9 +24,10 @@ def diagnose(
     """Run a detector over recorded readings and collect what it isolates into events, see `diagnose_run`.
 
     detector: an object; or a registered name, a class or a function that builds one, which needs its plant, an object or a
-    name. data: a Log, a Recording of one run, a pandas frame, or t (K,), y (K, N), u (K, m), see `as_log`; of a frame with
-    time stamps, events are in seconds since its first row. ValueError where names are unknown, the first argument is no
-    detector or the data do not fit; DiagnosisWarning for limits of the diagnosis that the events do not show.
+    name. data: what `load_log` or `check_log` read, a Log, a Recording of one run, a pandas frame, or t (K,), y (K, N),
+    u (K, m), see `as_log`. Time stamps give events their wall-clock times; sensors whose unit `check_log` suspects are taken
+    as missing. ValueError where names are unknown, the first argument is no detector or the data do not fit;
+    DiagnosisWarning for limits of the diagnosis that the events do not show.
     """
     if isinstance(detector, str | type | registry.NamedDetector) or not isinstance(detector, Detector):
         if not isinstance(detector, str | registry.NamedDetector) and not callable(detector):
@@ -39,6 +44,11 @@ def diagnose(
         raise ValueError(
             f"plant is given together with a detector, which has its own, {detector.plant.name!r}; leave plant out"
         )
+    loaded = data[0] if len(data) == 1 else None
+    if is_frame(loaded):
+        loaded = load_log(loaded, detector.plant)
+    if isinstance(loaded, LoadedLog):
+        return diagnose_run(detector, without_suspects(detector.plant, loaded).log, gap=gap, clock=loaded.clock)
     return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
 
 

@@ -15,6 +15,7 @@ from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.log import TIME, Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.reading import load_log
 
 Array = NDArray[Any]
@@ -42,16 +43,20 @@ def read_log(
     path: str | Path,
     plant: Plant,
     *,
+    log_map: LogMap | str | Path | None = None,
     absent_sensors: bool = False,
     other_columns: bool = False,
     nominal_inputs: bool = False,
 ) -> Log:
-    """Read a log of a plant whose columns have the plant's names, in any order, each with or without its unit in brackets.
+    """Read a log of a plant whose columns have the plant's names, in any order, each with or without its unit in brackets, or
+    as a map states.
 
-    The readings of `load_log` alone, which also states what it found and takes a map. A UserWarning names inputs without a
-    column that are the usual ones, where nominal_inputs accepts that.
+    The readings of `load_log` alone, which also states what it found and the wall-clock start. A UserWarning names inputs
+    without a column that are the usual ones, where nominal_inputs accepts that.
     """
-    found = load_log(path, plant, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs)
+    found = load_log(
+        path, plant, log_map, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs
+    )
     for finding in found.findings:
         if finding.kind == "nominal inputs":
             warnings.warn(f"{path}: {finding.text}", stacklevel=2)

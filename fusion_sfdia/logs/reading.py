@@ -69,7 +69,8 @@ def _log(
 ) -> Log:
     """Readings and inputs in the units of the plant; masked rows keep no reading, and are left out without a valid input."""
     inputs = [c for c in sources.columns if c.is_input]
-    u = usual_inputs(plant, rows.t)
+    lacking = sources.without_column(plant)
+    u = usual_inputs(plant, rows.t) if lacking else np.full((rows.t.size, len(plant.inputs)), np.nan)
     for c in inputs:
         u[:, c.position] = held(rows.t, c.conversion(rows.values[c.title]), c.name, log_map, findings)
     at_the_sample = log_map.inputs == AT_THE_SAMPLE and bool(inputs)
@@ -78,7 +79,7 @@ def _log(
         u[1:, fed] = u[:-1, fed]
     if inputs:
         findings.append(timing(at_the_sample))
-    if lacking := sources.without_column(plant):
+    if lacking:
         source = "the nominal values" if plant.truth.operation is None else "the usual inputs"
         text = f"no column for the inputs {some(lacking)}; {source} of plant {plant.name!r} are used instead"
         findings.append(Finding("nominal inputs", "", len(lacking), text))

@@ -30,7 +30,7 @@ FOLDERS: dict[str, set[str]] = {
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
-    "named": {"core", "evaluation", "registry", "builders", "detectors"},
+    "named": {"core", "evaluation", "logs", "registry", "builders", "detectors"},
     "tuning": {"core", "commissioning", "registry"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation", "logs"},

@@ -14,6 +14,7 @@ from fusion_sfdia.core.log import Log, as_log, one_run
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.logs.check import check_log
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.named import diagnose
 
@@ -228,6 +229,16 @@ def test_a_missing_input_is_named_with_its_row() -> None:
     for read in (lambda: as_log(PLANT, log), lambda: diagnose(DETECTOR, *log), lambda: diagnose(DETECTOR, frame(log))):
         with pytest.raises(ValueError, match=r"u has nan in row 7 \(the first is 0\), input 'inflow'|row 8, column inflow"):
             read()
+
+
+def test_events_of_a_frame_with_stamps_are_on_the_wall_clock() -> None:
+    pandas = pytest.importorskip("pandas")
+    stamps = pandas.Timestamp("2024-07-01 12:00", tz="Europe/Amsterdam") + pandas.to_timedelta(arrays().t, unit="s")
+    data = frame(arrays()).drop(columns="time").set_index(stamps)
+    assert diagnose(DETECTOR, data).clock.at(0.0) == "2024-07-01 12:00:05+02:00"
+    checked = check_log(data.assign(**{"l2 [m]": 1e3 * data["l2 [m]"]}), PLANT)
+    with pytest.warns(UserWarning, match="no readings of l2"):
+        assert np.isnan(diagnose(DETECTOR, checked).decisions.residual[:, 1]).all()
 
 
 def test_dates_of_pandas_as_times_are_not_seconds() -> None:

@@ -13,6 +13,7 @@ from toy_plants import chain, changed, tanks
 
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.logs.csv_log import read_log, write_log
+from fusion_sfdia.logs.log_map import LogMap
 
 HEADER = "time,l1,l2,q12,q2"
 ROW = "1,1.0,1.0,6e-4,6e-4"
@@ -147,3 +148,9 @@ def test_a_batch_is_no_log(tmp_path):
     with pytest.raises(ValueError, match="do not fit"):
         write_log(tmp_path / "log.csv", tanks(), np.arange(3.0), np.zeros((3, 4)), np.zeros((3, 2)))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_map_is_taken(tmp_path):
+    path = log(tmp_path, "zeit;l1;l2;q12;q2;inflow\n1;1,5;1;1;1;1e-3\n")
+    found = read_log(path, tanks(), log_map=LogMap(time="zeit", separator=";", decimal=","))
+    np.testing.assert_array_equal(found.y, [[1.5, 1, 1, 1]])
