@@ -47,7 +47,7 @@ def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     _add_log(one)
-    one.add_argument("--detector", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--detector", help=f"{WHICH} (default: robust-glr)")
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument(
         "--healthy", metavar="FROM..TO", help="a stretch of the log (s) in which all is in order, to tune on first"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
-DEFAULT = "loo-glr"
+DEFAULT = "robust-glr"
 
 
 def add_tune(commands: Any) -> None:
@@ -40,7 +40,7 @@ def add_tune(commands: Any) -> None:
 
 
 def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:
-    """Name and object of a detector on a plant: of a tuned file, or as registered (loo-glr where none is named)."""
+    """Name and object of a detector on a plant: of a tuned file, or as registered (DEFAULT where none is named)."""
     from fusion_sfdia import registry
     from fusion_sfdia.tuning.tuned import Tuned
 

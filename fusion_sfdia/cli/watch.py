@@ -30,7 +30,7 @@ def add_watch(commands: Any) -> None:
         allow_abbrev=False,
     )
     one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
-    one.add_argument("--detector", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--detector", help=f"{WHICH} (default: robust-glr)")
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
     one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")

@@ -53,7 +53,7 @@ def observability(plant: Plant, samples: int = SAMPLES) -> Observability:
         early = Phi if k < EARLY else early
         rows.append(plant.output_jacobian_at(t + plant.dt, x, u) * scale / plant.sensor_sigma[:, None] @ Phi)
     each = np.stack(rows, axis=1)  # (N, K, n)
-    compact: Array = np.linalg.qr(each, mode="r")  # (N, min(K, n), n)
+    compact = np.asarray(np.linalg.qr(each, mode="r"))  # (N, min(K, n), n)
     values, directions = _singular(compact)
     least = np.finfo(float).eps * samples * max(len(compact), n) * values[0]
     rank = int(np.sum(values > least))
