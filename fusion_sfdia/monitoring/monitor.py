@@ -47,9 +47,9 @@ class Monitored:
 
     def __str__(self) -> str:
         lines = [str(self.diagnosis)]
-        lines += [f"  {e.hypothesis} frozen {e.period(self.diagnosis.clock)}" for e in self.frozen]
+        lines += [f"  {e.hypothesis} frozen {e.when(self.diagnosis.clock)}" for e in self.frozen]
         lines += [
-            f"  {e.hypothesis} moved {e.period(self.diagnosis.clock)}, by {e.size:.4g} {e.unit}; never when healthy"
+            f"  {e.hypothesis} moved {e.when(self.diagnosis.clock)}, by {e.size:.4g} {e.unit}; never when healthy"
             for e in self.moved
         ]
         lines += [f"  {name} has no reading: dead or not recorded" for name in self.missing]
