@@ -13,7 +13,7 @@ from typing import Any
 
 from fusion_sfdia.core.numerals import decimal
 
-FILES = ("monitor.txt", "events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
+OWN_FILES = ("monitor.txt", "methods.csv")
 
 
 def add_monitor(commands: Any) -> None:
@@ -25,6 +25,7 @@ def add_monitor(commands: Any) -> None:
     one.add_argument("--data", type=Path, required=True, metavar="LOG.csv", help="the log to diagnose, of the same columns")
     one.add_argument("--inputs", default="", metavar="A,B", help="columns that act on the plant, such as a load or valves")
     one.add_argument("--ignore", default="", metavar="A,B", help="columns that are left out")
+    one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which columns are used")
     one.add_argument(
         "--false-alarm", type=decimal, default=0.01, metavar="RATE", help="share of healthy samples in alarm (default: 0.01)"
     )
@@ -36,34 +37,41 @@ def add_monitor(commands: Any) -> None:
 
 def _monitor(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
-    from fusion_sfdia.monitoring.logs import read, signals_of
+    from fusion_sfdia.logs.log_map import PLAIN_MAP, load_map
+    from fusion_sfdia.monitoring.logs import load, signals_of
     from fusion_sfdia.monitoring.monitor import learn_monitor
-    from fusion_sfdia.report.log_report import write_diagnosis
+    from fusion_sfdia.report.log_page import About
+    from fusion_sfdia.report.log_report import FILES, write_diagnosis
 
     out = chosen.out or Path("monitor") / chosen.data.stem
     require_free(out, force=chosen.force)
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
-    sensors, inputs = signals_of(chosen.healthy[0], _names(chosen.inputs), _names(chosen.ignore))
-    healthy = [read(path, sensors, inputs) for path in chosen.healthy]
-    log = read(chosen.data, sensors, inputs)
+    log_map = load_map(chosen.map) if chosen.map else PLAIN_MAP
+    sensors, inputs = signals_of(chosen.healthy[0], _names(chosen.inputs), _names(chosen.ignore), log_map)
+    loaded = {path: load(path, sensors, inputs, log_map) for path in (*chosen.healthy, chosen.data)}
+    for path, one in loaded.items():
+        for remark in one.remarks:
+            print(f"fusion-sfdia: warning: {path}: {remark}", file=sys.stderr)
+    healthy, data = [loaded[path].log for path in chosen.healthy], loaded[chosen.data]
     count = sum(len(h.t) for h in healthy)
     say(f"learning from {count} healthy samples of {len(sensors)} sensors and {len(inputs)} inputs ...")
     monitor = learn_monitor(sensors, healthy, inputs=inputs, false_alarm=chosen.false_alarm)
     with warnings.catch_warnings(record=True) as issued:
         warnings.simplefilter("always", UserWarning)
-        found = monitor.diagnose(log)
+        found = monitor.diagnose(data.log, data.clock)
     for warning in issued:
         print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
     header, rows = found.table()
+    about = About(chosen.data.name, "the bank on the identified model")
     with all_or_none(out) as new:
-        write_diagnosis(new, monitor.choice.plant, found.log.y, found.log.u, found.diagnosis)
-        with atomic_write(new / "events.csv") as file:
+        write_diagnosis(new, monitor.choice.plant, found.log.y, found.log.u, found.diagnosis, about)
+        with atomic_write(new / "methods.csv") as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(header)
             table.writerows(rows)
         with atomic_write(new / "monitor.txt") as file:
             file.write(f"{monitor}\n\n{found}\n")
-    say(f"{monitor}\n\n{found}\n{', '.join(FILES)}: in {out}")
+    say(f"{monitor}\n\n{found}\n{', '.join((*OWN_FILES, *FILES))}: in {out}")
     if chosen.json:
         entries = [dict(zip(header, row, strict=True)) for row in rows]
         print(json.dumps([{k: None if v != v else v for k, v in e.items()} for e in entries], indent=2))

@@ -139,7 +139,7 @@ def diagnose_run(
     log = one_run(log)
     t, y, u = log
     track, gaps = bridged(detector.plant, log)
-    decisions = _decided(detector, track, each)
+    decisions = decided(detector, track, each)
     y = np.where(decisions.absurd, np.nan, y)
     frozen = repeats(y)
     out = left_out(decisions.isolated[:, : y.shape[1]])
@@ -162,7 +162,7 @@ def diagnose_run(
     return Diagnosis(events, decisions, t, tested, clock, gaps, health, after)
 
 
-def _decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]]) -> Decision:
+def decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]]) -> Decision:
     """The Decisions at the samples of a log."""
     state, found = None, []
     for s in each(range(track.t.size)):

@@ -2,48 +2,53 @@
 
 from __future__ import annotations
 
-import csv
-import re
 from collections.abc import Sequence
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.core.log import TIME, Log
 from fusion_sfdia.core.signals import Sensor, Signal
-from fusion_sfdia.logs.csv_log import read_log
+from fusion_sfdia.logs.columns import split_title
+from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
+from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.logs.tables import read_table
 
 
-def signals_of(path: str | Path, inputs: Sequence[str], ignore: Sequence[str]) -> tuple[list[Signal], list[Signal]]:
-    """Return the sensors and inputs of a log by its header, such as `time,flow [m3/h],load`.
+def signals_of(
+    source: Any, inputs: Sequence[str] = (), ignore: Sequence[str] = (), log_map: LogMap = PLAIN_MAP
+) -> tuple[list[Signal], list[Signal]]:
+    """Return the sensors and inputs of a log, a file or a pandas frame, by its titles, such as `time,flow [m3/h],load`.
 
-    inputs, ignore: names of columns that are inputs, and that are neither; ValueError for one that is not there.
+    inputs, ignore: names of columns that are inputs, and that are neither. log_map: where it names columns these alone are
+    sensors and inputs, by their names there. ValueError for names that are not in the log, and where no sensor is left.
     """
-    with Path(path).open(encoding="utf-8-sig", newline="") as file:
-        try:
-            header = next((row for row in csv.reader(file) if any(cell.strip() for cell in row)), [])
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise ValueError(f"{path} is not a CSV text file ({error}); expected UTF-8 text") from error
-    found = {}
-    for title in header:
-        match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\])?\s*", title, flags=re.DOTALL)
-        name, unit = match.groups() if match else (title, None)
-        found[name] = Signal(name, (unit or "1").strip())
+    table = read_table(source, log_map)
+    units = {title: split_title(title)[1] or unit for title, unit in zip(table.titles, table.units, strict=True)}
+    by_name = {split_title(title)[0]: unit for title, unit in units.items()}
+    if log_map.columns:
+        found = {c.name: c.unit or units.get(t, "") or by_name.get(t, "") for t, c in log_map.columns.items()}
+        inputs = [*inputs, *(c.input for c in log_map.columns.values() if c.input and c.input not in inputs)]
+    else:
+        if log_map.tag:
+            raise ValueError(f"{table.where}: the map states no columns; name those tags that are sensors and inputs")
+        qualities = {log_map.quality.replace("{column}", name) for name in by_name} if log_map.quality else set()
+        found = {n: u for n, u in by_name.items() if n and n not in (*log_map.time, *qualities)}
     if missing := [n for n in (*inputs, *ignore) if n not in found]:
-        raise ValueError(f"{path}: no column {', '.join(map(repr, missing))}; its columns are {', '.join(map(repr, found))}")
-    sensors = [s for n, s in found.items() if n not in (TIME.name, *inputs, *ignore)]
+        raise ValueError(f"{table.where}: no column {', '.join(map(repr, missing))}; known: {', '.join(map(repr, found))}")
+    sensors = [Signal(n, unit or "1") for n, unit in found.items() if n not in (*inputs, *ignore)]
     if not sensors:
-        raise ValueError(f"{path}: no column is left as a sensor; its columns are {', '.join(map(repr, found))}")
-    return sensors, [found[n] for n in inputs]
+        raise ValueError(f"{table.where}: no column is left as a sensor; its columns are {', '.join(map(repr, found))}")
+    return sensors, [Signal(n, found[n] or "1") for n in inputs]
 
 
-def read(path: str | Path, sensors: Sequence[Signal], inputs: Sequence[Signal]) -> Log:
-    """Read a log of these columns, as `read_log` does; other columns are ignored."""
+def load(source: Any, sensors: Sequence[Signal], inputs: Sequence[Signal] = (), log_map: LogMap = PLAIN_MAP) -> LoadedLog:
+    """Read a log of these columns, as `load_log` does; other columns are ignored."""
     count = len(sensors)
     plant = linear_plant(
         "monitored plant", np.zeros((1, 1)), np.zeros((count, 1)),
         [Sensor(s.name, s.name, s.unit, sigma=1.0) for s in sensors],
         dt=1.0, x0=np.zeros(1), initial_cov=np.ones(1), process_cov=np.ones(1), inputs=inputs,
     )  # fmt: skip
-    return read_log(path, plant, other_columns=True)
+    return load_log(source, plant, log_map, other_columns=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import probability
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.gaps import bridged
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.evaluation.diagnose import Diagnosis, DiagnosisWarning, diagnose_run
-from fusion_sfdia.evaluation.events import Event, median, spans
+from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis, decided, diagnose_run
+from fusion_sfdia.evaluation.events import Event, events_of, median, spans
 from fusion_sfdia.identification.choice import Candidate, ModelChoice, choose_model
 from fusion_sfdia.identification.runs import groups_of, runs_of
 from fusion_sfdia.monitoring.calibration import Calibration, calibrate
@@ -24,6 +25,7 @@ from fusion_sfdia.monitoring.methods import Methods
 Array = NDArray[Any]
 
 BESIDE = ("predictors", "limits", "dynamic pca")  # beside the bank, whose diagnosis is that of the monitor
+GAP = 3  # samples between events of one sensor that are one
 FALSE_ALARM = 1e-2  # of samples: some hundred healthy samples set no lower one
 
 
@@ -45,8 +47,11 @@ class Monitored:
 
     def __str__(self) -> str:
         lines = [str(self.diagnosis)]
-        lines += [f"  {e.hypothesis} frozen {e.period}" for e in self.frozen]
-        lines += [f"  {e.hypothesis} moved {e.period}, by {e.size:.4g} {e.unit}; never when healthy" for e in self.moved]
+        lines += [f"  {e.hypothesis} frozen {e.when(self.diagnosis.clock)}" for e in self.frozen]
+        lines += [
+            f"  {e.hypothesis} moved {e.when(self.diagnosis.clock)}, by {e.size:.4g} {e.unit}; never when healthy"
+            for e in self.moved
+        ]
         lines += [f"  {name} has no reading: dead or not recorded" for name in self.missing]
         for name, found in self.beside.items():
             share = float(np.mean(found.decisions.alarm))
@@ -94,11 +99,11 @@ class Monitor:
         """The sensors that no other channel explains."""
         return tuple(c.name for c in self.channels if c.explained < UNEXPLAINED)
 
-    def diagnose(self, log: Log) -> Monitored:
+    def diagnose(self, log: Log, clock: Clock = SECONDS) -> Monitored:
         """Diagnose a log of all sensors and inputs: t (K,), y (K, N), u (K, m), NaN where missing.
 
         Times are moved to equal steps, of readings within one step the last is taken. An input that is missing keeps its last
-        value. DiagnosisWarning as of `diagnose_run`, of the bank alone.
+        value. clock: of the times in the result. DiagnosisWarning as of `diagnose_run`, of the bank alone.
         """
         names = [s.name for s in self.sensors]
         t, y, u = on_grid(log, self.choice.plant.dt, [s.nominal for s in self.choice.plant.inputs])
@@ -109,10 +114,9 @@ class Monitor:
             )
         moving = [i for i, name in enumerate(names) if name not in self.still]
         judged = Log(t, y[:, moving], u)
-        found = {"bank": diagnose_run(self.methods["bank"].detector, judged)}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DiagnosisWarning)
-            found |= {n: diagnose_run(c.detector, judged) for n, c in self.methods.items() if n != "bank"}
+        found = {"bank": diagnose_run(self.methods["bank"].detector, judged, clock=clock)}
+        others = {name: c.detector for name, c in self.methods.items() if name != "bank"}
+        found |= {name: beside(detector, judged, clock) for name, detector in others.items()}
         fixed = [e for c, i in zip(self.channels, moving, strict=True) for e in frozen(c, self.sensors[i], t, y[:, i])]
         moved = [e for name, value in self.still.items() for e in self._moved(names.index(name), value, t, y)]
         missing = [name for name, column in zip(names, y.T, strict=True) if not np.isfinite(column).any()]
@@ -122,8 +126,14 @@ class Monitor:
         signal, off = self.sensors[i], y[:, i] - value
         return [
             Event(signal.name, float(t[a]), float(t[b]), median(off[a : b + 1]), signal.unit, b == len(t) - 1)
-            for a, b in spans(np.isfinite(off) & (off != 0), 3)
+            for a, b in spans(np.isfinite(off) & (off != 0), GAP)
         ]
+
+
+def beside(detector: Any, log: Log, clock: Clock) -> Diagnosis:
+    """The events of a detector over a log, without the second look of `diagnose_run`, which takes a model of the readings."""
+    decisions = decided(detector, bridged(detector.plant, log)[0], iter)
+    return Diagnosis(events_of(detector, log.t, decisions, GAP), decisions, log.t, clock=clock)
 
 
 def learn_monitor(

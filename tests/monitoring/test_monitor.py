@@ -16,8 +16,9 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.diagnose import DiagnosisWarning
 from fusion_sfdia.identification.choice import Candidate
+from fusion_sfdia.logs.log_map import Column, LogMap
 from fusion_sfdia.monitoring.channels import REPEATS, Channel
-from fusion_sfdia.monitoring.logs import read, signals_of
+from fusion_sfdia.monitoring.logs import load, signals_of
 from fusion_sfdia.monitoring.monitor import Monitor, learn_monitor, on_grid
 
 MORE = (*SENSORS, Signal("alone", "1"), Signal("still", "bar"))
@@ -161,12 +162,26 @@ def test_columns_are_sensors_unless_they_are_named(tmp_path: Path) -> None:
     path = written(tmp_path / "log.csv", faulty())
     sensors, inputs = signals_of(path, ["load"], ["remark"])
     assert tuple(sensors) == MORE and inputs == [LOAD]
-    found = read(path, sensors, inputs)
+    found = load(path, sensors, inputs).log
     assert np.array_equal(found.y, faulty().y, equal_nan=True) and np.array_equal(found.u, faulty().u)
-    with pytest.raises(ValueError, match="no column 'lod'; its columns are 'time', 'a'"):
+    with pytest.raises(ValueError, match="no column 'lod'; known: 'a'"):
         signals_of(path, ["lod"], [])
     with pytest.raises(ValueError, match="no column is left"):
         signals_of(path, [], [*(s.name for s in MORE), "load", "remark"])
+
+
+def test_a_map_states_how_a_log_is_written_and_which_columns_are_used(tmp_path: Path) -> None:
+    path = tmp_path / "export.csv"
+    path.write_text("Stamp;TI 1;FI 1;N\n2026-01-01 00:00:00;1,5;2,0;x\n2026-01-01 00:00:10;Bad;3,0;x\n", encoding="utf-8")
+    columns = {"TI 1": Column(sensor="T1", unit="degC"), "FI 1": Column(input="F1", unit="m3/h")}
+    log_map = LogMap(time=("Stamp",), tz="UTC", separator=";", decimal=",", bad=("Bad",), columns=columns)
+    sensors, inputs = signals_of(path, log_map=log_map)
+    assert sensors == [Signal("T1", "degC")] and inputs == [Signal("F1", "m3/h")]
+    found = load(path, sensors, inputs, log_map)
+    assert found.log.t.tolist() == [0.0, 10.0] and found.log.u[:, 0].tolist() == [2.0, 2.0]  # acts from its row on
+    assert found.log.y[:, 0] == pytest.approx([1.5, np.nan], nan_ok=True)
+    with pytest.raises(ValueError, match="states no columns"):
+        signals_of(path, log_map=LogMap(time=("Stamp",), separator=";", tag="N", value="TI 1"))
 
 
 @pytest.mark.slow
@@ -183,10 +198,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert {"method": "moved", "sensor": "still"}.items() <= next(e for e in events if e["method"] == "moved").items()
     assert any(e["method"] == "frozen" and e["sensor"] == "d" for e in events)
     assert "chosen of" in shown.err and "alone: no other channel explains it" in shown.err
-    assert {"monitor.txt", "events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png"} <= {
-        p.name for p in out.iterdir()
-    }
-    assert len((out / "events.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(events)
+    assert {"monitor.txt", "methods.csv", "report.html", "events.csv", "reconstructed.csv"} <= {p.name for p in out.iterdir()}
+    assert len((out / "methods.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(events)
     assert main(common) == 2 and "already used" in capsys.readouterr().err
 
 
