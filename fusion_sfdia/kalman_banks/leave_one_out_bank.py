@@ -16,6 +16,7 @@ the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,7 +79,7 @@ class LeaveOneOutBank(ExcludingBank):
         super().__post_init__()
         whole("window, in samples,", self.window, least=1)
 
-    @property
+    @cached_property
     def limits(self) -> tuple[float, float]:
         """Thresholds on the one-sample statistic and on those of the window: chi-square quantiles with 1 degree of freedom."""
         count, scale = len(self.plant.sensors), self.threshold_scale
@@ -87,7 +88,7 @@ class LeaveOneOutBank(ExcludingBank):
         half = self.false_alarm / 2 / count
         return float((scale * ndtri(half / 2)) ** 2), float((scale * ndtri(half / (self.window - 1) / 2)) ** 2)
 
-    @property
+    @cached_property
     def _grid(self) -> Grid:
         """The onsets of the window: the present one, which is the one-sample test, and those before it."""
         return Grid(self.window if self.window > 1 else 0)
