@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse
+from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse
+from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
 
@@ -58,6 +59,15 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     """Return the leave-one-out statistics of the readings y (..., N) where `used` holds; NaN readings are not used."""
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
+    if joint.S.ndim > 2 and joint.S.shape[-1] < ONE_BY_ONE:
+        batch, N = d.shape[:-1], d.shape[-1]
+        half, s_inv, scores, whitened, weight = bank_kernels.inverted(
+            bank_kernels.common(joint.S, batch, 2), bank_kernels.runs(d, batch), bank_kernels.runs(used, batch)
+        )
+        if len(batch) > 1:
+            half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
+            scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
+        return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
     half = half_inverse(joint.S) if np.all(used) else half_inverse(joint.S, used)
     half_t = np.swapaxes(half, -1, -2)
     s_inv = half @ half_t
