@@ -184,16 +184,16 @@ class Plant:
         if (jacobian := self.jacobians[0]) is not None:
             return self._of_shape("step_jacobian", jacobian(t_start, x, u, dt), len(self.states))
         if self._complex_step_holds[0]:
-            return complex_step_jacobian(lambda p: self.step(t_start, p, np.expand_dims(u, -2), dt), x)
-        return difference_jacobian(lambda p: self.step(t_start, p, np.expand_dims(u, -2), dt), x, self.state_scale)
+            return complex_step_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x)
+        return difference_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x, self.state_scale)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
         """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
         if (jacobian := self.jacobians[1]) is not None:
             return self._of_shape("output_jacobian", jacobian(t, x, u), len(self.sensors))
         if self._complex_step_holds[1]:
-            return complex_step_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x)
-        return difference_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x, self.state_scale)
+            return complex_step_jacobian(lambda p: self.output(t, p, u[..., None, :]), x)
+        return difference_jacobian(lambda p: self.output(t, p, u[..., None, :]), x, self.state_scale)
 
     @cached_property
     def jacobians(self) -> tuple[StepFunction | None, OutputFunction | None]:

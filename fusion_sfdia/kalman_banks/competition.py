@@ -93,9 +93,9 @@ def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: 
     whole = [np.concatenate([m, r[..., both:]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
     statistic, size, information, evidence = whole
     evidence[..., count:] -= handicap
-    length = np.where(far, np.take_along_axis(age, slow.slot, axis=-1) * AS_BIAS, 1.0)
     level = size.copy()
-    level[..., :both] *= length
+    if far.any():
+        level[..., :both] *= np.where(far, np.take_along_axis(age, slow.slot, axis=-1) * AS_BIAS, 1.0)
     return Evidence(
         level,
         far[..., :count], statistic[..., :count], size[..., :count], information[..., :count], evidence[..., :count],
@@ -149,6 +149,8 @@ def _beginning_now(found: LeaveOneOut, present: Present) -> Array:
 
 def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array:
     """Whether the isolated sensor (...) has more evidence by the windows than by the sample: the filter has absorbed it."""
+    if not isolated.any():
+        return np.zeros(sensor.shape, bool)
     with np.errstate(invalid="ignore"):  # -inf - -inf of a sensor that is not used
         more = value_at(evidence.sensor - evidence.one_sample, sensor) > ABSORBED
     return np.asarray(value_at(isolated, sensor) & more)
@@ -156,6 +158,8 @@ def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array
 
 def led_by(led: Array, leads: Array, fault: Array) -> Array:
     """Samples in a row in which a sensor leads (..., N), with the sign of its fault, so far `led`."""
+    if not leads.any():
+        return np.zeros(led.shape)
     sign = np.where(fault < 0, -1.0, 1.0)
     return np.where(leads, np.where(led * sign > 0, led + sign, sign), 0.0)
 
@@ -171,12 +175,14 @@ class Accepted(NamedTuple):
 
 def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
     """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
+    sensor, process = np.argmax(evidence.sensor, axis=-1), np.argmax(evidence.process, axis=-1)
+    if not ((evidence.statistic_s > limits.window).any() or (evidence.statistic_p > limits.process).any()):
+        none = np.zeros(sensor.shape, bool)
+        return Accepted(sensor, none, process, none)
     large, count = np.abs(evidence.level) >= limits.smallest, evidence.sensor.shape[-1]
-    sensor = np.argmax(evidence.sensor, axis=-1)
     of_sensor, statistic = (value_at(v, sensor) for v in (evidence.sensor, evidence.statistic_s))
     is_sensor = where & (statistic > limits.window) & (of_sensor - evidence.best_process > limits.sensor_margin)
     is_sensor = is_sensor & value_at(large, sensor)
-    process = np.argmax(evidence.process, axis=-1)
     of_process, statistic = (value_at(v, process) for v in (evidence.process, evidence.statistic_p))
     lead = of_process - np.max(evidence.of_sensors, axis=-1)
     is_process = where & (statistic > limits.process) & (lead > limits.process_margin)
@@ -187,6 +193,8 @@ def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
 def suspects(evidence: Evidence, undecided: Array, margin: float) -> Array:
     """The hypotheses (..., N + P) within the margin of the best, where an alarm is undecided (...)."""
     every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
+    if not undecided.any():
+        return np.zeros(every.shape, bool)
     top = np.max(every, axis=-1, keepdims=True)
     return np.asarray(undecided[..., None] & (every > top - margin))
 

@@ -127,4 +127,5 @@ def one_hot(index: Array, count: int) -> Array:
 
 def value_at(v: Array, index: Array) -> Array:
     """The values (...) of v (..., q) at an index (...)."""
-    return np.asarray(np.take_along_axis(v, index[..., None], axis=-1)[..., 0])
+    rows = v.reshape(-1, v.shape[-1])
+    return np.asarray(rows[np.arange(len(rows)), index.ravel()].reshape(index.shape))

@@ -52,7 +52,7 @@ class Grid(NamedTuple):
         return sorted({(step // size - i) * size for size in sizes for i in range(self.latest)}, reverse=True)
 
     def moves(self, step: int) -> Array | None:
-        """For each slot, the slot in which its onset was in the step before, -1 for that of the present; None where all stay."""
+        """For each slot, that in which its onset was in the step before, -1 for the present onset; None where all stay."""
         return _moves(self, step % (self.finest * 2 ** (self.levels - 1)))
 
 
@@ -153,7 +153,7 @@ def weigh(
     """
     assert found.half is not None and found.scores is not None
     kind = window.eta.dtype
-    readout = _read(output_jacobian)
+    readout = output_jacobian
     half = np.swapaxes(found.half, -1, -2).astype(kind)
     if _written_out(window, readout):
         batch, once = window.age.shape[:-1], 0 if effect.once is None else int(np.sum(effect.once))
@@ -167,6 +167,7 @@ def weigh(
             bank_kernels.runs(found.scores.astype(kind, copy=False), batch), bank_kernels.common(effect.readings, batch, 1),
         )  # fmt: skip
         return Weighed(_window(batch, *taken, bank_kernels.runs(window.age, batch)), readout, effect.readings)
+    readout = _read(output_jacobian)
     eta = _predicted(window, tangent.astype(kind, copy=False), effect, still)
     M = (half @ -readout).astype(kind)[..., None, :, :] @ eta[..., : readout.shape[-1], :]  # U' M
     M[..., : half.shape[-1]] += _direct(half, effect.readings)
@@ -269,7 +270,7 @@ def updated(weighed: Weighed, gain: Array, restart: Array) -> Window:
 
 def _restarted(window: Window, restart: Array) -> Window:
     """The window without what the runs `restart` (...) have summed so far."""
-    if not np.any(restart):
+    if not restart.any():
         return window
     keep = ~restart[..., None]
     sums = keep[..., None]
