@@ -103,9 +103,9 @@ class Integrated:
     def program(self) -> Program | None:
         """The program of f and phi; None where they cannot be recorded."""
         physics = self.physics
-        f, phi = (g and partial(_by_theta, g, self.unknown, physics.parameters) for g in (physics.f, physics.phi))
+        f, phi = (partial(_by_theta, g, self.unknown, physics.parameters) for g in (physics.f, physics.phi))
         usual = [np.array([s.nominal for s in group]) for group in (physics.states, physics.algebraic, physics.inputs)]
-        return record(f, phi, [*usual, self.nominal])
+        return record(f, None if physics.phi is None else phi, [*usual, self.nominal])
 
     @cached_property
     def _constants(self) -> tuple[Array, Array]:
@@ -162,10 +162,10 @@ class Integrated:
         """The step by the program, where width is 0, or its derivatives (..., n, width); None without one."""
         if (program := self.program) is None or any(a.dtype.kind == "c" for a in (x, u, theta)):
             return None
-        batch, rows = _as_rows(x, u, theta)
+        batch, x, u, theta = _as_rows(x, u, theta)
         decay, nominal = self._constants
         ahead, tangent, settled = straight_line_kernels.advance(
-            float(t), *rows, float(dt), self.substeps, decay, nominal, width, program
+            float(t), x, u, theta, float(dt), self.substeps, decay, nominal, width, program
         )
         found: Array = tangent if width else ahead
         return found.reshape(*batch, *found.shape[1:]) if settled else None
@@ -174,8 +174,8 @@ class Integrated:
         """The same of the readings (..., N)."""
         if (program := self.program) is None or any(a.dtype.kind == "c" for a in (x, u, theta)):
             return None
-        batch, rows = _as_rows(x, u, theta)
-        y, by, settled = straight_line_kernels.read(float(t), *rows, self.picks, self._constants[1], width, program)
+        batch, x, u, theta = _as_rows(x, u, theta)
+        y, by, settled = straight_line_kernels.read(float(t), x, u, theta, self.picks, self._constants[1], width, program)
         found: Array = by if width else y
         return found.reshape(*batch, *found.shape[1:]) if settled else None
 
@@ -222,19 +222,18 @@ class IntegratedOutput:
         return model._required(model._read(t, x, u, model.nominal, x.shape[-1]), t, x, u)
 
 
-def _by_theta(
-    function: Callable[..., Array], unknown: tuple[str, ...], c: Any, t: float, x: Array, z: Array, u: Array, theta: Array
-) -> Array:
+def _by_theta(function: Any, unknown: tuple[str, ...], c: Any, t: float, x: Array, z: Array, u: Array, theta: Array) -> Array:
     """Evaluate f or phi with other values theta (..., p) of the parameters `unknown`."""
     values = {name: theta[..., j][()] for j, name in enumerate(unknown)}
-    return function(t, x, z, u, c._replace(**values) if unknown else c)
+    found: Array = function(t, x, z, u, c._replace(**values) if unknown else c)
+    return found
 
 
-def _as_rows(*arrays: Array) -> tuple[tuple[int, ...], list[Array]]:
+def _as_rows(x: Array, u: Array, theta: Array) -> tuple[tuple[int, ...], Array, Array, Array]:
     """The batch of arrays (..., n) and each as a matrix (B, n), or (1, n) where it is the same for the whole batch."""
-    shapes = {a.shape[:-1] for a in arrays if a.ndim > 1}
+    shapes = {a.shape[:-1] for a in (x, u, theta) if a.ndim > 1}
     batch = shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
-    return batch, [_rows(a, batch) for a in arrays]
+    return batch, _rows(x, batch), _rows(u, batch), _rows(theta, batch)
 
 
 def _rows(a: Array, batch: tuple[int, ...]) -> Array:
@@ -380,6 +379,12 @@ def _uncertainty(model: Integrated, unknown: tuple[Parameter, ...], input_errors
     """The model at other values of its physics' parameters."""
     if not (unknown or input_errors):
         return Uncertainty()
-    jacobians = (None, None) if model.program is None else (model.step_jacobian_at, model.output_jacobian_at)
-    at = (model.step_at, model.output_at) if unknown else (None, None)
-    return Uncertainty(unknown, *at, *jacobians, inputs=input_errors)
+    recorded = model.program is not None
+    return Uncertainty(
+        unknown,
+        model.step_at if unknown else None,
+        model.output_at if unknown else None,
+        model.step_jacobian_at if recorded else None,
+        model.output_jacobian_at if recorded else None,
+        inputs=input_errors,
+    )

@@ -109,8 +109,10 @@ class Symbol:
         return self._then(DIVIDE, other, self)
 
     def __pow__(self, other: Any) -> Any:
-        if isinstance(other, int | float) and other in (0.5, 1, 2):  # as NumPy does
-            return {0.5: lambda: self._of(FUNCTIONS.index("sqrt")), 1: lambda: self, 2: lambda: self * self}[other]()
+        if isinstance(other, int | float) and other == 2:  # as NumPy does
+            return self * self
+        if isinstance(other, int | float) and other == 0.5:
+            return self._of(FUNCTIONS.index("sqrt"))
         return self._then(POWER, self, other)
 
     def __rpow__(self, other: Any) -> Any:
@@ -169,8 +171,8 @@ def record(f: RightHandSide, phi: RightHandSide | None, usual: Sequence[Array]) 
         operation, left, right = recorder.slots[s]
         on_z[s] = operation != CONSTANT and (on_z[left] or (operation < NEGATE and on_z[right]))
     slots, value = np.array(recorder.slots, dtype=np.int64), np.array(recorder.value)
-    outputs = (np.array(by, dtype=np.int64) for by in (by_phi, by_f))
-    program = Program(slots, value, first, *outputs, bool(on_z[by_phi].any()))
+    of_phi, of_f = np.array(by_phi, dtype=np.int64), np.array(by_f, dtype=np.int64)
+    program = Program(slots, value, first, of_phi, of_f, bool(on_z[of_phi].any()))
     return program if _agrees(program, f, phi, usual) else None
 
 

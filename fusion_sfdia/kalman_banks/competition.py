@@ -21,6 +21,7 @@ AS_BIAS = 2 / 3  # a bias c looks like a ramp that ends at c (sum k / sum k^2) t
 ABSORBED = 2.0  # evidence by which an earlier onset is preferred to the present sample
 LEAST_WEIGHT = 0.1  # of an alternative to an accepted process hypothesis
 PRIOR = 1e-3  # probability of each hypothesis before any reading
+LOG_PRIOR = float(np.log(PRIOR))
 
 
 class Limits(NamedTuple):
@@ -71,7 +72,7 @@ class Evidence(NamedTuple):
     @property
     def probability(self) -> Array:
         """Probability of each hypothesis (..., N + P), if at most one is true."""
-        half = np.concatenate([self.of_sensors, self.process], axis=-1) / 2 + np.log(PRIOR)
+        half = np.concatenate([self.of_sensors, self.process], axis=-1) / 2 + LOG_PRIOR
         top = np.maximum(np.max(half, axis=-1, keepdims=True), 0.0)
         weight = np.exp(half - top)
         return np.asarray(weight / (np.sum(weight, axis=-1, keepdims=True) + np.exp(-top)))
@@ -89,9 +90,9 @@ def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: 
     """
     count, both = one_sample.shape[-1], slow.evidence.shape[-1]
     far = slow.evidence > recent.evidence[..., :both]
-    merged = [np.where(far, s, r[..., :both]) for s, r in zip(slow[:4], recent[:4], strict=True)]
-    whole = [np.concatenate([m, r[..., both:]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
-    statistic, size, information, evidence = whole
+    merged = np.array(recent[:4])  # statistic, size, information and evidence of the window with more evidence
+    np.copyto(merged[..., :both], np.array(slow[:4]), where=far)
+    statistic, size, information, evidence = merged
     evidence[..., count:] -= handicap
     level = size.copy()
     if far.any():
@@ -192,9 +193,9 @@ def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
 
 def suspects(evidence: Evidence, undecided: Array, margin: float) -> Array:
     """The hypotheses (..., N + P) within the margin of the best, where an alarm is undecided (...)."""
-    every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
     if not undecided.any():
-        return np.zeros(every.shape, bool)
+        return np.zeros(evidence.level.shape, bool)
+    every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
     top = np.max(every, axis=-1, keepdims=True)
     return np.asarray(undecided[..., None] & (every > top - margin))
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse
+from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, on_diagonal
 from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
@@ -103,7 +103,7 @@ def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     w = joint.C @ (found.half if found.half is not None else half_inverse(joint.S, found.used))
     p = joint.P - w @ np.swapaxes(w, -1, -2)
     floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
-    np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
+    on_diagonal(p)[...] += floor * joint.P.diagonal(axis1=-2, axis2=-1)
     return consider(joint, x, p)
 
 

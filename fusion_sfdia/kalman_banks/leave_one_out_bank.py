@@ -140,7 +140,7 @@ class LeaveOneOutBank(ExcludingBank):
             found = everything
         x, p = posterior(joint, found)
         if self.window > 1:
-            restart = isolated.any(axis=-1) & self.accommodate
+            restart = np.any(isolated, axis=-1) & self.accommodate
             window = updated(onsets, gain(joint, found.inverse), restart)
 
         update = Update(x, p, prior, joint, found)
@@ -157,7 +157,7 @@ class LeaveOneOutBank(ExcludingBank):
         limit, _ = self.limits
         while True:
             chi_square = found.chi_square
-            above = (chi_square > limit).any(axis=-1)
+            above = np.any(chi_square > limit, axis=-1)
             if not above.any():
                 return found, isolated, above
             worst = np.argmax(chi_square, axis=-1)

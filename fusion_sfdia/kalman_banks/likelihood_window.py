@@ -135,7 +135,8 @@ def shifted(window: Window, grid: Grid, step: int) -> Window:
     if (places := grid.moves(step)) is None:
         return Window(eta, a, b, age + 1)
     batch = age.shape[:-1]
-    return _window(batch, *bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in window), places))
+    eta, a, b, age = (bank_kernels.runs(v, batch) for v in window)
+    return _window(batch, *bank_kernels.shift(eta, a, b, age, places))
 
 
 def _window(batch: tuple[int, ...], *arrays: Array) -> Window:
@@ -157,16 +158,17 @@ def weigh(
     half = np.swapaxes(found.half, -1, -2).astype(kind)
     if _written_out(window, readout):
         batch, once = window.age.shape[:-1], 0 if effect.once is None else int(np.sum(effect.once))
-        taken = [np.array(bank_kernels.runs(v, batch)) for v in window[:3]]
+        eta, a, b = (np.array(bank_kernels.runs(v, batch)) for v in window[:3])
+        age = bank_kernels.runs(window.age, batch)
         change = np.empty((1, tangent.shape[-1], 0), kind)
         if effect.state is not None:
             change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
         bank_kernels.weighed(
-            *taken, bank_kernels.runs(window.age, batch), bank_kernels.common(tangent.astype(kind, copy=False), batch, 2),
-            change, once, bank_kernels.common(readout.astype(kind, copy=False), batch, 2), bank_kernels.runs(half, batch),
+            eta, a, b, age, bank_kernels.common(tangent.astype(kind, copy=False), batch, 2), change, once,
+            bank_kernels.common(readout.astype(kind, copy=False), batch, 2), bank_kernels.runs(half, batch),
             bank_kernels.runs(found.scores.astype(kind, copy=False), batch), bank_kernels.common(effect.readings, batch, 1),
         )  # fmt: skip
-        return Weighed(_window(batch, *taken, bank_kernels.runs(window.age, batch)), readout, effect.readings)
+        return Weighed(_window(batch, eta, a, b, age), readout, effect.readings)
     readout = _read(output_jacobian)
     eta = _predicted(window, tangent.astype(kind, copy=False), effect, still)
     M = (half @ -readout).astype(kind)[..., None, :, :] @ eta[..., : readout.shape[-1], :]  # U' M
@@ -178,7 +180,7 @@ def weigh(
 
 def _written_out(window: Window, readout: Array) -> bool:
     """Whether the products are so small that compiled loops take less time than calls of the library."""
-    return readout.shape[-2] < ONE_BY_ONE and window.eta.shape[-2] < 2 * ONE_BY_ONE
+    return bool(readout.shape[-2] < ONE_BY_ONE and window.eta.shape[-2] < 2 * ONE_BY_ONE)
 
 
 def _direct(weights: Array, readings: Array) -> Array:
