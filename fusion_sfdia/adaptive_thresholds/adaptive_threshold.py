@@ -191,6 +191,19 @@ class AdaptiveThreshold(BatchDetector):
         start = MonitoringMemory(middle, self.half_width[:count], unknown, silent, np.zeros(()))
         return MonitoringMemory(*(np.broadcast_to(a, (*batch, *a.shape)).copy() for a in start))
 
+    def _readmitted(self, memory: MonitoringMemory, t: float, which: Array) -> MonitoringMemory:
+        """Modules that read these sensors have not fired; their observers restart from the envelope."""
+        m, states = self._modules, len(self._modules.states)
+        variables = list(m.equations)
+        chosen = {variables[self._variable[i]] for i in np.flatnonzero(which)}
+        reads = np.array([v in chosen or bool(chosen & {*quantities_of(m.equations[v])}) for v in variables])
+        middle = np.mean(self.ends, axis=0)
+        return memory._replace(
+            x=np.where(reads[:states], middle[:states], memory.x),
+            error=np.where(reads[:states], self.half_width[:states], memory.error),
+            fired=memory.fired & ~reads[self._variable],
+        )
+
     def _judge(self, memory: MonitoringMemory, now: TimeStep, y: Array, u: Array) -> tuple[MonitoringMemory, Decision]:
         if (axes := y.ndim - 1) > 1:
             flat, y_flat, u_flat = mapped(lambda a: a.reshape(-1, *a.shape[axes:]), (memory, y, u))

@@ -128,6 +128,16 @@ class VirtualSensors(BatchDetector):
         s = self._settings
         return FaultMemory.new(batch, s.nominal, s.half_width, len(s.gains))
 
+    def _readmitted(self, memory: FaultMemory, t: float, which: Array) -> FaultMemory:
+        """No interval of their faults; the modules that depend on these sensors restart as at an isolation."""
+        s = self._settings
+        for i in np.flatnonzero(which):
+            e = int(self.thresholds._variable[i])
+            memory = memory.without(e, self._depends_on[:, e], s.nominal, s.half_width)
+            own = np.arange(len(self._depends_on)) == e
+            memory = memory._replace(isolated=memory.isolated & ~own, before=np.where(own, np.nan, memory.before))
+        return memory
+
     def _judge(self, memory: FaultMemory, now: TimeStep, y: Array, u: Array) -> tuple[FaultMemory, Decision]:
         shape, scale, of = y.shape[:-1], self.plant.sensor_scale, self.thresholds
         m = FaultMemory(*(a.reshape(-1, a.shape[-1]) for a in memory))

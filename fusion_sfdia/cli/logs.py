@@ -1,4 +1,4 @@
-"""The commands on logs of readings: `simulate` writes one, `diagnose` isolates the faults in one."""
+"""The commands on logs of readings: `simulate` writes one, `check-log` checks one, `diagnose` isolates the faults in one."""
 
 from __future__ import annotations
 
@@ -46,15 +46,11 @@ def add_simulate(commands: Any) -> None:
 def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
+    _add_log(one)
+    one.add_argument("--detector", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument(
-        "--data", type=Path, required=True, metavar="LOG.csv", help="the log: a column a sensor, empty for missing"
-    )
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
-    one.add_argument("--detector", default="loo-glr", help=f"{WHICH} (default: loo-glr)")
-    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
-    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
-    one.add_argument(
-        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
+        "--healthy", metavar="FROM..TO", help="a stretch of the log (s) in which all is in order, to tune on first"
     )
     one.add_argument(
         "--out",
@@ -67,12 +63,50 @@ def add_diagnose(commands: Any) -> None:
     one.set_defaults(work=_diagnose)
 
 
+def add_check_log(commands: Any) -> None:
+    """Add `check-log`."""
+    one = commands.add_parser("check-log", help="state how a log is read, and what looks wrong in it", allow_abbrev=False)
+    _add_log(one)
+    one.add_argument("--json", action="store_true", help="print the findings as JSON")
+    one.set_defaults(work=_check_log)
+
+
+def _add_log(one: Any) -> None:
+    """The options on a log and its plant."""
+    one.add_argument(
+        "--data", type=Path, required=True, metavar="LOG", help="the log, CSV or Parquet: a column a sensor, empty for missing"
+    )
+    one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the log is written, and which column is which sensor")
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
+    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
+    one.add_argument(
+        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
+    )
+
+
+def _check_log(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.logs.check import check_log
+    from fusion_sfdia.registry import plant
+
+    found = check_log(
+        chosen.data,
+        plant(chosen.plant),
+        chosen.map,
+        absent_sensors=chosen.absent_sensors,
+        other_columns=chosen.other_columns,
+        nominal_inputs=chosen.nominal_inputs,
+    )
+    print(json.dumps([f._asdict() for f in found.findings], indent=2) if chosen.json else found)
+    return 0
+
+
 def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.fault_draws import draw_apart
     from fusion_sfdia.evaluation.fault_effects import apply_faults
     from fusion_sfdia.evaluation.faults import load_faults
-    from fusion_sfdia.evaluation.logs import write_log
     from fusion_sfdia.evaluation.simulate import simulate
+    from fusion_sfdia.logs.csv_log import write_log
     from fusion_sfdia.registry import plant
 
     if chosen.out.is_dir():
@@ -112,20 +146,23 @@ def _fault(text: str) -> tuple[str, str | None]:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.registry import detector, plant
+    from fusion_sfdia.cli.tune import tuned_detector
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with warnings.catch_warnings(record=True) as issued:
         warnings.simplefilter("always", UserWarning)
+        name, built = tuned_detector(chosen)
         found = diagnose_log(
             chosen.data,
-            detector(chosen.detector, plant(chosen.plant)),
+            built,
             out,
+            log_map=chosen.map,
             absent_sensors=chosen.absent_sensors,
             other_columns=chosen.other_columns,
             nominal_inputs=chosen.nominal_inputs,
             force=chosen.force,
+            detector_name=chosen.detector,
         )
     for warning in issued:
         print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
@@ -135,7 +172,7 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         entries = [kind | {k: _finite(v) for k, v in asdict(e).items()} for kind, e in zip(kinds, found.events, strict=True)]
         print(json.dumps(entries, indent=2))
         return code
-    print(f"{as_text(found, chosen.detector)}\n{', '.join(FILES)}: in {out}")
+    print(f"{as_text(found, name)}\n{', '.join(FILES)}: in {out}")
     return code
 
 

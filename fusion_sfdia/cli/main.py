@@ -1,4 +1,4 @@
-"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, measure the speed."""
+"""The command line: list names, run scenarios, compare detectors, simulate a log, diagnose a log, inspect a plant, bench."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 from fusion_sfdia import __version__
+from fusion_sfdia.cli.compiling import announced
+from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
-from fusion_sfdia.cli.logs import add_diagnose, add_simulate
+from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
+from fusion_sfdia.cli.monitor import add_monitor
 from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
+from fusion_sfdia.cli.tune import add_tune
+from fusion_sfdia.cli.watch import add_watch
 
 
 def parser() -> argparse.ArgumentParser:
@@ -34,18 +39,26 @@ def parser() -> argparse.ArgumentParser:
     add_run(commands)
     add_compare(commands)
     add_simulate(commands)
+    add_check_log(commands)
     add_diagnose(commands)
+    add_watch(commands)
+    add_tune(commands)
+    add_inspect(commands)
+    add_monitor(commands)
     add_bench(commands)
     return top
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; return its exit code (see the parser's epilog)."""
+    """Run a command line; return its exit code (see the parser's epilog).
+
+    Without arguments it is that of this process, which also reports that code is compiled.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without π shows \\u03c0
             stream.reconfigure(errors="backslashreplace")
     chosen = parser().parse_args(arguments)
-    with _terminated_as_interrupted():
+    with _terminated_as_interrupted(), nullcontext() if arguments is not None or chosen.command == "list" else announced():
         return _done(chosen)
 
 

@@ -1,6 +1,7 @@
 """Commissioning: a plant adapted to a healthy log of the real one, so that any detector on it knows what the log shows.
 
-Three stages, each on the result of the one before: declared parameters and errors of inputs (`parameters`), directions of
+A sensor that scatters clearly more than stated first gets the noise that it has. Then three stages, each on the result of the
+one before: declared parameters and errors of inputs (`parameters`), directions of
 mismatch of which nothing is declared (`disturbances`), process and sensor noise (`noise`). Each is learnt from one half of the
 log and judged by the likelihood of the other half, and the reverse; what is kept is then learnt from the whole log.
 """
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windows
 from fusion_sfdia.commissioning.innovations import fixed, settling
-from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, with_noise
+from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, louder_sensors, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
 from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
-from fusion_sfdia.commissioning.score import coloured, fitted
-from fusion_sfdia.commissioning.start import started
+from fusion_sfdia.commissioning.score import Fit, coloured, fitted
+from fusion_sfdia.commissioning.start import Start, first_state, with_start
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.plant import Plant
@@ -47,7 +48,9 @@ class Commissioning(NamedTuple):
 
     plant: the commissioned one. settle: samples that were left out at the beginning of each run. before, after: the plant on
     the halves that it was not learnt from, without and with what was learnt. kept: the stages that were. parameters,
-    disturbances, noise: what they found in the whole log; None, or empty, where not kept.
+    disturbances, noise: what they found in the whole log; None, or empty, where not kept. start: where runs begin, None where
+    as the plant states. halves: the plants that were learnt from the samples from settle to middle, and from middle on. fits:
+    what these predict.
     """
 
     plant: Plant
@@ -58,6 +61,10 @@ class Commissioning(NamedTuple):
     parameters: Estimate | None
     disturbances: tuple[Found, ...]
     noise: Noise | None
+    start: Start | None
+    middle: int
+    halves: tuple[Plant, Plant]
+    fits: tuple[Fit, Fit]
 
 
 def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
@@ -65,16 +72,17 @@ def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
     return commissioned(plant, *healthy, false_alarm=false_alarm).plant
 
 
-def commissioned(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Commissioning:
+def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3) -> Commissioning:
     """Adapt a plant to healthy readings of the real one, and report what was found.
 
     healthy: t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`. false_alarm: the
     rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
-    1 / false_alarm samples, best of other readings than these.
+    1 / false_alarm samples, best of other readings than these; None where a log of any length will do.
     Raises ValueError for a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one
     sensor explains what the plant does not.
     """
-    probability("false_alarm", false_alarm)
+    if false_alarm is not None:
+        probability("false_alarm", false_alarm)
     log = as_runs(plant, healthy)
     require_moving(plant, log)
     settle = settling(fixed(plant), log)
@@ -85,6 +93,9 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Comm
     halves = [settled & (np.arange(steps) < middle), settled & (np.arange(steps) >= middle)]
     now = [fitted(plant, log)] * 2
     before = _held_out(now, halves)
+    plant = louder_sensors(stated := plant, now[0].single[settled])
+    if not np.array_equal(plant.sensor_sigma, stated.sensor_sigma):
+        now = [fitted(plant, log)] * 2
     halfway, parts = [plant, plant], {}
     for name, stage in STAGES.items():
         found = [stage(p, log, half) for p, half in zip(halfway, halves, strict=True)]
@@ -107,8 +118,12 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Comm
     if "noise" in kept:
         noise = joined(*parts["noise"])
         result = with_noise(result, noise)
-    result = started(result, log)
-    return Commissioning(result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise)
+    if (start := first_state(result, log)) is not None:
+        result = with_start(result, start)
+    return Commissioning(
+        result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start, middle,
+        (halfway[0], halfway[1]), (now[0], now[1]),
+    )  # fmt: skip
 
 
 def as_runs(plant: Plant, healthy: Any) -> Log:
@@ -116,7 +131,7 @@ def as_runs(plant: Plant, healthy: Any) -> Log:
     t, y, u = as_log(plant, *healthy)
     y = y.reshape(len(t), -1, y.shape[-1])
     if u.ndim > 2:
-        u = u.reshape(len(t), -1, u.shape[-1])
+        u = u.reshape(len(t), int(np.prod(u.shape[1:-1])), u.shape[-1])
     else:
         u = u[:, None]
     return Log(t, y, np.broadcast_to(u, (*y.shape[:2], u.shape[-1])))

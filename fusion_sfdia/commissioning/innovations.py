@@ -7,8 +7,9 @@ in the separated bias filter (Friedland 1969, Treatment of bias in recursive fil
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,24 +28,49 @@ STEADY = 100  # samples until the gain is taken as steady
 FORGOTTEN = 0.05  # share of an error of the first estimate that is left after settling
 
 
-class Sample(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Sample:
     """One step of the filter, of each run (B, ...).
 
-    x (B, n): the estimate after the readings. tangent F (B, n, n), readout H (B, N, n), gain K (B, n, N), closed I - K H.
-    whitened u = S^-1 d (B, N) and inverse S^-1 (B, N, N), zero for readings that are missing. normal (B, N): the innovation
-    in independent units, U' d with U U' = S^-1. used (B, N). log_likelihood (B,) of the readings.
+    x (B, n): the estimate after the readings. tangent F (B, n, n), readout H (B, N, n), half U (B, N, N) with U U' = S^-1, zero
+    for readings that are missing, gain_half C U (B, n, N). normal (B, N): the innovation in independent units, U' d. used
+    (B, N). log_likelihood (B,) of the readings. The others follow from these, where they are asked for.
     """
 
     x: Array
     tangent: Array
     readout: Array
-    gain: Array
-    closed: Array
-    whitened: Array
-    inverse: Array
+    half: Array
+    gain_half: Array
     normal: Array
     used: Array
     log_likelihood: Array
+
+    @cached_property
+    def whitened(self) -> Array:
+        """S^-1 d (B, N)."""
+        return np.asarray((self.half @ self.normal[..., None])[..., 0])
+
+    @cached_property
+    def inverse(self) -> Array:
+        """S^-1 (B, N, N)."""
+        return np.asarray(self.half @ np.swapaxes(self.half, -1, -2))
+
+    @cached_property
+    def gain(self) -> Array:
+        """K (B, n, N)."""
+        return np.asarray(self.gain_half @ np.swapaxes(self.half, -1, -2))
+
+    @cached_property
+    def closed(self) -> Array:
+        """I - K H (B, n, n)."""
+        return np.asarray(np.eye(self.x.shape[-1]) - self.gain @ self.readout)
+
+    @property
+    def single(self) -> Array:
+        """The error of each reading (B, N) predicted from all others, over its standard deviation; NaN where missing."""
+        precision = np.sum(self.half**2, axis=-1)
+        return np.where(self.used, self.whitened / np.sqrt(np.where(self.used, precision, 1.0)), np.nan)
 
 
 def held(plant: Plant) -> Plant:
@@ -82,7 +108,6 @@ def filtered(model: Plant, log: Log) -> Iterator[Sample]:
     """
     filter_, rng = Extended(), step_stream(0, 0)  # it draws nothing
     core = filter_.start(model, log.y.shape[1:-1], rng)
-    identity = np.eye(model.x0.size)
     before = float(log.t[0]) - model.dt
     for t, y, u in zip(log.t.tolist(), log.y, log.u, strict=True):
         model.check_dt(t - before)
@@ -101,16 +126,11 @@ def filtered(model: Plant, log: Log) -> Iterator[Sample]:
         p = joint.P - gain_half @ np.swapaxes(gain_half, -1, -2)
         floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
         np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
-        readout = np.broadcast_to(model.output_jacobian_at(t, prior.core.x, u), np.swapaxes(joint.C, -1, -2).shape)
-        gain = gain_half @ np.swapaxes(half, -1, -2)
+        assert prior.tangent is not None and joint.H is not None
+        readout = np.broadcast_to(joint.H, np.swapaxes(joint.C, -1, -2).shape)
         scale = np.where(used, np.diagonal(half, axis1=-2, axis2=-1), 1.0)
         log_likelihood = np.sum(np.log(scale) - used * np.log(2 * np.pi) / 2 - normal**2 / 2, axis=-1)
-        tangent = prior.tangent
-        assert tangent is not None
-        yield Sample(
-            x, tangent, readout, gain, identity - gain @ readout, (half @ normal[..., None])[..., 0],
-            half @ np.swapaxes(half, -1, -2), normal, used, log_likelihood,
-        )  # fmt: skip
+        yield Sample(x, prior.tangent, readout, half, gain_half, normal, used, log_likelihood)
         core, before = GaussianState(x, p), t
 
 

@@ -29,6 +29,8 @@ ROUNDS = 8
 CLOSE = 0.5  # standard errors: a change below this ends them
 BLOCK = 100  # samples whose adjoint is kept at once
 PRIOR = 10.0  # samples' worth of belief in the stated noise (inverse gamma distribution of a variance)
+BRIEF = 15  # samples of a window about whose mean a sensor scatters
+LOUD = 1.5  # of its stated variance: a sensor is no louder up to there
 LEAST, MOST = 0.01, 100.0  # factors of a variance in all
 
 
@@ -67,6 +69,26 @@ def with_noise(plant: Plant, noise: Noise) -> Plant:
         for s, f in zip(plant.sensors, sensors, strict=True)
     )
     return replace(plant, process_cov=cov, sensors=meters)
+
+
+def louder_sensors(plant: Plant, single: Array) -> Plant:
+    """The plant with the noise of sensors that scatter clearly more than stated, from errors `single` (K, B, N), see `Sample`.
+
+    Their variance is taken about the mean of each window, and its median over the windows: a bias, a drift or a fault in a
+    part of the log does not count as noise.
+    """
+    whole = len(single) // BRIEF
+    parts = single[: whole * BRIEF].reshape(whole, BRIEF, -1, single.shape[-1])
+    known = np.sum(np.isfinite(parts), axis=1)
+    mean = np.nansum(parts, axis=1) / np.maximum(known, 1)
+    power = np.nansum((parts - mean[:, None]) ** 2, axis=1) / np.maximum(known - 1, 1)
+    factors = np.ones(len(plant.sensors))
+    for i in range(factors.size):
+        if np.any(enough := known[..., i] > BRIEF // 2):
+            factors[i] = np.median(power[..., i][enough])
+    groups = state_groups(plant)
+    sensors = np.where(factors > LOUD, np.minimum(factors, MOST), 1.0)
+    return with_noise(plant, _noise(groups, factors := np.concatenate([np.ones(len(groups)), sensors]), factors))
 
 
 def joined(first: Noise, second: Noise) -> Noise:

@@ -49,39 +49,42 @@ class Estimate(NamedTuple):
 
 def estimated(plant: Plant, log: Log, use: Array, stretch: Array) -> Estimate:
     """Estimate what the plant declares from the samples use (K,) of a log of runs, in stretches numbered by stretch (K,)."""
-    free = _free(plant)
-    names, prior, prior_sd = _declared(plant)
+    where = free(plant)
+    names, prior, prior_sd = declared(plant)
     value, tau = prior, np.zeros(prior.size)
     for _ in range(STEPS):
         g, info = _scores(at(plant, value, prior_sd), log, use, stretch, prior_sd)
-        g, info = g[:, free], info[:, free[:, None], free]
-        cov = np.linalg.inv(np.sum(info, axis=0) + np.eye(free.size))
-        change = cov @ (np.sum(g, axis=0) - tau[free])
-        tau[free] = np.clip(tau[free] + change, -FARTHEST, FARTHEST)
+        g, info = g[:, where], info[:, where[:, None], where]
+        cov = np.linalg.inv(np.sum(info, axis=0) + np.eye(where.size))
+        change = cov @ (np.sum(g, axis=0) - tau[where])
+        tau[where] = np.clip(tau[where] + change, -FARTHEST, FARTHEST)
         value = _within(plant, prior + prior_sd * tau)
         if np.all(np.abs(change) < CLOSE * np.sqrt(np.diagonal(cov))):
             break
     between = np.minimum(_between(g - info @ change, info), 1.0)
-    sd = prior_sd[free] * np.sqrt(np.minimum(np.diagonal(cov) + between, 1.0))
-    scale = prior_sd[free]
-    chosen = tuple(names[i] for i in free)
-    return Estimate(chosen, value[free], sd, prior[free], scale, cov * np.outer(scale, scale), scale * np.sqrt(between))
+    sd = prior_sd[where] * np.sqrt(np.minimum(np.diagonal(cov) + between, 1.0))
+    scale = prior_sd[where]
+    chosen = tuple(names[i] for i in where)
+    return Estimate(chosen, value[where], sd, prior[where], scale, cov * np.outer(scale, scale), scale * np.sqrt(between))
 
 
 def moved(plant: Plant, found: Estimate) -> Plant:
-    """The plant with what was estimated."""
-    free, (_, value, sd) = _free(plant), _declared(plant)
-    value[free], sd[free] = found.value, found.sd
-    return at(plant, value, sd)
+    """The plant with what was estimated; later changes are judged by what was declared."""
+    where, (names, value, prior_sd) = free(plant), declared(plant)
+    changes = dict(zip(names, prior_sd.tolist(), strict=True)) | dict(plant.uncertainty.changes)
+    sd = prior_sd.copy()
+    value[where], sd[where] = found.value, found.sd
+    there = at(plant, value, sd)
+    return replace(there, uncertainty=replace(there.uncertainty, changes=changes))
 
 
-def _free(plant: Plant) -> Array:
+def free(plant: Plant) -> Array:
     """Positions of what is estimated: all but frozen parameters."""
     known = plant.uncertainty
     return np.flatnonzero([p.treatment != "frozen" for p in known.parameters] + [True] * len(known.inputs))
 
 
-def _declared(plant: Plant) -> tuple[tuple[str, ...], Array, Array]:
+def declared(plant: Plant) -> tuple[tuple[str, ...], Array, Array]:
     """Names, values and standard deviations of the parameters, then of the errors of inputs, in the order of the inputs."""
     known = plant.uncertainty
     errors = [s.name for s in plant.inputs if s.name in known.inputs]

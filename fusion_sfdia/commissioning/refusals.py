@@ -19,8 +19,8 @@ LARGE = 3.0  # sigma: a smaller constant bias is a matter of calibration, which 
 LEAST_WINDOWS = 4  # two for each half of the log
 
 
-def require_length(plant: Plant, log: Log, settle: int, false_alarm: float) -> None:
-    """Raise ValueError for a log that is too short for its plant or for a false-alarm rate."""
+def require_length(plant: Plant, log: Log, settle: int, false_alarm: float | None) -> None:
+    """Raise ValueError for a log that is too short for its plant or for a false-alarm rate, None for any."""
     steps, runs = log.y.shape[:2]
     if (least := settle + LEAST_WINDOWS * WINDOW) > steps:
         raise ValueError(
@@ -28,7 +28,7 @@ def require_length(plant: Plant, log: Log, settle: int, false_alarm: float) -> N
             f"{settle} to forget how it began, and each half of the rest {LEAST_WINDOWS // 2} windows of {WINDOW}; give "
             "a longer log"
         )
-    if (left := runs * (steps - settle)) * false_alarm < 1:
+    if false_alarm is not None and (left := runs * (steps - settle)) * false_alarm < 1:
         raise ValueError(
             f"{left} healthy samples after the first {settle} of each run; expected at least {1 / false_alarm:.0f}, since "
             f"thresholds that one in {1 / false_alarm:.0f} exceeds cannot be set on fewer; give a longer log, or a higher "
@@ -49,13 +49,10 @@ def require_moving(plant: Plant, log: Log) -> None:
                 f"sensor {sensor.name!r} has no reading in the healthy log; give one, or build the plant without it"
             )
         same = y[1:, :, i] == y[:-1, :, i]
-        longest, run, at = np.zeros(same.shape[1], int), np.zeros(same.shape[1], int), 0
-        for k, row in enumerate(same):
-            run = np.where(row, run + 1, 0)
-            if np.max(run) > np.max(longest):
-                at = k
-            longest = np.maximum(longest, run)
-        most, many = int(np.max(longest)), same.size
+        steps = np.arange(len(same))[:, None]
+        run = steps - np.maximum.accumulate(np.where(same, -1, steps), axis=0)
+        at = int(np.argmax(np.max(run, axis=1)))
+        most, many = int(np.max(run)), same.size
         share = (np.sum(same) - most + 1) / (many - most + 1)
         if most > 1 and many * share**most < REFUSED:
             raise ValueError(

@@ -17,21 +17,26 @@ LAGS = 20
 
 
 class Fit(NamedTuple):
-    """Of each sample (K, B): log_likelihood, nis (normalised innovation squared per reading), normal (K, B, N) innovations."""
+    """Of each sample (K, B): log_likelihood, nis (normalised innovation squared per reading), normal (K, B, N) innovations.
+
+    single (K, B, N): errors of each reading predicted from all others, over their standard deviations.
+    """
 
     log_likelihood: Array
     nis: Array
     normal: Array
+    single: Array
 
 
 def fitted(plant: Plant, log: Log) -> Fit:
     """Run the filter of a plant and its disturbances over a log of runs."""
-    likelihood, nis, normal = [], [], []
+    likelihood, nis, normal, single = [], [], [], []
     for now in filtered(fixed(plant), log):
         likelihood.append(now.log_likelihood)
         nis.append(np.sum(now.normal**2, axis=-1) / np.maximum(np.sum(now.used, axis=-1), 1))
         normal.append(np.where(now.used, now.normal, np.nan))
-    return Fit(np.stack(likelihood), np.stack(nis), np.stack(normal))
+        single.append(now.single)
+    return Fit(np.stack(likelihood), np.stack(nis), np.stack(normal), np.stack(single))
 
 
 def coloured(normal: Array) -> float:

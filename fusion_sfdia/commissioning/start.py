@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from fusion_sfdia.commissioning.innovations import filtered, fixed
@@ -12,21 +14,36 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.gaussian import dense
 
+Array = NDArray[Any]
+
 REFUSED = 1e-3  # probability that a start as stated is moved
 WIDE = 100.0  # standard deviations of the stated start
 
 
-def started(plant: Plant, log: Log) -> Plant:
-    """The plant with x0 at the mean of the states that a log of runs begins with, where its own contradicts the first readings.
+class Start(NamedTuple):
+    """The state x0 (n,) that runs begin with, and the variance of their first states about it (n,)."""
 
-    Its initial covariance then also holds their spread. The state of each run is smoothed from its first readings, with a start
-    that is 100 times as uncertain.
+    x0: Array
+    spread: Array
+
+
+def with_start(plant: Plant, start: Start) -> Plant:
+    """The plant that starts there; its initial covariance also holds the spread."""
+    own = plant.initial_cov
+    cov = own + start.spread if own.ndim == 1 else own + np.diag(start.spread)
+    return replace(plant, x0=start.x0, initial_cov=cov)
+
+
+def first_state(plant: Plant, log: Log) -> Start | None:
+    """The mean and variance of the states that a log of runs begins with; None where the plant's own x0 fits them.
+
+    The state of each run is smoothed from its first readings, with a start that is 100 times as uncertain.
     """
     first = Log(log.t[:1], log.y[:1], log.u[:1])
     model = fixed(plant)
     (stated,) = filtered(model, first)
     if np.sum(stated.normal**2) < chi2.isf(REFUSED, int(np.sum(stated.used))):
-        return plant
+        return None
     n = len(plant.states)
     factor = np.where(np.arange(model.x0.size) < n, WIDE, 1.0)
     wide = dense(model.initial_cov) * np.outer(factor, factor)
@@ -36,10 +53,5 @@ def started(plant: Plant, log: Log) -> Plant:
     gain = turned @ np.linalg.pinv(free.tangent @ turned + dense(model.process_cov), hermitian=True)
     moved = (gain @ (free.x - ahead)[..., None])[..., :n, 0]
     spread = np.mean((moved - np.mean(moved, axis=0)) ** 2, axis=0)
-    own = plant.initial_cov
     low, high = plant.state_limits
-    return replace(
-        plant,
-        x0=np.clip(plant.x0 + np.mean(moved, axis=0), low, high),
-        initial_cov=own + spread if own.ndim == 1 else own + np.diag(spread),
-    )
+    return Start(np.clip(plant.x0 + np.mean(moved, axis=0), low, high), spread)

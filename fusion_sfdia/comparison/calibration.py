@@ -7,7 +7,7 @@ common rate, and isolates, replaces and latches.
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, pl
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.random_streams import stream
-from fusion_sfdia.core.silent import silent, silent_scores
+from fusion_sfdia.core.silent import require_scale, silent, silent_scores
 
 Array = NDArray[Any]
 
@@ -70,15 +70,6 @@ def calibrated(
     return Calibrated(detector, scale, standard_ends(scores, scale, false_alarm), scores, claim(by.name, detector))
 
 
-def require_scale(name: str, detector: Any) -> None:
-    """Raise ValueError unless the detector's thresholds can be scaled."""
-    if not is_dataclass(detector) or "threshold_scale" not in (f.name for f in fields(detector)):
-        raise ValueError(
-            f"detector {name} has no field threshold_scale, by which its thresholds are brought to the common rate; "
-            "derive it from BatchDetector, or make it a frozen dataclass with that factor of all its thresholds"
-        )
-
-
 def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[float, float]:
     """The scale divided and multiplied by exp of the standard error of its logarithm, over resampled runs (scores (K, R))."""
     rng, runs = stream(0, "calibration runs"), scores.shape[1]
@@ -89,6 +80,8 @@ def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[floa
 
 def claim(name: str, detector: Any) -> float:
     """Alarms a step over all sensors that a detector claims at most, NaN where it claims nothing below 1."""
+    if (fitted := getattr(detector, "fitted_rate", None)) is not None:
+        return float(fitted)
     if (rate := getattr(detector, "false_alarm", None)) is not None:
         return float(rate)
     if (alpha := getattr(detector, "alpha", None)) is not None:  # Chebyshev's inequality for each sensor

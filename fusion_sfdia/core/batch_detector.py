@@ -7,6 +7,7 @@ of vectors.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
@@ -39,11 +40,14 @@ class BatchDetector(ABC):
     """A detector whose state is a `State`: a subclass defines its memory, how it starts, and how it judges readings.
 
     The memory is a NamedTuple of arrays with the batch as leading axes, or of such tuples, see `core.state`.
-    threshold_scale: factor on all thresholds, for the comparison of detectors at one false-alarm rate.
+    threshold_scale: factor on all thresholds, for the comparison of detectors at one false-alarm rate. fitted_rate: the rate
+    per step over all sensors for which that factor was fitted to healthy readings, None where it was not: `false_alarm`, where
+    a detector has it, is what its thresholds have at a factor of 1 on the model itself.
     """
 
     plant: Plant
     threshold_scale: float = field(default=1.0, kw_only=True)
+    fitted_rate: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         if not isinstance(self.plant, Plant):
@@ -52,6 +56,8 @@ class BatchDetector(ABC):
             raise ValueError(
                 f"threshold_scale is {self.threshold_scale}; expected a positive number; 1 leaves the thresholds unchanged"
             )
+        if self.fitted_rate is not None:
+            probability("fitted_rate", self.fitted_rate)
 
     @abstractmethod
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
@@ -93,7 +99,7 @@ class BatchDetector(ABC):
                 f"one score in {1 / false_alarm:.0f} of the healthy readings exceeds {scale:g}, so that no scale of the "
                 f"thresholds of {type(self).__name__} has that false-alarm rate; use the detector unchanged"
             )
-        return replace(self, threshold_scale=scale)
+        return replace(self, threshold_scale=scale, fitted_rate=false_alarm)
 
     def _healthy(self, healthy: Any, false_alarm: float, warm_up: int) -> Log:
         """The healthy readings as a Log; ValueError where they or the numbers do not fit."""
@@ -146,6 +152,25 @@ class BatchDetector(ABC):
             diverged, after = diverged[0, ...], mapped(_as_single, after)
             found = {name: None if a is None else a[0, ...] for name, a in found.items()}
         return State(state.seed, np.array(now.k), np.array(now.t), diverged, after), Decision(**found)
+
+    def readmit(self, state: State, sensors: str | Iterable[str]) -> State:
+        """The state in which sensors, by name, are used again in all runs: after their repair, or where an isolation was wrong.
+
+        A sensor that alone sees a lasting mode of the plant may never be used again on its own, since the estimate without it
+        keeps its error (`inspect_plant` lists them): a bank then also widens the covariance of its estimate by what the
+        readings differed from it, so that it follows the repaired sensor. Nor is any of a detector whose alarms latch.
+        Detectors that judge each reading anew keep none out; they return the state as it is. ValueError for a state of
+        another detector and an unknown sensor.
+        """
+        self._batch_of(state)
+        named = [sensors] if isinstance(sensors, str) else list(sensors)
+        which = np.zeros(len(self.plant.sensors), bool)
+        which[[self.plant.sensor_index(name) for name in named]] = True
+        return state._replace(memory=self._readmitted(state.memory, float(state.t), which))
+
+    def _readmitted(self, memory: Any, t: float, which: Array) -> Any:
+        """The memory at t (s) with the sensors `which` (N,) in use again."""
+        return memory
 
     @cached_property
     def _input_limits(self) -> InputLimits:

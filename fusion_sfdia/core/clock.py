@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
 
@@ -14,6 +14,8 @@ class Clock(NamedTuple):
     def at(self, t: float) -> str:
         """A time t (s) in words: "2026-03-01 14:20:05+01:00", or "1205 s" without a start."""
         if self.start is None:
-            return f"{t:g} s"
+            return f"{t:.10g} s"
         moment = self.start + timedelta(seconds=t)
+        if self.start.tzinfo is not None:  # on the clock of the zone, which may have changed in between
+            moment = (self.start.astimezone(UTC) + timedelta(seconds=t)).astimezone(self.start.tzinfo)
         return moment.isoformat(sep=" ", timespec="milliseconds" if moment.microsecond else "seconds")

@@ -160,7 +160,7 @@ class Integrated:
 
     def _advanced(self, t: float, x: Array, u: Array, dt: float, theta: Array, width: int) -> Array | None:
         """The step by the program, where width is 0, or its derivatives (..., n, width); None without one."""
-        if (program := self.program) is None or any(a.dtype.kind == "c" for a in (x, u, theta)):
+        if (program := self.program) is None or not all(map(_real, (x, u, theta))):
             return None
         batch, x, u, theta = _as_rows(x, u, theta)
         decay, nominal = self._constants
@@ -172,7 +172,7 @@ class Integrated:
 
     def _read(self, t: float, x: Array, u: Array, theta: Array, width: int) -> Array | None:
         """The same of the readings (..., N)."""
-        if (program := self.program) is None or any(a.dtype.kind == "c" for a in (x, u, theta)):
+        if (program := self.program) is None or not all(map(_real, (x, u, theta))):
             return None
         batch, x, u, theta = _as_rows(x, u, theta)
         y, by, settled = straight_line_kernels.read(float(t), x, u, theta, self.picks, self._constants[1], width, program)
@@ -227,6 +227,11 @@ def _by_theta(function: Any, unknown: tuple[str, ...], c: Any, t: float, x: Arra
     values = {name: theta[..., j][()] for j, name in enumerate(unknown)}
     found: Array = function(t, x, z, u, c._replace(**values) if unknown else c)
     return found
+
+
+def _real(a: Array) -> bool:
+    """Whether this is an array of real numbers, not one that records what is done with it."""
+    return type(a) is np.ndarray and a.dtype.kind != "c"
 
 
 def _as_rows(x: Array, u: Array, theta: Array) -> tuple[tuple[int, ...], Array, Array, Array]:

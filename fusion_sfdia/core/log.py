@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats, require_unique, shown
+from fusion_sfdia.core.arguments import floats, shown
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.signals import Signal
 
 Array = NDArray[Any]
 
@@ -37,13 +37,13 @@ def as_log(
     """Return recorded readings of a plant as a Log.
 
     data: t (K,), y (K, ..., N), u (K, ..., m) as three arguments or one tuple, a Log, or a Recording, the names of whose
-    sensors and inputs must be the plant's; or a pandas frame with a column for each sensor and input, as `read_log` has
+    sensors and inputs must be the plant's; or a pandas frame with a column for each sensor and input, as `load_log` has
     them. Its times are in a column `time`, in an index of that name, or in an index of time stamps or durations. Times are
-    in seconds. Only a frame may have time stamps (datetime64, with or without a time zone), which become seconds since its
-    first row, which then is at 0 s, and durations (timedelta64), which become seconds.
-    absent_sensors, other_columns, nominal_inputs: of a frame, as in `read_log`. ValueError for anything else, for shapes
-    that do not fit, for no reading at all, for inputs of a frame beyond their limits, and for time stamps in an array, which
-    could be read as nanoseconds.
+    in seconds. Only a frame may have time stamps, which become seconds since its first row, which then is at 0 s, and
+    durations (timedelta64), which become seconds. y and u may be frames with the names of sensors and inputs, in any order.
+    absent_sensors, other_columns, nominal_inputs: of a frame, as in `load_log`. ValueError for anything else, for shapes
+    that do not fit, for no reading at all, for inputs that are missing, for inputs of a frame beyond their limits, and for
+    time stamps in an array, which could be read as nanoseconds.
     """
     if len(data) == 1 and type(data[0]).__module__.split(".")[0] == "pandas" and hasattr(data[0], "columns"):
         t, y, u = _of_frame(plant, data[0], absent_sensors, other_columns, nominal_inputs)
@@ -59,11 +59,15 @@ def as_log(
                 f"the columns time, {_some([*plant.sensor_names, *(s.name for s in plant.inputs)])}"
             )
         t, y, u = given
+        y, u = _by_name("y", y, plant.sensor_names), _by_name("u", u, [s.name for s in plant.inputs])
     t, y, u = floats("t", t), floats("y", y), floats("u", u)
     if t.ndim != 1 or y.ndim < 2 or u.ndim < 2 or y.shape[:1] != t.shape or u.shape[:1] != t.shape:
         raise ValueError(
             f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, ..., sensors), (K, ..., inputs)"
         )
+    _require_known(plant, u)
+    if t.size and 1e11 <= t[0] < 1e20:
+        raise ValueError(f"t begins at {t[0]:.0f} s, which looks like milli-, micro- or nanoseconds since 1970; pass seconds")
     if not t.size:
         raise ValueError("there are no readings: t is empty; pass at least one time")
     return Log(t, y, u)
@@ -92,18 +96,9 @@ def require_same_names(plant: Plant, data: Any) -> None:
             )
 
 
-def usual_inputs(where: str, plant: Plant, t: Array, columns: dict[str, int], stacklevel: int) -> Array:
-    """Return the plant's operation (K, m) at the reading before each t, or dt before it where that is later.
-
-    A UserWarning, at that level of the stack, names the inputs without a column, for which the operation is used.
-    """
+def usual_inputs(plant: Plant, t: Array) -> Array:
+    """Return the plant's operation (K, m) at the reading before each t, or dt before it where that is later."""
     before = np.maximum(t - plant.dt, np.concatenate([t[:1] - plant.dt, t[:-1]]))
-    if assumed := [s.name for s in plant.inputs if s.name not in columns]:
-        source = "the nominal values" if plant.truth.operation is None else "the usual inputs"
-        warnings.warn(
-            f"{where}: no column for the inputs {_some(assumed)}; {source} of plant {plant.name!r} are used instead",
-            stacklevel=stacklevel,
-        )
     return np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
 
 
@@ -116,109 +111,42 @@ def require_within_limits(where: str, plant: Plant, signal: Signal, values: Arra
         )
 
 
-def find_columns(where: str, header: Sequence[str], plant: Plant, absent: bool, other: bool, nominal: bool) -> dict[str, int]:
-    """Return the position of each name's column in a header; ValueError for a header that does not fit the plant.
-
-    absent, other, nominal: whether sensors without a column, columns of nothing and inputs without a column are accepted.
-    """
-    named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *plant.inputs)
-    require_unique(f"columns of a log of plant {plant.name!r}", [c.name for c in named])
-    units = {c.name: c.unit for c in named}
-    found: dict[str, int] = {}
-    unknown = []
-    for i, title in enumerate(header):
-        name, unit = _title(title)
-        if name not in units:
-            unknown.append(name)
-            continue
-        if name in found:
-            raise ValueError(f"{where}: the column {name!r} occurs twice; keep one")
-        if unit is not None and unit != units[name]:
-            raise ValueError(
-                f"{where}: column {name!r} is in {shown(unit)}, plant {plant.name!r} has it in {units[name]!r}; convert "
-                "the column, or read with the plant in that unit (Plant.in_units)"
-            )
-        found[name] = i
-    lacking = [n for n in (TIME.name, *plant.sensor_names) if n not in found]
-    if TIME.name in lacking and len(header) == 1 and (mark := re.search("[;\t|]", header[0])):
-        raise ValueError(f"{where}: cells are separated by {mark[0]!r}; expected commas, and decimal points")
-    if TIME.name in lacking:
-        raise ValueError(f"{where}: no column 'time' among {_some(header)}; give the column of the times (s) that name")
-    if lacking and not absent:
-        raise ValueError(
-            f"{where}: no column for the sensors {_some(lacking)} of plant {plant.name!r}; add them (empty where not read), "
-            "or take them as missing with --absent-sensors (absent_sensors=True)"
-        )
-    if len(lacking) == len(plant.sensors):
-        raise ValueError(f"{where}: no column of any sensor of plant {plant.name!r}; sensors: {_some(plant.sensor_names)}")
-    if (unset := [s.name for s in plant.inputs if s.name not in found]) and not nominal:
-        raise ValueError(
-            f"{where}: no column for the inputs {_some(unset)} of plant {plant.name!r}; add them, or assume the plant's usual "
-            "inputs with --nominal-inputs (nominal_inputs=True)"
-        )
-    if unknown and not other:
-        raise ValueError(
-            f"{where}: the columns {_some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, "
-            "or ignore them with --other-columns (other_columns=True)"
-        )
-    return found
-
-
 def _of_frame(plant: Plant, frame: Any, absent: bool, other: bool, nominal: bool) -> Log:
     """The columns of a pandas frame by name, the times from its column `time` or else from its index."""
-    where, header = "the frame", [str(title) for title in frame.columns]
-    has_times = TIME.name in (_title(title)[0] for title in header)
-    as_index = not has_times and (frame.index.dtype.kind in "mM" or frame.index.name == TIME.name)
-    if not has_times and not as_index:
+    from fusion_sfdia.logs.reading import load_log
+
+    found = load_log(frame, plant, absent_sensors=absent, other_columns=other, nominal_inputs=nominal)
+    for finding in found.findings:
+        if finding.kind == "nominal inputs":
+            warnings.warn(f"the frame: {finding.text}", stacklevel=3)
+    return found.log
+
+
+def _by_name(what: str, given: Any, names: Sequence[str]) -> Any:
+    """A pandas frame with the columns in the order of the names; anything else, also a frame with numbered columns, as it is.
+
+    ValueError for a frame that has other columns.
+    """
+    columns = getattr(given, "columns", None)
+    if type(given).__module__.split(".")[0] != "pandas" or columns is None or columns.dtype.kind in "iu":
+        return given
+    titles = [re.sub(r"\s*\[[^\[\]]*\]\s*$", "", str(title)).strip() for title in columns]
+    if sorted(titles) != sorted(names):
+        raise ValueError(f"{what} is a frame with the columns {_some(titles)}; expected {_some(names)}, in any order")
+    return given.iloc[:, [titles.index(name) for name in names]]
+
+
+def _require_known(plant: Plant, u: Array) -> None:
+    """Raise ValueError, which names the row, for an input that is missing or infinite."""
+    if u.shape[-1] == len(plant.inputs) and not np.isfinite(u).all():
+        at = np.argwhere(~np.isfinite(u))[0]
         raise ValueError(
-            f"{where}: no column 'time' among {_some(header)}, and its index has the name {frame.index.name!r}; give the "
-            "column of the times (s) that name, or the index: frame.rename_axis('time')"
+            f"u has {u[tuple(at)]} in row {at[0]} (the first is 0), input {plant.inputs[at[-1]].name!r}; an input must be "
+            "known: give its value, hold the one before, or leave the row out"
         )
-    columns = find_columns(where, [*header, *([TIME.name] if as_index else [])], plant, absent, other, nominal)
-    t = _seconds(where, frame.index if as_index else frame.iloc[:, columns[TIME.name]])
-
-    def values(name: str) -> Array:
-        return _numbers(where, name, frame.iloc[:, columns[name]])
-
-    y = np.full((t.size, len(plant.sensors)), np.nan)
-    for i, name in enumerate(plant.sensor_names):
-        if name in columns:
-            y[:, i] = values(name)
-    u = usual_inputs(where, plant, t, columns, stacklevel=4)
-    for i, signal in enumerate(plant.inputs):
-        if signal.name in columns:
-            u[:, i] = values(signal.name)
-            require_within_limits(where, plant, signal, u[:, i], range(1, t.size + 1))
-    return Log(t, y, u)
-
-
-def _seconds(where: str, column: Any) -> Array:
-    """Return the times of a pandas column or index (K,) in s: time stamps since the first, durations as they are."""
-    if (kind := column.dtype.kind) not in "mM":
-        return _numbers(where, TIME.name, column)
-    stamps = np.asarray(column, dtype="datetime64[ns]" if kind == "M" else "timedelta64[ns]")  # in UTC
-    if np.any(np.isnat(stamps)):
-        raise ValueError(f"{where}, column {TIME.name}: row {np.argmax(np.isnat(stamps)) + 1} has no time; drop such rows")
-    return np.asarray((stamps - stamps[:1] if kind == "M" else stamps) / np.timedelta64(1, "s"))
-
-
-def _numbers(where: str, name: str, column: Any) -> Array:
-    """Return a pandas column or index of numbers (K,) as floats, NaN where missing; ValueError for any other type."""
-    if column.dtype.kind not in "biuf":
-        raise ValueError(
-            f"{where}, column {name}: its type is {column.dtype}; expected numbers, NaN where missing: convert it with "
-            f"pandas.{'to_datetime' if name == TIME.name else 'to_numeric'}"
-        )
-    return np.asarray(column.to_numpy(dtype=float, na_value=np.nan))
 
 
 def _some(names: Sequence[str]) -> str:
     """The first names, each cut to a length that a line can hold."""
     shown = ", ".join(repr(n if len(n) <= 20 else f"{n[:20]}...") for n in names[:8])
     return f"{shown} and {len(names) - 8} more" if len(names) > 8 else shown
-
-
-def _title(title: str) -> tuple[str, str | None]:
-    match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\])?\s*", title, flags=re.DOTALL)
-    name, unit = match.groups() if match else (title, None)
-    return name, None if unit is None else unit.strip()

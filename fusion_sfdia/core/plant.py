@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.analytic import WRONG, Use, non_analytic
 from fusion_sfdia.core.arguments import floats, number, require_unique
 from fusion_sfdia.core.covariance import diagonal, require_covariance
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
@@ -206,13 +207,31 @@ class Plant:
 
     @cached_property
     def _complex_step_holds(self) -> tuple[bool, bool]:
-        """Whether it agrees with differences for step and for output, at points about x0, where, for example, a valve acts."""
+        """Whether it agrees with differences for step and for output, at points about x0, where, for example, a valve acts,
+        and neither depends on abs, sign or the like, perhaps elsewhere.
+        """
+        given = self.jacobians
+        x, u, scale = self._points, self.input_at(0.0), self.state_scale
+        functions = (lambda p: self.step(0.0, p, u, self.dt)), (lambda p: self.output(0.0, p, u))
+        step, output = (
+            jacobian is not None or (not any(use.effect == WRONG for use in used) and complex_step_holds(function, x, scale))
+            for jacobian, used, function in zip(given, self.non_analytic, functions, strict=True)
+        )
+        return step, output
+
+    @cached_property
+    def _points(self) -> Array:
+        """Four states about x0, not on a limit of the model."""
         spread = self.state_scale * np.random.default_rng(0).standard_normal((4, len(self.states)))
-        x = self.x0 + (self.guard(self.x0 + spread)[0] - self.x0) / 2  # not on a limit of the model
-        u, scale, (of_step, of_output) = self.input_at(0.0), self.state_scale, self.jacobians
+        return np.asarray(self.x0 + (self.guard(self.x0 + spread)[0] - self.x0) / 2)
+
+    @cached_property
+    def non_analytic(self) -> tuple[tuple[Use, ...], tuple[Use, ...]]:
+        """The functions on which step and output depend and that are not analytic, see `core.analytic`."""
+        u = self.input_at(0.0)
         return (
-            of_step is not None or complex_step_holds(lambda p: self.step(0.0, p, u, self.dt), x, scale),
-            of_output is not None or complex_step_holds(lambda p: self.output(0.0, p, u), x, scale),
+            non_analytic(lambda p: self.step(0.0, p, u, self.dt), self._points),
+            non_analytic(lambda p: self.output(0.0, p, u), self._points),
         )
 
     def _of_shape(self, what: str, jacobian: Array, rows: int) -> Array:

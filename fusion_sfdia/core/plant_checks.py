@@ -65,11 +65,29 @@ def require_shapes(plant: Plant) -> None:
                     "...), a Signal for each input"
                 ) from error
             raise ValueError(
-                f"{what} of plant {plant.name!r} fails for states {x.shape} and inputs {u.shape}: {error}; write it for "
-                "batches, which are leading axes: x[..., 0]"
+                f"{what} of plant {plant.name!r} fails for states {x.shape} and inputs {u.shape}: {error}; {_cure(error)}"
             ) from error
         if found != expected:
             raise ValueError(
                 f"{what} of plant {plant.name!r} gives shape {found} for states {x.shape}; expected {expected}: one number "
                 f"for each {'state' if what == 'step' else 'sensor'}, with a batch as leading axes (x[..., 0])"
+                f"{_axis(found, expected)}"
             )
+
+
+def _cure(error: Exception) -> str:
+    """What to write in place of what fails on a batch."""
+    text = str(error)
+    if "truth value of an array" in text:
+        return (
+            "`if`, `min` and `max` of Python take one number; write np.where, np.minimum and np.maximum, which take batches of "
+            "states"
+        )
+    if "can be converted to Python scalars" in text or "must be real number" in text or "unsupported format" in text:
+        return "functions of `math` and float() take one number; write those of numpy, np.sqrt, which take batches of states"
+    return "write it for batches, which are leading axes: x[..., 0]"
+
+
+def _axis(found: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    """What to write where the numbers are stacked along another axis than the last."""
+    return "; stack them along the last axis, np.stack([...], axis=-1)" if found == (expected[-1], *expected[:-1]) else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,30 @@ NEGLIGIBLE = 1e-6  # relative: the smallest part of a mode in a reading, above r
 LASTING = 100.0  # samples, our choice: a mode that keeps more than 1/e of an error for longer lasts, others decay
 
 
-def most_faults(plant: Plant) -> int:
-    """Return the number of sensors that the plant's redundancy allows to be left out together, at least 1.
+class Mode(NamedTuple):
+    """A lasting mode of a plant: the state that it moves most, in units of its scale, and the sensors that see it."""
+
+    state: str
+    sensors: tuple[str, ...]
+
+
+class Redundancy(NamedTuple):
+    """faults: sensors that may be left out together, at least 1. reason: what limits it, a phrase. modes: those that last."""
+
+    faults: int
+    reason: str
+    modes: tuple[Mode, ...]
+
+    @property
+    def indispensable(self) -> tuple[str, ...]:
+        """Sensors that alone see a lasting mode: without one of them the estimate keeps its error, so that it cannot be
+        readmitted on its own, and its fault cannot be told from a change of the state.
+        """
+        return tuple(dict.fromkeys(mode.sensors[0] for mode in self.modes if len(mode.sensors) == 1))
+
+
+def redundancy(plant: Plant) -> Redundancy:
+    """Return the number of sensors that the plant's redundancy allows to be left out together, and why.
 
     The N - k sensors that stay and the model's prediction, one vote more, must outnumber the k that are left out: k <= N / 2.
     Where more sensors contradict the model than agree with it, the model is suspect. A mode of the plant that does not decay
@@ -32,11 +54,23 @@ def most_faults(plant: Plant) -> int:
     """
     t, x, u, scale = 0.0, plant.x0, plant.input_at(0.0), plant.state_scale
     step, output = plant.step_jacobian_at(t, x, u, plant.dt), plant.output_jacobian_at(t, x, u)
-    count = len(plant.sensors) // 2
+    count, names = len(plant.sensors), np.array(plant.sensor_names)
+    modes: tuple[Mode, ...] = ()
     if np.all(np.isfinite(step)) and np.all(np.isfinite(output)):  # else the model has no modes at x0
-        seen = _seen(step * scale / scale[:, None], output * scale / plant.sensor_sigma[:, None])
-        count = min([count, *((m - 1) // 2 for m in seen)])
-    return max(count, 1)
+        found = _seen(step * scale / scale[:, None], output * scale / plant.sensor_sigma[:, None])
+        modes = tuple(Mode(plant.states[largest].name, tuple(map(str, names[sees]))) for largest, sees in found)
+    half = f"half of the {count} sensors"
+    if not modes or (len((least := min(modes, key=lambda m: len(m.sensors))).sensors) - 1) // 2 >= count // 2:
+        return Redundancy(max(count // 2, 1), half if count > 1 else "the only sensor", modes)
+    seen = len(least.sensors)
+    by = f"{seen} sensor{'s' * (seen != 1)} ({', '.join(least.sensors[:4])}{', ...' * (seen > 4)})" if seen else "no sensor"
+    what = "" if seen > 2 else ": no majority remains where one of them fails"
+    return Redundancy(max((seen - 1) // 2, 1), f"{least.state} keeps its error and is seen by {by}{what}", modes)
+
+
+def most_faults(plant: Plant) -> int:
+    """Return the number of sensors that may be left out together, see `redundancy`."""
+    return redundancy(plant).faults
 
 
 def require_max_faults(plant: Plant, given: int | None) -> None:
@@ -45,17 +79,20 @@ def require_max_faults(plant: Plant, given: int | None) -> None:
         raise ValueError(f"max_faults is {given}; plant {plant.name!r} has {len(plant.sensors)} sensors, give fewer")
 
 
-def _seen(F: Array, H: Array) -> list[int]:
-    """The number of sensors, the rows of H, in which each lasting mode of F is observable."""
+def _seen(F: Array, H: Array) -> list[tuple[int, Array]]:
+    """Of each lasting mode of F the state with its largest part, and in which sensors (N,), the rows of H, it is observable."""
     found, lasting = [], [v for v in np.linalg.eigvals(F) if abs(v) > np.exp(-1 / LASTING) and v.imag >= 0]
     for k, value in enumerate(lasting):
         if any(abs(value - other) <= NEGLIGIBLE for other in lasting[:k]):
             continue  # its modes have been counted
-        shown = H @ null_space(F - value * np.eye(len(F)), rcond=NEGLIGIBLE)
+        modes = null_space(F - value * np.eye(len(F)), rcond=NEGLIGIBLE)
+        shown = H @ modes
         _, _, order = qr(shown.T, mode="economic", pivoting=True)
         pivot = shown[order[: shown.shape[1]]]
         if pivot.size and np.linalg.cond(pivot) < 1 / NEGLIGIBLE:
+            modes = np.linalg.solve(pivot.T, modes.T).T
             shown = np.linalg.solve(pivot.T, shown.T).T  # each mode is seen by one of the pivots
         visible = np.abs(shown)
-        found += np.sum(visible > NEGLIGIBLE * np.max(visible, axis=0), axis=0).tolist()
+        sees = visible > NEGLIGIBLE * np.max(visible, axis=0)
+        found += list(zip(np.argmax(np.abs(modes), axis=0).tolist(), sees.T, strict=True))
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,15 @@ from fusion_sfdia.core.detector import Decision
 Array = NDArray[Any]
 
 SILENT = 1e6  # factor on the thresholds
+
+
+def require_scale(name: str, detector: Any) -> None:
+    """Raise ValueError unless the detector's thresholds can be scaled."""
+    if not is_dataclass(detector) or "threshold_scale" not in (f.name for f in fields(detector)):
+        raise ValueError(
+            f"detector {name} has no field threshold_scale, by which its thresholds are brought to the common rate; "
+            "derive it from BatchDetector, or make it a frozen dataclass with that factor of all its thresholds"
+        )
 
 
 def silent(detector: Any) -> Any:

@@ -94,9 +94,7 @@ def save_state(path: str | Path, detector: Detector, state: State) -> None:
 
     On the same machine a run goes on from it with the same bits. ValueError for arrays of objects.
     """
-    require_detector(detector)
-    arrays = dict(zip(names(state), map(np.asarray, leaves(state)), strict=True))
-    write_arrays(Path(path), {"fingerprint": np.array(fingerprint(detector)), **arrays})
+    write_arrays(Path(path), state_arrays(detector, state))
 
 
 def load_state(path: str | Path, detector: Detector) -> State:
@@ -108,14 +106,27 @@ def load_state(path: str | Path, detector: Detector) -> State:
     require_detector(detector)
     try:
         arrays = read_arrays(Path(path))
-        found = str(arrays.pop("fingerprint"))
     except (KeyError, ValueError) as error:
         raise ValueError(f"{path} is not a saved detector state ({error}); write one with save_state") from error
+    return state_of(path, detector, arrays)
+
+
+def state_arrays(detector: Detector, state: State) -> dict[str, NDArray[Any]]:
+    """A detector's state as arrays by name, with the fingerprint of the detector, for files that hold more than a state."""
+    require_detector(detector)
+    arrays = dict(zip(names(state), map(np.asarray, leaves(state)), strict=True))
+    return {"fingerprint": np.array(fingerprint(detector)), **arrays}
+
+
+def state_of(path: str | Path, detector: Detector, arrays: Mapping[str, NDArray[Any]]) -> State:
+    """The state of `state_arrays`, read from the file `path`; ValueError as for `load_state`."""
+    if "fingerprint" not in arrays:
+        raise ValueError(f"{path} is not a saved detector state ('fingerprint'); write one with save_state")
     if "detector" in arrays:
         raise ValueError(f"{path} is a saved detector, not a state; read it with load_detector(path, plant)")
     if "t" not in arrays:
         raise ValueError(f"{path} {OTHER_FIELDS}")
-    if found != fingerprint(detector):
+    if str(arrays["fingerprint"]) != fingerprint(detector):
         raise ValueError(
             f"{path} was saved by another detector, other settings or another plant than {type(detector).__name__} "
             f"on {detector.plant.name!r}; build the detector as it was when the state was saved"
@@ -124,7 +135,7 @@ def load_state(path: str | Path, detector: Detector) -> State:
         warnings.simplefilter("ignore")  # init has warned before the state was saved
         layout = detector.init()
     expected = names(layout)
-    if set(arrays) != set(expected):
+    if set(arrays) != {"fingerprint", *expected}:
         raise ValueError(f"{path} {OTHER_FIELDS}")
     state: State = rebuilt(layout, [arrays[name] for name in expected])
     return state

@@ -129,6 +129,8 @@ class Uncertainty:
     derivatives with respect to x, u and theta, side by side; None for the complex step, or differences where that fails.
     inputs: standard deviation of the constant error of an input, by its name, in its unit.
     at_rest: whether x0 is a steady state under the usual input, which follows from the parameters and the inputs that act.
+    changes: standard deviation from which the size of a later change is judged, by the name of a parameter or `error_of` an
+    input, where that is not its present one: a healthy log tells what a value is, not how far it may change.
     disturbances: unknown signals. considered: names of states that a filter does not update, but whose uncertainty counts;
     `augment` adds those of this treatment. rebuild: the plant at other values, rebuild(**{parameter: value}), of any number of
     parameters; None where only step and output state them. Raises ValueError for what does not fit together.
@@ -142,6 +144,7 @@ class Uncertainty:
     inputs: Mapping[str, float] = field(default_factory=dict)
     disturbances: tuple[Disturbance, ...] = ()
     considered: tuple[str, ...] = ()
+    changes: Mapping[str, float] = field(default_factory=dict)
     at_rest: bool = False
     rebuild: Callable[..., Plant] | None = None
 
@@ -165,6 +168,9 @@ class Uncertainty:
         for name, sd in self.inputs.items():
             if not 0 < number(f"error of input {name!r}", sd) < np.inf:
                 raise ValueError(f"error of input {name!r} is {sd}; its standard deviation must be positive and finite")
+        for name, sd in self.changes.items():
+            if not 0 < number(f"change of {name!r}", sd) < np.inf:
+                raise ValueError(f"change of {name!r} is {sd}; its standard deviation must be positive and finite")
 
     @property
     def stated(self) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import number
+from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.plant_groups import Finer, fed_back, scaled
 from fusion_sfdia.core.uncertainty import Uncertainty
 
@@ -24,9 +24,15 @@ def in_units(plant: Plant, units: Mapping[str, tuple[str, float]]) -> Plant:
     """Return the plant with {sensor: (unit, readings per present unit)}; ValueError for an unknown sensor."""
     factor = np.ones(len(plant.sensors))
     sensors = list(plant.sensors)
-    for name, (unit, scale) in units.items():
+    for name, given in units.items():
         i = plant.sensor_index(name)
         s = sensors[i]
+        if not isinstance(given, tuple | list) or len(given) != 2 or not isinstance(given[0], str):
+            raise ValueError(
+                f"unit of sensor {name!r} is {shown(given)}; expected the unit and readings in it per {s.unit}, as in "
+                '("mm", 1000.0) for a sensor in m'
+            )
+        unit, scale = given
         factor[i] = scale = number(f"scale of sensor {name!r}", scale)
         sigma, bound = s.sigma and s.sigma * abs(scale), s.bound and s.bound * abs(scale)
         sensors[i] = replace(s, unit=unit, sigma=sigma, bound=bound, scale=s.scale * scale)

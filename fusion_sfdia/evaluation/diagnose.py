@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.detector import Decision, Detector, MissingPackageError, ProcessHypothesis, run
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.detector import Decision, Detector, MissingPackageError, ProcessHypothesis, stack
+from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
-from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.events import Event, events_of, verdict
+from fusion_sfdia.evaluation.absent import repeats
+from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
+from fusion_sfdia.evaluation.health import Health, health_of
+from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
+from fusion_sfdia.evaluation.sensor_events import explained, false_alarm_of
 
 Array = NDArray[Any]
 
-MOST_BRIDGES = 10_000  # steps in gaps, in addition to ten for each reading: a day's outage in steps of 10 s
+SECONDS = Clock()
+MOST_GAPS = 5  # lines
 
 
 @dataclass(frozen=True, repr=False)
@@ -25,24 +32,41 @@ class Diagnosis:
     """Events, and the Decisions (time first) behind them with the times (K,).
 
     In order of their start; of a detector that tests the process, too (`process_hypotheses`), its verdicts on the process
-    come first, then what it cannot tell apart, then the sensors.
+    come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
+    a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
+    residuals behind that and behind kinds and sizes, both None where an own Diagnosis does not state them.
     """
 
     events: tuple[Event, ...]
     decisions: Decision
     t: Array
     process_hypotheses: tuple[ProcessHypothesis, ...] = ()
+    clock: Clock = SECONDS
+    gaps: tuple[Gap, ...] = ()
+    health: Health | None = None
+    after: Hindsight | None = None
 
     @property
     def verdict(self) -> str:
         """What the events say together: "process or model: ...", "cannot tell: ... or ...", "sensor ...", "no fault"."""
         found = verdict(self.events, self.t)
         if np.any(lost := self.decisions.diverged):
-            return f"{found} until {self.t[np.argmax(lost)]:g} s, where the estimate diverged"
+            return f"{found} until {self.clock.at(float(self.t[np.argmax(lost)]))}, where the estimate diverged"
         return found
 
+    @property
+    def remarks(self) -> list[str]:
+        """Gaps of the log, a line each, the first few."""
+        lines = [
+            f"gap from {self.clock.at(g.start)} to {self.clock.at(g.end)}: "
+            + ("too long for the model, the estimate starts anew" if g.reset else f"predicted in {g.steps} steps")
+            for g in self.gaps[:MOST_GAPS]
+        ]
+        more = len(self.gaps) - MOST_GAPS
+        return lines if more < 1 else [*lines, f"and {more} more gaps"]
+
     def __str__(self) -> str:
-        return "\n".join([self.verdict, *(f"  {event}" for event in self.events)])
+        return "\n".join([self.verdict, *(f"  {event.told(self.clock)}" for event in self.events)])
 
     def __repr__(self) -> str:
         count = len(self.events)
@@ -59,15 +83,27 @@ class Diagnosis:
 
     def table(self) -> tuple[tuple[str, ...], list[tuple[Any, ...]]]:
         """Names of columns and a row for each event; kind, sd and nominal only where the process is tested."""
+        added = ("fault", "start", "end", "size_low", "size_high", "size_sigma", "confidence", "alternatives")
+        more = [
+            (
+                " or ".join([e.fault, *e.fault_alternatives]),
+                self.clock.at(e.start),
+                self.clock.at(e.end),
+                *(e.low, e.high, e.sigmas, e.confidence),
+                " or ".join(e.alternatives),
+            )
+            for e in self.events
+        ]
         if not self.process_hypotheses:
             rows = [(e.hypothesis, e.start, e.end, e.size, e.unit, e.open) for e in self.events]
-            return ("sensor", "start_s", "end_s", "size", "unit", "open"), rows
+            known = ("sensor", "start_s", "end_s", "size", "unit", "open")
+            return (*known, *added), [(*a, *b) for a, b in zip(rows, more, strict=True)]
         spread = [(getattr(e, "sd", np.nan), getattr(e, "nominal", np.nan)) for e in self.events]
         return (
-            ("kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open"),
+            ("kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open", *added),
             [
-                (e.kind, e.hypothesis, e.start, e.end, e.size, sd, e.unit, nominal, e.open)
-                for e, (sd, nominal) in zip(self.events, spread, strict=True)
+                (e.kind, e.hypothesis, e.start, e.end, e.size, sd, e.unit, nominal, e.open, *rest)
+                for e, (sd, nominal), rest in zip(self.events, spread, more, strict=True)
             ],
         )
 
@@ -76,58 +112,79 @@ class DiagnosisWarning(UserWarning):
     """A limit of a diagnosis that its table of events does not show."""
 
 
-def diagnose_run(detector: Detector, log: Log, *, gap: int = 3) -> Diagnosis:
+def diagnose_run(
+    detector: Detector, log: Log, *, gap: int = 3, clock: Clock = SECONDS, each: Callable[[Sequence[int]], Iterable[int]] = iter
+) -> Diagnosis:
     """Run a detector over a Log of one run, NaN where a reading is missing, and collect what it isolates into events, of a
     detector that tests the process, too, also what it accepts and what it cannot tell apart.
 
     Events of one hypothesis less than `gap` samples apart are one. Where two times are further apart than the largest step
     of the plant, the detector steps by dt through the gap without readings, under inputs interpolated between those before
-    and after. ValueError where shapes or times do not fit, or there are several runs. DiagnosisWarning where the estimate
-    diverged or was moved back into the limits of the model, where a sensor was never read, where readings or inputs are
+    and after; where that takes too many steps it starts anew (see `core.gaps`). A second look without the isolated readings
+    gives kind and size of the faults and whether the model fits. clock: of the times in the result. each: wraps the steps of
+    both passes, to show progress.
+
+    ValueError where shapes or times do not fit, or there are several runs. DiagnosisWarning where the estimate diverged or was
+    moved back into the limits of the model, where it starts anew, where a sensor was never read, where readings or inputs are
     absurd, where more sensors would be isolated than the detector allows, and where it has no thresholds and cannot raise an
     alarm.
     """
-    t, y, u = one_run(log)
-    first = float(t[0]) - (
-        detector.plant.dt if len(t) < 2 or detector.plant.numerics.fixed_dt else min(detector.plant.dt, float(t[1] - t[0]))
-    )
-    own, times, readings, inputs = _bridged(detector.plant, first, t, y, u)
-    _, decisions = run(detector, detector.init((), first), times, readings, inputs)
-    decisions = Decision(**{f.name: v[own] for f in fields(Decision) if (v := getattr(decisions, f.name)) is not None})
-    _warn(detector, t, y, u, decisions)
-    return Diagnosis(events_of(detector, t, decisions, gap), decisions, t, getattr(detector, "process_hypotheses", ()))
+    log = one_run(log)
+    t, y, u = log
+    track, gaps = bridged(detector.plant, log)
+    decisions = _decided(detector, track, each)
+    y = np.where(decisions.absurd, np.nan, y)
+    frozen = repeats(y)
+    out = left_out(decisions.isolated[:, : y.shape[1]])
+    for i, stretches in enumerate(frozen):
+        for a, b in stretches:
+            out[a : b + 1, i] = True
+    taken = track._replace(y=track.y.copy(), u=track.u.copy())
+    taken.y[track.own] = y
+    if decisions.absurd_input.shape == u.shape:
+        usual = np.array([detector.plant.input_at(float(time)) for time in t], dtype=float).reshape(u.shape)
+        taken.u[track.own] = np.where(decisions.absurd_input, usual, u)
+    after = hindsight(getattr(detector, "model", detector.plant), taken, out, each)
+    events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
+    _warn(detector, log, decisions, gaps)
+    starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
+    names, rate = detector.plant.sensor_names, false_alarm_of(detector)
+    health = health_of(names, after, starts, rate, _against_the_model(events, decisions, t, clock))
+    tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
+    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after)
 
 
-def _bridged(plant: Plant, first: float, t: Array, y: Array, u: Array) -> tuple[Array, Array, Array, Array]:
-    """The positions of the samples among times, readings and inputs in which steps of dt without readings fill long gaps.
-
-    A gap is long where the plant cannot step over it at once.
-    """
-    gaps = np.diff(t, prepend=first)
-    with np.errstate(invalid="ignore"):
-        long = (gaps > (plant.dt if plant.numerics.fixed_dt else plant.numerics.max_dt) * (1 + 1e-9)) & np.isfinite(gaps)
-        parts = np.where(long, np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
-    if np.sum(parts) > MOST_BRIDGES + 10 * t.size:
-        raise ValueError(
-            f"{t.size} readings take {np.sum(parts):.5g} steps of {plant.dt:g} s, as they are up to {np.max(gaps):g} s apart; "
-            "give times in seconds, or split the log at long gaps"
-        )
-    for k, step in enumerate(gaps / parts):
-        try:
-            plant.check_dt(float(step))
-        except ValueError as error:
-            raise ValueError(f"reading {k + 1}, {t[k]:.10g} s, is {gaps[k]:.10g} s after the one before: {error}") from error
-    last, which = np.cumsum(parts.astype(int)) - 1, np.repeat(np.arange(t.size), parts.astype(int))
-    ahead = last[which] - np.arange(which.size)  # steps of the gap that are still to come
-    times = t[which] - ahead * (gaps / parts)[which]
-    between = (ahead / parts[which])[:, None]  # 0 at a reading
-    inputs = u[which] * (1 - between) + np.concatenate([u[:1], u[:-1]])[which] * between
-    return last, times, np.where(between == 0, y[which], np.nan), inputs
+def _decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]]) -> Decision:
+    """The Decisions at the samples of a log."""
+    state, found = None, []
+    for s in each(range(track.t.size)):
+        if state is None or np.isfinite(track.begins[s]):
+            state = detector.init((), float(track.begins[s]))
+        state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
+        if track.own[s]:
+            found.append(replace(decision, covariance=None))
+    return stack(found)
 
 
-def _warn(detector: Detector, t: Array, y: Array, u: Array, decisions: Decision) -> None:
+def _against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
+    """What else than innovations speaks against the model."""
+    found = [e.difference for e in events if isinstance(e, ProcessEvent) and e.open]
+    if np.any(decisions.diverged):
+        found.append(f"the estimate diverged at {clock.at(float(t[np.argmax(decisions.diverged)]))}")
+    if np.any(decisions.capped):
+        found.append(f"more sensors disagree with it than can be isolated in {np.sum(decisions.capped)} of {t.size} samples")
+    return tuple(found)
+
+
+def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]) -> None:
     """Warn of what the events do not show."""
-    remarks = []
+    (t, y, u), remarks = log, []
+    for g in gaps:
+        if g.reset:
+            remarks.append(
+                f"no row for {g.end - g.start:g} s before {g.end:g} s, {g.steps:.4g} steps of the model: the estimate starts "
+                "anew from the initial state; check that times are in seconds"
+            )
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
     if silent:
         some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")

@@ -5,25 +5,30 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, ProcessHypothesis
 
 Array = NDArray[Any]
 
 MOST_NAMES = 4  # in a sentence
 LASTING = 3  # samples
+CERTAIN = 0.95  # a confidence below is stated
 
 
 @dataclass(frozen=True)
 class Event:
-    """A sensor that is isolated from start to end (s).
+    """A sensor that is isolated, silent or frozen from start to end (s).
 
-    size: the median over the event, in the sensor's unit. open: whether it is still isolated at the end of the data.
+    size: of the fault, in the sensor's unit, with its 95 % interval from low to high, and over the sigma of the sensor's noise
+    (sigmas). open: whether it still acts at the end of the data. fault: its kind, see `fault_kinds`, "" where it is not known,
+    and fault_alternatives, kinds that it may be as well. confidence: probability that it is this sensor and not another, and
+    alternatives, the other hypotheses that could not be excluded when it was isolated. NaN where not known.
     """
 
     kind: ClassVar[str] = "sensor"
@@ -33,17 +38,42 @@ class Event:
     size: float
     unit: str
     open: bool
+    fault: str = field(default="", kw_only=True)
+    low: float = field(default=math.nan, kw_only=True)
+    high: float = field(default=math.nan, kw_only=True)
+    sigmas: float = field(default=math.nan, kw_only=True)
+    confidence: float = field(default=math.nan, kw_only=True)
+    alternatives: tuple[str, ...] = field(default=(), kw_only=True)
+    fault_alternatives: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __str__(self) -> str:
-        end = "end of the log" if self.open else f"{self.end:g} s"
-        return f"{self.hypothesis}: {self.start:g} s to {end}, size {self.size:.4g} {self.unit}"
+        return self.told(Clock())
+
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        end = "end of the log" if self.open else clock.at(self.end)
+        doubts = [f"confidence {self.confidence:.2f}"] if self.confidence < CERTAIN else []
+        doubts += [f"not excluded: {listed(self.alternatives)}"] if self.alternatives else []
+        return "; ".join([f"{self.hypothesis}: {clock.at(self.start)} to {end}, {self.extent}", *doubts])
 
     @property
-    def period(self) -> str:
+    def extent(self) -> str:
+        """Kind and size in words."""
+        kind = " or ".join([self.fault, *self.fault_alternatives])
+        if not math.isfinite(self.size):
+            return kind or "size unknown"
+        size = f"{kind or 'size'} {self.size:.4g} {self.unit}"
+        if not math.isfinite(self.low):
+            return size
+        return f"{size} ({self.low:.4g} to {self.high:.4g}), {abs(self.sigmas):.3g} sigma"
+
+    def period(self, clock: Clock) -> str:
         """When, in words."""
         if self.open:
-            return f"since {self.start:g} s"
-        return f"at {self.start:g} s" if self.start == self.end else f"from {self.start:g} s to {self.end:g} s"
+            return f"since {clock.at(self.start)}"
+        return (
+            f"at {clock.at(self.start)}" if self.start == self.end else f"from {clock.at(self.start)} to {clock.at(self.end)}"
+        )
 
 
 @dataclass(frozen=True)
@@ -65,8 +95,9 @@ class ProcessEvent(Event):
     sd: float
     nominal: float
 
-    def __str__(self) -> str:
-        return f"{self.difference} {self.period}: not a sensor"
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"{self.difference} {self.period(clock)}: not a sensor"
 
     @property
     def difference(self) -> str:
@@ -87,8 +118,9 @@ class UndecidedEvent(Event):
     kind: ClassVar[str] = "undecided"
     suspects: tuple[str, ...]
 
-    def __str__(self) -> str:
-        return f"cannot tell: {listed(self.suspects, ' or ')}, {self.period}"
+    def told(self, clock: Clock) -> str:
+        """The event in words, with the times of a clock."""
+        return f"cannot tell: {listed(self.suspects, ' or ')}, {self.period(clock)}"
 
 
 def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tuple[Event, ...]:

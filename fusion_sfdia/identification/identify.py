@@ -12,22 +12,22 @@ from fusion_sfdia.core.arguments import number, shown, whole
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.identification.linear_gaussian import LinearGaussian, filtered, maximised, smoothed
+from fusion_sfdia.identification.choice import choose_model
+from fusion_sfdia.identification.linear_gaussian import filtered, smoothed
 from fusion_sfdia.identification.realisation import plant_of
 from fusion_sfdia.identification.recording import scaled
-from fusion_sfdia.identification.subspace import canonical_variates
+from fusion_sfdia.identification.subspace import fitted
 
 Array = NDArray[Any]
 
 SAMPLES_PER_STATE = 10  # least length of a recording
-LAGS = 4  # samples of the past and of the future in canonical variates; a state for each reading in them takes one more
 WARM_UP = 10  # samples after the start of a recording that no likelihood is judged on
 
 
 def identify(
     name: str,
     sensors: Sequence[Signal],
-    healthy: Log,
+    healthy: Log | list[Log],
     *,
     inputs: Sequence[Signal] = (),
     order: int | Sequence[int] = (2, 4, 8, 12, 16),
@@ -53,8 +53,13 @@ def identify(
     The states are values without noise of some readings, now or some steps ahead, in the readings' units: rows of the
     observability matrix by a QR decomposition with pivots. initial_cov is the covariance of the states over the recording.
 
+    A list of logs, which may have gaps, is identified by `choose_model`, with its candidates: order, ridge and iterations are
+    of one recording. A sensor that never moves is then not in the plant.
+
     Raises ValueError for recordings that do not fit the names, are too short, have gaps, or have a signal that never moves.
     """
+    if isinstance(healthy, list):
+        return choose_model(name, sensors, healthy, inputs=inputs, folds=folds).plant
     readings = scaled(sensors, inputs, healthy)
     y, u = readings.y, readings.u
     orders = [order] if isinstance(order, int) else list(order)
@@ -69,17 +74,10 @@ def identify(
         raise ValueError(f"ridge is {shown(ridge)}; expected a number of samples of at least 0")
     judged = {n: _left_out(y, u, n, folds, ridge, iterations) for n in orders}
     best = max(judged, key=lambda n: judged[n][0])
-    model, scale = _fitted(y, u, best, ridge, iterations), judged[best][1]
+    model, scale = fitted(y, u, best, ridge, iterations), judged[best][1]
     states = smoothed(model, y, u)
     start = states.x[1:].T @ states.x[1:] / len(y) + states.P[1:].mean(axis=0)
     return plant_of(name, model._replace(Q=scale * model.Q, r=scale * model.r, P0=start), readings, sensors, inputs)
-
-
-def _fitted(y: Array, u: Array, order: int, ridge: float, iterations: int) -> LinearGaussian:
-    model = canonical_variates(y, u, order, LAGS + order // y.shape[1])
-    for _ in range(iterations):
-        model = maximised(model, smoothed(model, y, u), y, u, ridge)
-    return model
 
 
 def _left_out(y: Array, u: Array, order: int, folds: int, ridge: float, iterations: int) -> tuple[float, float]:
@@ -92,7 +90,7 @@ def _left_out(y: Array, u: Array, order: int, folds: int, ridge: float, iteratio
     for stretch in np.array_split(np.flatnonzero(judged), folds):
         without = y.copy()
         without[stretch] = np.nan
-        found = filtered(_fitted(without, u, order, ridge, iterations), y, u)
+        found = filtered(fitted(without, u, order, ridge, iterations), y, u)
         log_likelihood += found.log_likelihood[stretch].sum()
         chi_square += found.chi_square[stretch].sum()
         readings += np.isfinite(y[stretch]).sum()

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve, solve_triangular
 
-from fusion_sfdia.identification.linear_gaussian import LinearGaussian
+from fusion_sfdia.identification.linear_gaussian import LinearGaussian, maximised, smoothed
 
 Array = NDArray[Any]
 
+LAGS = 4  # samples of the past and of the future in canonical variates; a state for each reading in them takes one more
 SHRINK = 0.1  # added to the variances, of readings of variance 1: rows of past and future are nearly collinear
 SLOWEST = 0.99  # largest modulus of an eigenvalue at the start
 NOISE = 0.2  # noise at the start over the residuals' variance: expectation maximisation raises it fast and lowers it slowly
@@ -48,6 +49,14 @@ def canonical_variates(y: Array, u: Array, order: int, lags: int) -> LinearGauss
     Q = error.T @ error / len(error) + SHRINK**2 * np.eye(order)
     r = np.maximum(NOISE * np.mean((y[ends] - x @ C.T) ** 2, axis=0), LEAST)
     return LinearGaussian(A, B, C, Q, r, np.zeros(order), np.eye(order))
+
+
+def fitted(y: Array, u: Array, order: int, ridge: float, iterations: int) -> LinearGaussian:
+    """The model of that order after expectation maximisation, see `identify`."""
+    model = canonical_variates(y, u, order, LAGS + order // y.shape[1])
+    for _ in range(iterations):
+        model = maximised(model, smoothed(model, y, u), y, u, ridge)
+    return model
 
 
 def held(y: Array) -> Array:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
-from fusion_sfdia.core.exclusion import Exclusion, exclude, readmit
+from fusion_sfdia.core.exclusion import Exclusion, exclude, readmit, restored
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.redundancy import most_faults, require_max_faults
+from fusion_sfdia.core.redundancy import most_faults, redundancy, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent, step_stream
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared
@@ -73,6 +73,20 @@ class ExcludingBank(BatchDetector):
     def model(self) -> Plant:
         """The plant whose state the filter estimates."""
         return self.plant
+
+    def _readmitted(self, memory: Any, t: float, which: Array) -> Any:
+        """In all runs, for each sensor that was out and alone sees a lasting mode: P + f^2 g g', f the size of its fault, and g
+        the least change of the state, in units of D = diag(state_scale), that its reading h g = 1 shows: D^2 h' / (h D^2 h').
+        """
+        (x, p), exclusion, squared = memory.estimate, memory.exclusion, self.model.state_scale**2
+        H = self.model.output_jacobian_at(t, x, self.model.input_at(t))
+        for i in [i for i in map(self.plant.sensor_index, redundancy(self.plant).indispensable) if which[i]]:
+            h = H[..., i, :]
+            shown = np.sum(squared * h**2, axis=-1, keepdims=True)
+            g = squared * h / np.where(shown > 0, shown, 1.0)
+            size = np.where(exclusion.out[..., i], exclusion.size[..., i], 0.0)
+            p = p + (size**2)[..., None, None] * g[..., :, None] * g[..., None, :]
+        return memory._replace(estimate=memory.estimate._replace(P=p), exclusion=restored(exclusion, which))
 
     def _conclude(
         self, now: TimeStep, y: Array, u: Array, exclusion: Exclusion, update: Update, tested: SensorTests

@@ -94,6 +94,13 @@ class Hypotheses:
         return np.array([s.initial_sigma for s in self.model.states[len(self.plant.states) :]])
 
     @cached_property
+    def changes(self) -> Array:
+        """Standard deviation from which the size of a change of the augmented states is judged (p,)."""
+        known = self.plant.uncertainty.changes
+        names = [s.name for s in self.model.states[len(self.plant.states) :]]
+        return np.array([known.get(name, sd) for name, sd in zip(names, self.sd, strict=True)])
+
+    @cached_property
     def equation_sd(self) -> Array:
         """Standard deviation of the process noise of each state in one nominal dt (n,), a tenth of its scale where it is 0."""
         variance = np.broadcast_to(diagonal(self.plant.process_cov), (len(self.plant.states),))
@@ -117,7 +124,7 @@ class Hypotheses:
     def recent_sizes(self) -> Array:
         """Standard deviations of the sizes in the recent past before any reading (N + p + n,)."""
         sensors = SENSOR_SIZE * self.plant.sensor_sigma
-        return np.concatenate([sensors, PARAMETER_SIZE * self.sd, EQUATION_SIZE * self.equation_sd])
+        return np.concatenate([sensors, PARAMETER_SIZE * self.changes, EQUATION_SIZE * self.equation_sd])
 
     def slow_sizes(self, age: Array) -> Array:
         """The same in the far past, per sample, for onsets of that age (..., L): (..., L, N + p)."""

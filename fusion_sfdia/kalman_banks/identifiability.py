@@ -49,7 +49,8 @@ class Identifiability:
     All sizes (N,) are in standard deviations sigma of the sensor; inf where the readings do not show the fault. bias, drift:
     with what the plant states as its uncertainty estimated along; bias_known, drift_known: with all of that known. drift: the
     size reached after `samples` of a steady growth. rho (N, P): what the innovations of a bias and of a jump of each
-    hypothesis have in common, from -1 to 1. samples: after the onset. settle: before it.
+    hypothesis have in common, from -1 to 1. between (N, N): the same of the biases of two sensors. samples: after the onset.
+    settle: before it.
     """
 
     plant: str
@@ -62,6 +63,7 @@ class Identifiability:
     drift: Array
     drift_known: Array
     rho: Array
+    between: Array
     samples: int
     settle: int
 
@@ -144,17 +146,19 @@ def identifiability(plant: Plant, samples: float = 60, settle: int = 60) -> Iden
         drift=whole_model.drift / sigma,
         drift_known=alone.drift / sigma,
         rho=whole_model.rho,
+        between=whole_model.between,
         samples=whole_model.samples,
         settle=settle,
     )
 
 
 class _Limits(NamedTuple):
-    """Smallest detectable bias and drift (N,), in sensor units, rho (N, P), and the samples after which they hold."""
+    """Smallest detectable bias and drift (N,), in sensor units, rho (N, P) and (N, N), and after how many samples."""
 
     bias: Array
     drift: Array
     rho: Array
+    between: Array
     samples: int
 
 
@@ -212,5 +216,5 @@ def _of(common: Array, of_ramps: Array, samples: int) -> _Limits:
     count, b = of_ramps.size, np.diagonal(common)
     with np.errstate(divide="ignore", invalid="ignore"):
         bias, slope = (np.where(v > 0, NEEDED / np.sqrt(v), np.inf) for v in (b[:count], of_ramps))
-        rho = np.nan_to_num(common[:count, count:] / np.sqrt(np.outer(b[:count], b[count:])))
-    return _Limits(bias, samples * slope, np.clip(rho, -1.0, 1.0), samples)
+        rho = np.clip(np.nan_to_num(common[:count] / np.sqrt(np.outer(b[:count], b))), -1.0, 1.0)
+    return _Limits(bias, samples * slope, rho[:, count:], rho[:, :count], samples)

@@ -7,7 +7,8 @@ The central filter estimates what the plant declares as unknown (`core.augment`)
   the plant, by a margin. What it has done to the estimate is removed.
 - A process hypothesis is accepted in the same way. The estimate is moved to it, with its uncertainty, the windows restart, and
   sensors that were isolated in the recent past are used again: the diagnosis of sensors continues. While the hypothesis stands
-  a sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples in a row.
+  a sensor needs the larger margin, and soon after it was accepted the lead in `PERSISTENT` samples in a row. While it leaves
+  readings of several sensors unexplained, none is isolated.
 - Otherwise an alarm is undecided, and its suspects are reported.
 - A sensor whose readings are too quiet is isolated, too (`quiet`).
 """
@@ -17,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ from scipy.special import ndtri
 from fusion_sfdia.core.arguments import number, whole
 from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision, ProcessHypothesis
-from fusion_sfdia.core.exclusion import Exclusion, none_excluded, restored
+from fusion_sfdia.core.exclusion import restored
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint, gain
@@ -48,17 +49,10 @@ from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, Sens
 from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, with_alternatives
 from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior, statistics
-from fusion_sfdia.kalman_banks.likelihood_window import (
-    Grid,
-    Window,
-    best_onset,
-    empty,
-    shifted,
-    updated,
-    weigh,
-)
+from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, best_onset, shifted, updated, weigh
 from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
-from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, nothing, sizes, with_accepted
+from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, faded, leaves_unexplained, nothing_known
+from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
 
 Array = NDArray[Any]
 
@@ -66,22 +60,6 @@ QUIET_SHARE = 0.1  # of the false alarms, for readings that are too quiet
 LATELY = 15  # samples after a process hypothesis was accepted, in which what changed may turn out to be more
 PERSISTENT = 3  # samples in a row that isolate a sensor then
 USUAL = 1.0  # of the prior standard deviation of a parameter or input: so much is no change of the process
-
-
-class RobustMemory(NamedTuple):
-    """Estimate of the augmented state, sensors left out and for how many samples (..., N), windows, accepted hypotheses.
-
-    led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
-    """
-
-    estimate: GaussianState
-    exclusion: Exclusion
-    out_for: Array
-    led: Array
-    recent: Window
-    slow: Window
-    standing: Standing
-    pairs: Pairs
 
 
 @dataclass(frozen=True)
@@ -149,22 +127,18 @@ class RobustBank(ExcludingBank):
         return Limits(one, window, process, np.array(self.sensor_margin), self.process_margin, smallest)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> RobustMemory:
-        of, count = self._hypotheses, len(self.plant.sensors)
-        n, p, states = len(self.plant.states), of.added, len(of.model.states)
-        near, far = self._grids
-        return RobustMemory(
-            self.estimator.start(of.model, batch, step_stream(seed, 0)),
-            none_excluded(batch, count),
-            np.zeros((*batch, count)),
-            np.zeros((*batch, count)),
-            empty(batch, near, states, count + p + n, np.float32),
-            empty(batch, far, states, count + p, np.float32),
-            nothing(batch, p, n),
-            no_pairs(batch, count),
-        )
+        of = self._hypotheses
+        return nothing_known(of, self.estimator.start(of.model, batch, step_stream(seed, 0)), batch, self._grids)
+
+    def _readmitted(self, memory: RobustMemory, t: float, which: Array) -> RobustMemory:
+        used: RobustMemory = super()._readmitted(memory, t, which)
+        out_for, led = (np.where(which, 0.0, a) for a in (memory.out_for, memory.led))
+        fresh = no_pairs(memory.led.shape[:-1], which.size)
+        pairs = Pairs(*(np.where(which, new, old) for new, old in zip(fresh, memory.pairs, strict=True)))
+        return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, *windows, standing, pairs = memory
+        estimate, exclusion, out_for, led, *windows, standing, pairs, nis = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
         stands = np.any(standing.accepted, axis=-1)
         lately = stands & (standing.since <= LATELY)
@@ -180,12 +154,14 @@ class RobustBank(ExcludingBank):
         one = one_sample_evidence(everything, of.recent_sizes[:count])
         evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.window.age, one, handicap)
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
+        unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
+        room = np.where(unexplained, 0, room)
         isolated, capped = np.zeros(y.shape, bool), np.zeros(y.shape[:-1], bool)
         if (everything.chi_square > limits.one).any():
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
             isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
-        capped = capped | (by_windows.is_sensor & (room < 1))
+        capped = (capped | (by_windows.is_sensor & (room < 1))) & ~unexplained
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
         isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
         led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
@@ -199,7 +175,7 @@ class RobustBank(ExcludingBank):
             standing = standing._replace(reopened=standing.reopened | reopened)
             prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
             likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
-            prior = widened(prior, likely, PARAMETER_SIZE * of.sd)
+            prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
             joint = est.joint(of.model, prior, now.t, u)
         found = everything
         if self.accommodate and (freed | process | reopened | isolated.any(axis=-1)).any():
@@ -211,12 +187,13 @@ class RobustBank(ExcludingBank):
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)
         quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
+        quiet = quiet & ~unexplained[..., None]
         if quiet.any():
             held = exclusion.out | isolated
             fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
             quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate:
-            exclusion = restored(exclusion, process[..., None] & (out_for <= self.window))
+            exclusion = restored(exclusion, (process | unexplained)[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, found)
         exclusion, decision = self._conclude(
             now, y, u, exclusion, update, self._shown(everything, evidence, usable, isolated | quiet, capped)
@@ -224,10 +201,9 @@ class RobustBank(ExcludingBank):
         added = slice(len(self.plant.states), None)
         variance = np.diagonal(p, axis1=-2, axis2=-1)[..., added]
         standing = followed(standing, x[..., added], variance)
-        memory = RobustMemory(
-            GaussianState(x, p), exclusion, np.where(exclusion.out, out_for + 1, 0.0), led, recent, slow, standing, pairs
-        )
-        undecided = decision.alarm & ~decision.isolated.any(axis=-1) & ~process
+        out_for = np.where(exclusion.out, out_for + 1, 0.0)
+        memory = RobustMemory(GaussianState(x, p), exclusion, out_for, led, recent, slow, standing, pairs, faded(nis, found))
+        undecided = decision.alarm & ~np.any(decision.isolated, axis=-1) & ~process
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))
 
     def _predict(self, estimate: GaussianState, standing: Standing, now: TimeStep, u: Array) -> Prior:

@@ -1,16 +1,30 @@
-"""Panels for a detector that tests the process, too: a time line of all its verdicts, and how far the process is off."""
+"""Figures of a diagnosis: all sensors, a time line of the verdicts, each fault from near, how far the process is off."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
+from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
+from numpy.typing import NDArray
 
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis
-from fusion_sfdia.evaluation.events import ProcessEvent, UndecidedEvent, listed
+from fusion_sfdia.evaluation.events import Event, ProcessEvent, UndecidedEvent, listed
 from fusion_sfdia.report.plots import COLOURS
 
+Array = NDArray[Any]
+
 MOST_ROWS = 10
+MOST_COLUMNS = 500  # of the overview
+MOST_LABELS = 100
+MOST_POINTS = 1500  # of a line
+LOUD = 6.0  # standard deviations that the overview shows as the darkest
 KINDS = {  # of events: the word and the colour
     "process": ("process or model", COLOURS[1]),
     "undecided": ("cannot tell", COLOURS[4]),
@@ -19,24 +33,155 @@ KINDS = {  # of events: the word and the colour
 }
 
 
+class TimeAxis(NamedTuple):
+    """How times t (s) are drawn: wall-clock times, or minutes, hours or days."""
+
+    clock: Clock
+    seconds: float
+    label: str
+
+    def __call__(self, t: Any) -> Any:
+        """Times (s), a number or (K,), as places on the axis."""
+        if self.clock.start is None:
+            return np.asarray(t) / self.seconds
+        return float(date2num(self.clock.start)) + np.asarray(t) / 86400
+
+    def label_on(self, axes: Axes) -> None:
+        """Name the axis, with wall-clock times where there are any."""
+        axes.set_xlabel(self.label)
+        if self.clock.start is not None:
+            zone = self.clock.start.tzinfo
+            locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)
+            axes.xaxis.set_major_locator(locator)
+            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))
+
+
+def time_axis(found: Diagnosis) -> TimeAxis:
+    """The axis of a diagnosis: of its clock, else in minutes, of more than 5 hours in hours, of more than 5 days in days."""
+    if found.clock.start is not None:
+        zone = found.clock.start.strftime("%Z")
+        return TimeAxis(found.clock, 1.0, f"time{f' ({zone})' if zone else ''}")
+    span = float(found.t[-1] - found.t[0])
+    seconds, unit = (60.0, "min") if span <= 18_000 else (3600.0, "h") if span <= 432_000 else (86_400.0, "days")
+    return TimeAxis(found.clock, seconds, f"time ({unit})")
+
+
 def time_line(axes: Axes, found: Diagnosis) -> None:
-    """A bar for each event over time (min), a row for each hypothesis, the process first."""
+    """A bar for each event over time, a row for each hypothesis, the process first."""
+    at = time_axis(found)
     rows = list(dict.fromkeys((e.kind, e.hypothesis) for e in found.events))
     named = {e.hypothesis: listed(e.suspects, " or ", most=2) for e in found.events if isinstance(e, UndecidedEvent)}
     shown = rows if len(rows) <= MOST_ROWS else rows[: MOST_ROWS - 1]
-    step = float(np.min(np.diff(found.t))) if len(found.t) > 1 else 60.0  # s: the width of a single sample
+    step = _step(found.t)
     for e in found.events:
         if (e.kind, e.hypothesis) in shown:
-            bar = (e.start / 60, (e.end - e.start + step) / 60)
+            bar = (float(at(e.start)), float(at(e.end + step) - at(e.start)))
             axes.broken_barh([bar], (shown.index((e.kind, e.hypothesis)) - 0.35, 0.7), color=KINDS[e.kind][1])
+    for g in found.gaps:
+        axes.axvspan(float(at(g.start)), float(at(g.end)), color="0.85", zorder=0)
     labels = [named.get(name, name) for _, name in shown]
-    for row, (kind, _) in enumerate(shown):
-        axes.text(1.01, row, KINDS[kind][0], transform=axes.get_yaxis_transform(), va="center", color="0.3", fontsize=8)
+    for row, (kind, name) in enumerate(shown):
+        word = _kinds(found, name) if kind == "sensor" else KINDS[kind][0]
+        axes.text(1.01, row, word, transform=axes.get_yaxis_transform(), va="center", color="0.3", fontsize=8)
     if more := len(rows) - len(shown):
         labels.append(f"and {more} more")
     axes.set_yticks(range(len(labels)), labels, fontsize=8)
-    axes.set(xlabel="time (min)", xlim=(found.t[0] / 60, (found.t[-1] + step) / 60), ylim=(max(len(labels), 4) - 0.4, -0.6))
+    axes.set(xlim=(float(at(found.t[0])), float(at(found.t[-1] + step))), ylim=(max(len(labels), 4) - 0.4, -0.6))
+    at.label_on(axes)
     axes.grid(visible=False, axis="y")
+
+
+def _kinds(found: Diagnosis, sensor: str) -> str:
+    """The kinds of faults of a sensor, in words."""
+    kinds = [e.fault for e in found.events if e.kind == "sensor" and e.hypothesis == sensor and e.fault]
+    return ", ".join(dict.fromkeys(kinds)) or "sensor"
+
+
+def _step(t: Array) -> float:
+    """The width of a single sample (s)."""
+    return float(np.min(np.diff(t))) if len(t) > 1 else 60.0
+
+
+def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
+    """Every sensor over time: the darker, the further its reading (K, N) is from what the others predict, white where missing;
+    a line under what is a fault.
+    """
+    assert found.after is not None
+    at, names, step = time_axis(found), plant.sensor_names, _step(found.t)
+    with np.errstate(invalid="ignore"):
+        z = np.abs(found.after.error / found.after.sd)
+    edges = np.linspace(found.t[0], found.t[-1] + step, min(len(found.t), MOST_COLUMNS) + 1)
+    which = np.clip(np.searchsorted(edges, found.t, side="right") - 1, 0, edges.size - 2)
+    cells = np.full((edges.size - 1, len(names)), -1.0)
+    np.maximum.at(cells, which, np.where(np.isfinite(y) & np.isfinite(z), z, -1.0))
+    height = max(1.8, 0.9 + len(names) * (0.17 if len(names) <= MOST_LABELS else 0.06))
+    figure = Figure(figsize=(7.2, height), layout="constrained")
+    axes = figure.subplots()
+    mesh = axes.pcolormesh(
+        at(edges), np.arange(len(names) + 1) - 0.5, np.ma.masked_less(cells.T, 0.0), cmap="Blues", vmin=0, vmax=LOUD,
+        rasterized=True,
+    )  # fmt: skip
+    for e in found.events:
+        if e.hypothesis in names and e.kind == "sensor":
+            row = names.index(e.hypothesis) + 0.42
+            axes.plot([at(e.start), at(e.end + step)], [row, row], color=COLOURS[1], linewidth=2.5, solid_capstyle="butt")
+    for g in found.gaps:
+        axes.axvspan(float(at(g.start)), float(at(g.end)), color="0.85", zorder=3)
+    faulty = {e.hypothesis for e in found.events}
+    labels = [(i, name) for i, name in enumerate(names) if len(names) <= MOST_LABELS or name in faulty]
+    axes.set_yticks([i for i, _ in labels], [name for _, name in labels], fontsize=7)
+    for text, (_, name) in zip(axes.get_yticklabels(), labels, strict=True):
+        text.set_color(COLOURS[1] if name in faulty else "0.25")
+    axes.set(xlim=(float(at(edges[0])), float(at(edges[-1]))), ylim=(len(names) - 0.5, -0.5))
+    at.label_on(axes)
+    axes.grid(visible=False)
+    bar = figure.colorbar(mesh, ax=axes, location="top", shrink=0.6, aspect=40, pad=0.01)
+    bar.set_label("reading less prediction, in standard deviations (6 and more: darkest)", fontsize=8)
+    return figure
+
+
+def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> Figure:
+    """Faults of one sensor from near: above its readings (K, N) and what the other sensors predict, below the difference."""
+    assert found.after is not None
+    i, t, at = plant.sensor_index(events[0].hypothesis), found.t, time_axis(found)
+    a, b = (int(np.searchsorted(t, when)) for when in (events[0].start, events[-1].end))
+    margin = max(20, (b - a) // 2)
+    window = slice(max(0, a - margin), min(len(t), b + margin + 1))
+    error, sd, reading = found.after.error[window, i], found.after.sd[window, i], y[window, i]
+    recon = found.decisions.reconstruction[window, i]
+    expected = np.where(np.isfinite(error), reading - error, recon)
+    shown = _thinned(reading)
+    x = at(t[window])[shown]
+    figure = Figure(figsize=(4.8, 3.9), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    upper.fill_between(
+        x, (expected - 2 * sd)[shown], (expected + 2 * sd)[shown], color=COLOURS[2], alpha=0.25, lw=0, label="+- 2 sd"
+    )
+    upper.plot(x, expected[shown], color=COLOURS[2], linewidth=1.2, label="predicted by the others")
+    upper.plot(x, reading[shown], ".-", color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
+    lower.plot(x, (error / sd)[shown], ".-", color=COLOURS[0], markersize=3, linewidth=0.8)
+    lower.axhspan(-3, 3, color="0.9", zorder=0)
+    step = _step(t)
+    for axes in (upper, lower):
+        for j, e in enumerate(events):
+            label = "fault" if j == 0 and axes is upper else None
+            axes.axvspan(float(at(e.start)), float(at(e.end + step)), color=COLOURS[1], alpha=0.15, zorder=0, lw=0, label=label)
+    upper.set_ylabel(f"{plant.sensor_names[i]} [{plant.sensors[i].unit}]")
+    lower.set_ylabel("difference\n[sd]")
+    lower.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
+    at.label_on(lower)
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
+    return figure
+
+
+def _thinned(values: Array) -> Array:
+    """Positions (k,) among values (K,) that keep lowest and highest of each of many parts."""
+    if values.size <= MOST_POINTS:
+        return np.arange(values.size)
+    parts = np.array_split(np.arange(values.size), MOST_POINTS // 2)
+    low = [p[int(np.argmin(np.where(np.isfinite(values[p]), values[p], np.inf)))] for p in parts]
+    high = [p[int(np.argmax(np.where(np.isfinite(values[p]), values[p], -np.inf)))] for p in parts]
+    return np.unique([0, values.size - 1, *low, *high])
 
 
 def process_size(axes: Axes, found: Diagnosis, name: str) -> None:
@@ -47,11 +192,13 @@ def process_size(axes: Axes, found: Diagnosis, name: str) -> None:
     nominal = events[0].nominal
     share = np.isfinite(nominal) and nominal != 0
     scale = 1 / abs(nominal) if share else 1.0
-    t = found.t / 60
-    axes.plot(t, size * scale, color=COLOURS[1], label="above the model")
-    axes.fill_between(t, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="+- 2 sd", lw=0)
+    at = time_axis(found)
+    x = at(found.t)
+    axes.plot(x, size * scale, color=COLOURS[1], label="above the model")
+    axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="+- 2 sd", lw=0)
     axes.axhline(0.0, color="0.4", linewidth=1)
-    axes.set(xlabel="time (min)", ylabel=name if share else f"{name} [{events[0].unit}]")
+    axes.set(ylabel=name if share else f"{name} [{events[0].unit}]")
+    at.label_on(axes)
     if share:
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
     axes.legend(fontsize=8)

@@ -1,8 +1,10 @@
-"""The files of a diagnosis: events, reconstructed readings, and a figure of what was isolated."""
+"""The files of a diagnosis: events, scores, reconstructed readings, a report, and a figure of what was isolated."""
 
 from __future__ import annotations
 
 import csv
+import warnings
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -10,18 +12,24 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
 
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
-from fusion_sfdia.evaluation.logs import read_log, write_log
+from fusion_sfdia.logs.check import check_log, without_suspects
+from fusion_sfdia.logs.csv_log import write_log
+from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.report.log_figures import process_size, time_line
+from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
-FILES = ("events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
+FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
 MOST_PANELS = 6
+UNNAMED = About("a log", "a detector")
 
 
 def diagnose_log(
@@ -29,51 +37,107 @@ def diagnose_log(
     detector: Detector,
     out: Path,
     *,
+    log_map: LogMap | Path | None = None,
     absent_sensors: bool = False,
     other_columns: bool = False,
     nominal_inputs: bool = False,
     force: bool = False,
+    detector_name: str = "",
 ) -> Diagnosis:
-    """Diagnose a log with a detector and write FILES into the folder `out`.
+    """Diagnose a log with a detector and write FILES into the folder `out`; detector_name: for the report.
 
-    Raises ValueError naming the file where the log does not fit (see read_log), and where the folder is not free; warns as
-    `diagnose_run` does.
+    A bar shows the progress on a terminal.
+
+    log_map: how the log is written, see `load_log`. Sensors whose unit looks wrong are taken as missing: that is no fault.
+    Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free; warns of
+    what reading the log found, and as `diagnose_run` does.
     """
     require_free(out, force=force)
     plant = detector.plant
-    log = read_log(data, plant, absent_sensors=absent_sensors, other_columns=other_columns, nominal_inputs=nominal_inputs)
+    loaded = check_log(
+        data,
+        plant,
+        log_map,
+        absent_sensors=absent_sensors,
+        other_columns=other_columns,
+        nominal_inputs=nominal_inputs,
+    )
+    for remark in loaded.remarks:
+        warnings.warn(f"{data}: {remark}", stacklevel=2)
+    log = without_suspects(plant, loaded).log
     try:
-        found = diagnose_run(detector, log)
+        found = diagnose_run(detector, log, clock=loaded.clock, each=progress)
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
     with all_or_none(out) as new:
-        write_diagnosis(new, plant, log.y, log.u, found)
+        write_diagnosis(new, plant, log.y, log.u, found, About(data.name, detector_name or type(detector).__name__))
     return found
 
 
+def progress(steps: Sequence[int]) -> Iterable[int]:
+    """The steps, with a bar on stderr while they last, where that is a terminal."""
+    console = Console(stderr=True)
+    return track(steps, "diagnosing", console=console, transient=True) if console.is_terminal else steps
+
+
 def as_text(found: Diagnosis, detector: str) -> str:
-    """The events for people; of a detector that tests the process, too, the verdict first."""
+    """The diagnosis for people: whether the model fits, of a detector that tests the process, too, the verdict, the events."""
     count = len(found.events)
-    lines = [found.verdict] if found.process_hypotheses else []
+    lines = [found.health.line] if found.health else []
+    lines += [found.verdict] if found.process_hypotheses else []
     lines.append(f"{len(found.t)} readings, {count} event{'s' * (count != 1)} by {detector}")
-    return "\n".join([*lines, *(f"  {e}" for e in found.events)])
+    return "\n".join([*lines, *found.remarks, *(f"  {e.told(found.clock)}" for e in found.events)])
 
 
-def write_diagnosis(out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[np.float64], found: Diagnosis) -> None:
+def write_diagnosis(
+    out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[np.float64], found: Diagnosis, about: About = UNNAMED
+) -> None:
     """Write FILES into the folder: y (K, N) the readings as they came, u (K, m) the inputs."""
     header, rows = found.table()
-    with atomic_write(out / "events.csv") as file:
+    _write_table(out / "events.csv", header, rows)
+    write_log(out / "reconstructed.csv", plant, found.t, found.decisions.reconstruction, u)
+    taken = np.where(found.decisions.absurd, np.nan, y)
+    _add_flags(out / "reconstructed.csv", plant, taken, found.decisions.reconstruction)
+    _write_scores(out / "scores.csv", plant, found)
+    write_figure(out, "diagnosis", lambda: draw(plant, taken, found))
+    write_page(out / "report.html", plant, taken, found, about)
+
+
+def _add_flags(path: Path, plant: Plant, y: NDArray[np.float64], reconstruction: NDArray[np.float64]) -> None:
+    """Add a column to a log that names the sensors whose reading was replaced, as it was missing or faulty."""
+    replaced = np.isfinite(reconstruction) & (reconstruction != y)
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    names = [";".join(np.array(plant.sensor_names)[row]) for row in replaced]
+    _write_table(path, (*header, "replaced"), [(*row, name) for row, name in zip(rows, names, strict=True)])
+
+
+def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
+    """Of each sample: its time, and of each sensor the score and the residual in standard deviations, empty where unknown."""
+    scores = found.decisions.scores
+    with np.errstate(invalid="ignore"):
+        residuals = found.after.error / found.after.sd if found.after else np.full(scores.shape, np.nan)
+    names = plant.sensor_names
+    header = ("time_s", "time", *(f"{name} score" for name in names), *(f"{name} residual [sd]" for name in names))
+    values = np.concatenate([scores, residuals], axis=1)
+    rows = [
+        (repr(float(t)), found.clock.at(float(t)), *("" if np.isnan(v) else f"{v:.4g}" for v in row))
+        for t, row in zip(found.t, values.tolist(), strict=True)
+    ]
+    _write_table(path, header, rows)
+
+
+def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    with atomic_write(path) as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(header)
         table.writerows(map(_cell, row) for row in rows)
-    write_log(out / "reconstructed.csv", plant, found.t, found.decisions.reconstruction, u)
-    write_figure(out, "diagnosis", lambda: draw(plant, np.where(found.decisions.absurd, np.nan, y), found))
 
 
 def _cell(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return repr(value) if isinstance(value, float) else str(value)
+    return repr(float(value)) if isinstance(value, float) else str(value)
 
 
 def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:

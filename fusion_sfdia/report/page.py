@@ -60,11 +60,8 @@ def write_report(path: Path, command: str, sections: list[Section], manifest: di
     """Write report.html, whole or not at all; every name and text is escaped."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters.update(number=number, interval=interval, setting=_setting, sort_key=_sort_key)
-    template, script = (
-        resources.files("fusion_sfdia.report").joinpath(name).read_text(encoding="utf-8")
-        for name in ("page.html.j2", "sortable.min.js")
-    )
-    page = environment.from_string(template).render(
+    page = environment.from_string(part("page.html.j2")).render(
+        css=Markup(part("page.css")),
         command=command,
         sections=sections,
         manifest=manifest,
@@ -72,10 +69,15 @@ def write_report(path: Path, command: str, sections: list[Section], manifest: di
         open_rows=OPEN_ROWS,
         most_rows=MOST_ROWS,
         sorted_rows=SORTED_ROWS,
-        sortable=Markup(script),
+        sortable=Markup(part("sortable.min.js")),
     )
     with atomic_write(path) as file:
         file.write(page)
+
+
+def part(name: str) -> str:
+    """The text of a file of this folder: a template, a style sheet or a script."""
+    return resources.files("fusion_sfdia.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def number(value: Any) -> str:

@@ -64,14 +64,22 @@ def style(salt: str = "fusion-sfdia") -> Iterator[None]:
 
 def write_figure(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
     """Draw a figure, write folder/name.svg and folder/name.png, and return the SVG's text."""
-    svg, png = io.BytesIO(), io.BytesIO()
+    png = io.BytesIO()
+    svg = figure_svg(name, draw, png)
+    for kind, content in (("svg", svg.encode()), ("png", png.getvalue())):
+        with atomic_write(folder / f"{name}.{kind}", "wb") as file:
+            file.write(content)
+    return svg
+
+
+def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = None) -> str:
+    """Draw a figure and return its SVG; png: where its PNG is written to, too."""
+    svg = io.BytesIO()
     with style(name):
         figure = draw()
         figure.savefig(svg, format="svg", metadata={"Date": None})
-        figure.savefig(png, format="png", dpi=160)
-    for kind, content in (("svg", svg), ("png", png)):
-        with atomic_write(folder / f"{name}.{kind}", "wb") as file:
-            file.write(content.getvalue())
+        if png is not None:
+            figure.savefig(png, format="png", dpi=160)
     return svg.getvalue().decode()
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, shown, whole
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, run
-from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, readmit
+from fusion_sfdia.core.exclusion import Exclusion, exclude, none_excluded, readmit, restored
 from fusion_sfdia.core.redundancy import most_faults, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Unscented, require_filter
 from fusion_sfdia.filters.ukf import SigmaPoints
@@ -166,6 +166,14 @@ class Chebyshev(BatchDetector):
         shape = (*batch, count)
         last = np.full(shape, np.nan), np.full(shape, np.inf), np.zeros(shape)
         return ChebyshevMemory(*last, none_excluded(batch, count), self.diagnoser.start(batch, seed))
+
+    def _readmitted(self, memory: ChebyshevMemory, t: float, which: Array) -> ChebyshevMemory:
+        return memory._replace(
+            residual=np.where(which, np.nan, memory.residual),
+            deviation=np.where(which, np.inf, memory.deviation),
+            exceeded=np.where(which, 0.0, memory.exceeded),
+            exclusion=restored(memory.exclusion, which),
+        )
 
     def _judge(self, memory: ChebyshevMemory, now: TimeStep, y: Array, u: Array) -> tuple[ChebyshevMemory, Decision]:
         exceeded, exclusion = memory.exceeded, memory.exclusion

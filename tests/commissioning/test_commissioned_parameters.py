@@ -10,11 +10,12 @@ from rounding import rounding
 from toy_plants import chain, readings
 
 from fusion_sfdia.commissioning.innovations import filtered
-from fusion_sfdia.commissioning.parameters import estimated
+from fusion_sfdia.commissioning.parameters import estimated, moved
 from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
+from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
 
 PUSH = np.array([1.0, 0.0, 0.5, 0.0])
 
@@ -57,6 +58,18 @@ def test_several_runs_shrink_the_deviation_and_find_the_truth() -> None:
 def test_what_the_log_says_nothing_of_keeps_its_prior() -> None:
     found = estimated(pushed(), log_of(0.4), np.ones(80, bool), np.zeros(80, int))
     assert (found.value[1], found.sd[1]) == (0.0, 2.0)
+
+
+def test_a_later_change_is_judged_by_what_was_declared() -> None:
+    plant = pushed()
+    once = moved(plant, estimated(plant, log_of(0.4), np.ones(80, bool), np.zeros(80, int)))
+    twice = moved(once, estimated(once, log_of(0.4), np.ones(80, bool), np.zeros(80, int)))
+    assert once.uncertainty.sd[0] < 0.1 and twice.uncertainty.sd[0] < once.uncertainty.sd[0]
+    for there in (once, twice):
+        assert there.uncertainty.changes == {"push": 0.3, "nothing": 2.0}
+        np.testing.assert_array_equal(
+            Hypotheses(there).recent_sizes[len(plant.sensors) :][:2], Hypotheses(plant).recent_sizes[len(plant.sensors) :][:2]
+        )
 
 
 def test_runs_that_disagree_keep_the_deviation_large() -> None:

@@ -13,7 +13,8 @@ from kernels import NOT_NUMERICAL
 SCHOOLS = ("kalman_banks", "adaptive_thresholds", "stochastic_thresholds", "data_driven", "structural_residuals")
 # the folders of fusion_sfdia and its modules, and what each imports besides its own: no school imports another
 FOLDERS: dict[str, set[str]] = {
-    "core": set(),
+    "core": {"logs"},  # for pandas frames, once one is given
+    "logs": {"core"},
     "intervals": set(),
     "filters": {"core"},
     "commissioning": {"core", "filters"},
@@ -22,15 +23,19 @@ FOLDERS: dict[str, set[str]] = {
     "stochastic_thresholds": {"core", "filters"},
     "data_driven": {"core"},
     "structural_residuals": {"core"},
-    "evaluation": {"core"},
+    "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
+    "monitoring": {"logs", "core", "evaluation", "identification", "kalman_banks", "data_driven"},
     "registry": {"core", "detectors", "models"},  # of the last two only names, until one is used
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
     "named": {"core", "evaluation", "registry", "builders", "detectors"},
+    "tuning": {"core", "commissioning", "registry"},
     "checks": {"core", "evaluation", "registry"},
-    "report": {"core", "evaluation"},
+    "report": {"core", "evaluation", "logs"},
+    "live": {"core", "evaluation", "logs"},
+    "inspection": {"core", "evaluation", "registry", "checks", "identification", "kalman_banks"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }
 FOLDERS["scenarios"] = {"core", "registry", "experiments"}

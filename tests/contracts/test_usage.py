@@ -23,7 +23,7 @@ def page(root: Path) -> str:
 def folder(page: str, tmp_path: Path) -> Path:
     """A folder with the files of the page."""
     files = FILE.findall(page)
-    assert [name for name, _ in files] == ["tank.py", "unsure.py", "mine.py", "study.py"]
+    assert [name for name, _ in files] == ["tank.py", "unsure.py", "live.py", "mine.py", "study.py"]
     for name, text in files:
         (tmp_path / name).write_text(text, encoding="utf-8")
     return tmp_path
@@ -51,6 +51,7 @@ def test_an_unknown_outflow_is_estimated(root: Path, folder: Path) -> None:
 
 def test_the_commands_for_the_plant_run(root: Path, folder: Path, page: str) -> None:
     commands = re.findall(r"^fusion-sfdia (.*--plant tank\.py:make.*)$", page, re.MULTILINE)
+    commands = [command for command in commands if not command.startswith("watch")]  # needs a server
     assert [command.split()[0] for command in commands] == ["simulate", "diagnose"]
     for command in commands:
         printed = output_of(root, folder, "-m", "fusion_sfdia", *shlex.split(command))
@@ -58,6 +59,21 @@ def test_the_commands_for_the_plant_run(root: Path, folder: Path, page: str) -> 
     option = re.findall(r"`(--detector mine\.py:MyDetector)`", page)
     own = output_of(root, folder, "-m", "fusion_sfdia", *shlex.split(commands[1]), *option[0].split(), "--out", "own")
     assert "mine.py:MyDetector" in own
+
+
+def test_rows_are_watched_and_taken_up_again(root: Path, folder: Path) -> None:
+    lines = output_of(root, folder, "live.py").splitlines()
+    assert lines == [f"{what}: level_2, since 3060 s, 0.10 m" for what in ("opened", "closed")]
+    assert output_of(root, folder, "live.py") == ""  # all rows were in the state
+
+
+def test_the_nodes_of_the_page_are_those_of_the_tank(page: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fusion_sfdia.live.nodes import load_nodes
+    from fusion_sfdia.registry import plant
+
+    monkeypatch.chdir(folder)
+    (folder / "nodes.toml").write_text(re.findall(r"```toml\n(period.*?)```", page, re.DOTALL)[0], encoding="utf-8")
+    assert load_nodes("nodes.toml", plant("tank.py:make")).write["level_1"]["sigma"] == "ns=2;s=T1.LT1.sigma"
 
 
 @pytest.mark.slow

@@ -19,7 +19,6 @@ from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.state import leaves
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
-from fusion_sfdia.evaluation.logs import write_log
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
@@ -28,6 +27,7 @@ from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.particle_filter import ParticleFilter
+from fusion_sfdia.logs.csv_log import write_log
 from fusion_sfdia.named import diagnose
 
 PLANT = tanks()

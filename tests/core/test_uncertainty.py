@@ -64,6 +64,7 @@ def test_a_disturbance_states_its_size_and_time(wrong: dict[str, Any], message: 
         ({"parameters": ("a",), "step": still}, "parameters have 'a'; expected objects of Parameter"),
         ({"step": 1.0}, "step at other values of the parameters is 1.0; expected a function or None"),
         ({"inputs": {"inflow": 0.0}}, "error of input 'inflow' is 0.0"),
+        ({"changes": {"roughness": -1.0}}, "change of 'roughness' is -1.0; its standard deviation must be positive and finite"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(wrong: dict[str, Any], message: str) -> None:

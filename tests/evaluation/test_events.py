@@ -73,7 +73,7 @@ def test_the_process_is_first_then_what_is_undecided_then_sensors() -> None:
     assert diagnosis.verdict == expected and repr(diagnosis) == f"<Diagnosis of 40 readings, 4 events: {expected}>"
     _, _, undecided, sensor = diagnosis.events
     assert str(undecided) == "cannot tell: outlet or l1, from 15 s to 35 s"  # the more probable first
-    assert str(sensor) == ("q12: 105 s to end of the log, size 0.0001199 m3/s")
+    assert str(sensor) == "q12: 105 s to end of the log, bias 0.00012 m3/s (0.0001169 to 0.000123), 20 sigma"
 
 
 def test_what_is_decided_in_the_end_is_no_open_question() -> None:
@@ -114,12 +114,14 @@ def test_the_table_has_kinds_only_where_the_process_is_tested() -> None:
     pandas = pytest.importorskip("pandas")
     diagnosis = found(accept=(9, NEVER), bias_from=20)
     frame = diagnosis.frame()
-    assert list(frame.columns) == ["kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open"]
+    added = ["fault", "start", "end", "size_low", "size_high", "size_sigma", "confidence", "alternatives"]
+    known = ["kind", "hypothesis", "start_s", "end_s", "size", "sd", "unit", "nominal", "open"]
+    assert list(frame.columns) == known + added
     assert frame["kind"].tolist() == ["process", "sensor"] and isinstance(frame, pandas.DataFrame)
     assert frame["sd"].tolist()[0] == SD[0] and np.isnan(frame["sd"].tolist()[1])
     t, _, y, u = readings(PLANT, 5, 1, seed=0)
     of_sensors = diagnose(LeaveOneOutBank(PLANT), t, y[:, 0], u[:, 0])
-    assert list(of_sensors.frame().columns) == ["sensor", "start_s", "end_s", "size", "unit", "open"]
+    assert list(of_sensors.frame().columns) == ["sensor", "start_s", "end_s", "size", "unit", "open", *added]
     assert of_sensors.process_hypotheses == ()
 
 
@@ -128,7 +130,8 @@ def test_sensors_are_those_of_the_bank_without_the_process() -> None:
     y = y[:, 0].copy()
     y[20:, Q12] += 20 * PLANT.sensor_sigma[Q12]
     alone = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), t, y, u[:, 0])
-    assert alone.events == found(accept=(9, NEVER), bias_from=20).events[1:]
+    (beside,) = found(accept=(9, NEVER), bias_from=20).events[1:]
+    assert alone.events == (replace(beside, confidence=alone.events[0].confidence),)  # of which this bank has its own
     assert alone.verdict == "sensor q12"
 
 

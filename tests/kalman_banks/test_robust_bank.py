@@ -19,7 +19,7 @@ from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
 from fusion_sfdia.core.storage import load_state, save_state
-from fusion_sfdia.kalman_banks import robust_bank
+from fusion_sfdia.kalman_banks import robust_bank, robust_memory
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.robust_bank import QUIET_SHARE, RobustBank
 
@@ -224,6 +224,19 @@ def test_a_jump_of_a_parameter_is_a_difference_of_the_process_and_sensors_stay_m
         error = (found.process_size[k, :, 0] - z[k, :, LOAD]) / found.process_sd[k, :, 0]
         error = error[load[k]]
         assert np.mean(np.abs(error) < 3) > 0.9 and abs(np.median(error)) < 3 * 1.25 / np.sqrt(error.size) * 1.5
+
+
+def test_no_sensor_is_isolated_while_a_verdict_on_the_process_does_not_explain_the_readings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, y = drawn(160, 20, seed=4, jumps={60: JUMP})
+    y[100:] += np.array([8.0, -8.0, 8.0, -8.0, 8.0, 0.0, 0.0]) * PLANT.sensor_sigma
+    found = diagnosed(RobustBank(PLANT), y)
+    assert np.all(np.any(found.process[99], axis=-1))
+    stands = np.any(found.process[116:], axis=-1)  # the running mean of the innovations takes some samples
+    assert stands.mean() > 0.9 and not np.any(found.isolated[116:][stands]) and np.all(np.any(found.alarm[116:], axis=0))
+    monkeypatch.setattr(robust_memory, "UNEXPLAINED", np.inf)
+    assert np.any(diagnosed(RobustBank(PLANT), y).isolated[116:], axis=-1).mean() > 0.5
 
 
 def test_reported_sizes_and_suspects_belong_to_the_verdict() -> None:

@@ -33,17 +33,22 @@ BOTH = found(BIASED, accept=(9, NEVER), doubt=(2, 6), between=(0, 5))
 
 def test_the_verdict_is_first() -> None:
     assert as_text(BOTH, "process-bank").splitlines() == [
+        "model suspect: outlet 5.0 % +- 0.8 below the model",
         "process or model: outlet; cannot tell: l1 or error of inflow; sensor q12",
         "40 readings, 3 events by process-bank",
         "  outlet 5.0 % +- 0.8 below the model since 45 s: not a sensor",
         "  cannot tell: l1 or error of inflow, from 10 s to 25 s",
-        "  q12: 105 s to end of the log, size 0.0001199 m3/s",
+        "  q12: 105 s to end of the log, bias 0.00012 m3/s (0.0001169 to 0.000123), 20 sigma",
     ]
-    assert as_text(found(Y[:, 0]), "process-bank") == "no fault\n40 readings, 0 events by process-bank"
+    first, *rest = as_text(found(Y[:, 0]), "process-bank").splitlines()
+    assert (
+        rest == ["no fault", "40 readings, 0 events by process-bank"]
+        and first == "model not tested: 20 healthy samples are too few"
+    )
     of_sensors = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), T, BIASED, U[:, 0])
-    assert as_text(of_sensors, "loo").splitlines() == [
+    assert as_text(of_sensors, "loo").splitlines()[1:] == [
         "40 readings, 1 event by loo",
-        "  q12: 105 s to end of the log, size 0.0001199 m3/s",
+        "  q12: 105 s to end of the log, bias 0.00012 m3/s (0.0001169 to 0.000123), 20 sigma",
     ]
 
 
@@ -51,10 +56,11 @@ def test_the_files_have_kinds_and_standard_deviations(tmp_path: Path) -> None:
     write_diagnosis(tmp_path, PLANT, BIASED, U[:, 0], BOTH)
     assert {p.name for p in tmp_path.iterdir()} == set(FILES)
     lines = (tmp_path / "events.csv").read_text(encoding="utf-8").splitlines()
+    added = "fault,start,end,size_low,size_high,size_sigma,confidence,alternatives"
     assert lines[:3] == [
-        "kind,hypothesis,start_s,end_s,size,sd,unit,nominal,open",
-        f"process,outlet,45.0,200.0,{float(SIZE[0])!r},{float(SD[0])!r},m2.5/s,0.0006,true",
-        "undecided,l1 or error of inflow,10.0,25.0,nan,nan,,nan,false",
+        f"kind,hypothesis,start_s,end_s,size,sd,unit,nominal,open,{added}",
+        f"process,outlet,45.0,200.0,{float(SIZE[0])!r},{float(SD[0])!r},m2.5/s,0.0006,true,,45 s,200 s,nan,nan,nan,nan,",
+        "undecided,l1 or error of inflow,10.0,25.0,nan,nan,,nan,false,,10 s,25 s,nan,nan,nan,nan,",
     ]
     assert lines[3].startswith("sensor,q12,105.0,200.0,0.000119") and len(lines) == 4
 
@@ -70,7 +76,7 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     ]
     line, size, *_ = figure.axes
     assert [label.get_text() for label in line.get_yticklabels()] == ["outlet", "l1 or error of inflow", "q12"]
-    assert [text.get_text() for text in line.texts] == ["process or model", "cannot tell", "sensor"]
+    assert [text.get_text() for text in line.texts] == ["process or model", "cannot tell", "bias"]
     starts = [bars.get_paths()[0].vertices[:, 0].min() for bars in line.collections]
     np.testing.assert_allclose(starts, [45 / 60, 10 / 60, 105 / 60])
     shown = np.asarray(size.get_lines()[0].get_ydata(), dtype=float)

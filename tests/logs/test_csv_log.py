@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from toy_plants import chain, changed, tanks
 
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.evaluation.logs import read_log, write_log
+from fusion_sfdia.logs.csv_log import read_log, write_log
 
 HEADER = "time,l1,l2,q12,q2"
 ROW = "1,1.0,1.0,6e-4,6e-4"
@@ -93,7 +93,7 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         ("time;l1;l2;q12;q2\n1;1;1;1;1", "cells are separated by ';'; expected commas"),
         ("time [s]\tl1\n1\t1", "cells are separated by '\\\\t'; expected commas"),
         ("t" * 200 + "\n1", f"no column 'time' among '{'t' * 20}...'; give the column"),
-        (HEADER.replace("l1", "l1 [mm]") + "\n" + ROW, "column 'l1' is in 'mm', plant 'two-tanks' has it in 'm'"),
+        (HEADER.replace("l1", "l1 [mbar]") + "\n" + ROW, "column 'l1' is in 'mbar', plant 'two-tanks' has it in 'm': unit"),
         (HEADER.replace("l2", "l1") + "\n" + ROW, "the column 'l1' occurs twice"),
         (HEADER + "\n" + ROW + "\n2,1.0,high,1,1", r"row 3, column l2: 'high'; expected a finite number, or nothing"),
         (HEADER + "\n1,1.0,inf,1,1", "row 2, column l2: 'inf'"),
@@ -103,11 +103,12 @@ def test_absent_sensors_and_other_columns_when_allowed(tmp_path):
         (HEADER.replace("l1", f"l1 [{5000 * 'm'}]") + "\n" + ROW, r"column 'l1' is in 'm{56}\.\.\., plant"),
         (HEADER + "\n1,1.0,1,1", "row 2: 4 cells under a header of 5"),
         (
-            HEADER + "\n2024-05-01,1.0,1,1,1",
-            "column time: '2024-05-01'; expected a finite number of seconds: subtract the first",
+            HEADER + "\n1/5/2024 12:00,1.0,1,1,1",
+            'column time: .*; expected a time without ambiguity: state format = "%d/%m/%Y %H:%M" or format = "%m/%d/%Y',
         ),
         (HEADER + "\n,1.0,1,1,1", "row 2, column time: ''; expected a finite number"),
-        (HEADER + "\n" + ROW + "\n\n" + ROW, r"row 4, column time: 1\.0 s after 1\.0 s; times must increase"),
+        (HEADER + "\n" + ROW + "\n\n" + ROW, r"row 4, column time: 1\.0 s again, as in row 2; .* keep one row of each time"),
+        (HEADER + "\n" + ROW + "\n0" + ROW[1:], r"row 3, column time: 0\.0 s after 1\.0 s; times must increase: sort the rows"),
         (HEADER + ",inflow\n1,1,1,1,1,", "row 2, column inflow: ''; expected a finite number"),
         (HEADER + '\n1,"1.0,1,1,1', "not a CSV text file"),
     ],

@@ -1,0 +1,54 @@
+"""The command `inspect`: what can be diagnosed with a plant."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from fusion_sfdia.cli.logs import WHICH
+
+
+def add_inspect(commands: Any) -> None:
+    """Add `inspect`."""
+    one = commands.add_parser("inspect", help="check a plant, and state which faults can be found with it", allow_abbrev=False)
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--data", type=Path, metavar="HEALTHY.csv", help="a log of the plant in order: are noise and model right?")
+    one.add_argument("--detectors", metavar="NAME,...", help="those of the simulated runs (default: one of each school)")
+    one.add_argument("--sensors", metavar="NAME,...", help="those with a fault in simulated runs (default: all of up to 16)")
+    one.add_argument("--no-simulation", action="store_true", help="theory only")
+    one.add_argument("--out", type=Path, metavar="DIR", help="write inspection.txt and inspection.json into a folder")
+    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
+    one.add_argument("--json", action="store_true", help="print JSON")
+    one.set_defaults(work=_inspect)
+
+
+def _inspect(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.core.files import all_or_none, require_free
+    from fusion_sfdia.inspection.inspection import inspect_plant
+    from fusion_sfdia.inspection.text import as_json, as_text
+    from fusion_sfdia.logs.csv_log import read_log
+    from fusion_sfdia.registry import plant
+
+    if chosen.out is not None:
+        require_free(chosen.out, force=chosen.force)
+    model = plant(chosen.plant)
+    found = inspect_plant(
+        model,
+        None if chosen.data is None else read_log(chosen.data, model),
+        detectors=_names(chosen.detectors),
+        sensors=_names(chosen.sensors),
+        simulated=not chosen.no_simulation,
+    )
+    text, data = as_text(found), json.dumps(as_json(found), indent=2)
+    if chosen.out is not None:
+        with all_or_none(chosen.out) as new:
+            (new / "inspection.txt").write_text(f"{text}\n", encoding="utf-8")
+            (new / "inspection.json").write_text(f"{data}\n", encoding="utf-8")
+    print(data if chosen.json else text)
+    return int(bool(found.mistakes))
+
+
+def _names(text: str | None) -> list[str] | None:
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]

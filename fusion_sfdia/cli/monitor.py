@@ -1,0 +1,74 @@
+"""The command `monitor`: what healthy logs teach, and what it finds in another log, without a model."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import warnings
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fusion_sfdia.core.numerals import decimal
+
+FILES = ("monitor.txt", "events.csv", "reconstructed.csv", "diagnosis.svg", "diagnosis.png")
+
+
+def add_monitor(commands: Any) -> None:
+    """Add `monitor`."""
+    one = commands.add_parser("monitor", help="diagnose a log by healthy ones, without a model", allow_abbrev=False)
+    one.add_argument(
+        "--healthy", type=Path, action="append", required=True, metavar="LOG.csv", help="a log without a fault; repeatable"
+    )
+    one.add_argument("--data", type=Path, required=True, metavar="LOG.csv", help="the log to diagnose, of the same columns")
+    one.add_argument("--inputs", default="", metavar="A,B", help="columns that act on the plant, such as a load or valves")
+    one.add_argument("--ignore", default="", metavar="A,B", help="columns that are left out")
+    one.add_argument(
+        "--false-alarm", type=decimal, default=0.01, metavar="RATE", help="share of healthy samples in alarm (default: 0.01)"
+    )
+    one.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: monitor/ and the log's name)")
+    one.add_argument("--force", action="store_true", help="write into a folder that is in use")
+    one.add_argument("--json", action="store_true", help="print the events as JSON")
+    one.set_defaults(work=_monitor)
+
+
+def _monitor(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
+    from fusion_sfdia.monitoring.logs import read, signals_of
+    from fusion_sfdia.monitoring.monitor import learn_monitor
+    from fusion_sfdia.report.log_report import write_diagnosis
+
+    out = chosen.out or Path("monitor") / chosen.data.stem
+    require_free(out, force=chosen.force)
+    say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
+    sensors, inputs = signals_of(chosen.healthy[0], _names(chosen.inputs), _names(chosen.ignore))
+    healthy = [read(path, sensors, inputs) for path in chosen.healthy]
+    log = read(chosen.data, sensors, inputs)
+    count = sum(len(h.t) for h in healthy)
+    say(f"learning from {count} healthy samples of {len(sensors)} sensors and {len(inputs)} inputs ...")
+    monitor = learn_monitor(sensors, healthy, inputs=inputs, false_alarm=chosen.false_alarm)
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("always", UserWarning)
+        found = monitor.diagnose(log)
+    for warning in issued:
+        print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
+    header, rows = found.table()
+    with all_or_none(out) as new:
+        write_diagnosis(new, monitor.choice.plant, found.log.y, found.log.u, found.diagnosis)
+        with atomic_write(new / "events.csv") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(header)
+            table.writerows(rows)
+        with atomic_write(new / "monitor.txt") as file:
+            file.write(f"{monitor}\n\n{found}\n")
+    say(f"{monitor}\n\n{found}\n{', '.join(FILES)}: in {out}")
+    if chosen.json:
+        entries = [dict(zip(header, row, strict=True)) for row in rows]
+        print(json.dumps([{k: None if v != v else v for k, v in e.items()} for e in entries], indent=2))
+    return int(found.diagnosis.decisions.diverged.any())
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]

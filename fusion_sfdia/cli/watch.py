@@ -1,0 +1,133 @@
+"""The command `watch`: diagnoses rows as they arrive, from standard input or an OPC UA server."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fusion_sfdia.core.numerals import decimal, integer
+
+if TYPE_CHECKING:
+    from fusion_sfdia.live.saving import SavedWatch
+    from fusion_sfdia.logs.log_map import LogMap
+
+WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
+
+LONGEST_LINE = 1_000_000  # bytes; more is no row
+
+
+def add_watch(commands: Any) -> None:
+    """Add `watch`."""
+    one = commands.add_parser(
+        "watch",
+        help="diagnose rows as they arrive, from standard input or an OPC UA server",
+        epilog="Rows come from standard input, as CSV with a header or as JSON lines; events go to standard output, a JSON "
+        "line each. Rows that are late or malformed are skipped and reported. A watch that was killed goes on from --state: "
+        "give the rows since then again, or all; events that it had written come again as the same lines.",
+        allow_abbrev=False,
+    )
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--detector", default="loo-glr", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
+    one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")
+    one.add_argument("--nodes", type=Path, metavar="NODES.toml", help="which nodes are read and written, with --opcua")
+    one.add_argument("--state", type=Path, metavar="FILE", help="where the state is saved, and taken up if the file is there")
+    one.add_argument("--save-every", type=integer, default=1000, metavar="N", help="rows between two saves (default: 1000)")
+    one.add_argument("--samples", action="store_true", help="also a line for each row: verdict and validated readings")
+    one.add_argument(
+        "--hold", type=decimal, metavar="S", help="seconds for which a missing input keeps its value (default: the map's, or 0)"
+    )
+    one.add_argument(
+        "--longest-gap",
+        type=decimal,
+        metavar="S",
+        help="pause after which the detector starts anew (default: 10 000 steps of the plant)",
+    )
+    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
+    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
+    one.add_argument("--nominal-inputs", action="store_true", help="assume the plant's usual inputs where they are missing")
+    one.set_defaults(work=_watch)
+
+
+def _watch(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.live.remarks import Remarks
+    from fusion_sfdia.live.saving import SavedWatch
+    from fusion_sfdia.live.watch import Watch
+    from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
+    from fusion_sfdia.registry import detector, plant
+
+    if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
+        raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
+    if chosen.save_every < 1:
+        raise ValueError(f"--save-every is {chosen.save_every}; expected at least 1 row")
+    if (chosen.opcua is None) != (chosen.nodes is None) or (chosen.opcua and chosen.map):
+        raise ValueError("--opcua needs --nodes, which states what a --map states of text; give both or neither")
+    refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
+    bound = detector(chosen.detector, plant(chosen.plant))
+    settings = {
+        "hold": log_map.hold if chosen.hold is None else chosen.hold,
+        "nominal_inputs": chosen.nominal_inputs,
+        "at_sample": log_map.inputs == AT_THE_SAMPLE or chosen.opcua is not None,
+        "longest_gap": chosen.longest_gap,
+        "refused": refused,
+    }
+    if chosen.state is not None and chosen.state.exists():
+        watch = Watch.load(chosen.state, bound, **settings)
+        _say(f"{chosen.state}: goes on after {watch.clock.at(watch.t or 0.0)}")
+    else:
+        watch = Watch(bound, **settings)
+    saved = SavedWatch(watch, _write, chosen.state, chosen.save_every, chosen.samples)
+    try:
+        if chosen.opcua:
+            _server(chosen, saved)
+        else:
+            _text(chosen, saved, log_map)
+    finally:
+        saved.save()
+        if refused.count:
+            _say(f"{refused.count} remarks in all")
+    return 0
+
+
+def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
+    from fusion_sfdia.live.rows import TextRows
+
+    rows = TextRows(
+        saved.watch.detector.plant,
+        log_map,
+        absent_sensors=chosen.absent_sensors,
+        other_columns=chosen.other_columns,
+        nominal_inputs=chosen.nominal_inputs,
+    )
+    for number, line in enumerate(iter(partial(sys.stdin.buffer.readline, LONGEST_LINE), b""), start=1):
+        try:
+            row = rows.row(line.decode(log_map.encoding, errors="replace"))
+        except ValueError as error:
+            if rows.reader is None:
+                raise
+            saved.watch.refused(f"line {number}: {error}; it is not taken")
+            continue
+        if row is not None:
+            saved.take(*row)
+
+
+def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
+    import asyncio
+    import logging
+
+    from fusion_sfdia.live.nodes import load_nodes
+    from fusion_sfdia.live.opcua import watch_server
+
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it logs each lost connection with a traceback
+    asyncio.run(watch_server(saved, chosen.opcua, load_nodes(chosen.nodes, saved.watch.detector.plant)))
+
+
+def _write(line: str) -> None:
+    print(line, flush=True)
+
+
+def _say(line: str) -> None:
+    print(f"fusion-sfdia: {line}", file=sys.stderr, flush=True)

@@ -1,0 +1,108 @@
+"""Gaps of a log: steps of the plant's dt without readings, or, where that takes too many, a fresh start."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+
+Array = NDArray[Any]
+
+LARGEST_CHANGE = 0.1  # of a deviation within a step, as of `discretise`: a step's noise variance errs by a tenth
+MOST_BRIDGES = 10_000  # steps in a gap: a day's outage in steps of 10 s; and in all gaps, in addition to ten for each reading
+REPORTED = 2.0  # times the median distance of readings: a shorter gap is uneven sampling
+
+
+class Gap(NamedTuple):
+    """No reading between start and end (s). steps: how many the plant takes from one to the other; reset: the gap takes more
+    than `MOST_BRIDGES` steps, and the detector starts anew at its end.
+    """
+
+    start: float
+    end: float
+    steps: int
+    reset: bool
+
+
+class Track(NamedTuple):
+    """A log with the steps through its gaps: times t (S,), readings y (S, N), NaN in gaps, inputs u (S, m).
+
+    own (S,): whether a step has a sample of the log. begins (S,): the time at which a fresh start begins, NaN where a step
+    follows the one before.
+    """
+
+    t: Array
+    y: Array
+    u: Array
+    own: Array
+    begins: Array
+
+
+def longest_step(plant: Plant) -> float:
+    """The longest step (s) to take at once: the plant's max_dt, or, where it states none, max(dt, 0.1 / |D^-1 A D|).
+
+    A = (F - I) / dt, with F = d step / d x at x0, and D the scales of the states. Within such a step a deviation changes by at
+    most a tenth, so that process noise in proportion to the time is right to a tenth (see `discretise.largest_step`), and an
+    explicit Euler step, stable up to 2 / |A|, is far from its limit. It is inf where F = I, and dt where the model fails at x0.
+    """
+    if plant.numerics.fixed_dt:
+        return plant.dt
+    if np.isfinite(plant.numerics.max_dt):
+        return plant.numerics.max_dt
+    with np.errstate(all="ignore"):
+        try:
+            f = plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), plant.dt)
+        except ArithmeticError:
+            return plant.dt
+        change = (f - np.eye(plant.x0.size)) / plant.dt / plant.state_scale[:, None] * plant.state_scale
+        if not np.all(np.isfinite(change)):
+            return plant.dt
+        return float(np.maximum(plant.dt, LARGEST_CHANGE / np.linalg.norm(change, 2)))
+
+
+def bridged(plant: Plant, log: Log) -> tuple[Track, tuple[Gap, ...]]:
+    """Return the steps through a log of one run, and the gaps that are worth a report.
+
+    Where two times are further apart than `longest_step`, steps of dt (or just below) without readings lead from one to the
+    other, under inputs interpolated between those before and after; so the covariance grows as in a log with empty rows. A
+    gap of more than MOST_BRIDGES steps is not bridged. ValueError for a time for which the model does not hold, and where all
+    gaps take more than MOST_BRIDGES steps and ten for each reading.
+    """
+    t, y, u = log
+    first = float(t[0]) - (
+        plant.dt if len(t) < 2 or plant.numerics.fixed_dt else min(plant.dt, float(t[1] - t[0]))
+    )  # the first step of a log
+    gaps = np.diff(t, prepend=first)
+    with np.errstate(invalid="ignore"):
+        long = (gaps > longest_step(plant) * (1 + 1e-9)) & np.isfinite(gaps)
+        parts = np.where(long, np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
+    fresh = parts > MOST_BRIDGES
+    usual = float(np.median(gaps[1:])) if t.size > 1 else plant.dt
+    reported = tuple(
+        Gap(float(t[k - 1]), float(t[k]), int(min(parts[k], 2**62)), bool(fresh[k]))
+        for k in np.flatnonzero(long & (gaps > REPORTED * (usual if np.isfinite(usual) else plant.dt)))
+    )
+    fresh[0] = True
+    gaps, parts = np.where(fresh, t[0] - first, gaps), np.where(fresh, 1, parts)
+    if np.sum(parts) > MOST_BRIDGES + 10 * t.size:
+        raise ValueError(
+            f"{t.size} readings take {np.sum(parts):.5g} steps of {plant.dt:g} s, as they are up to {np.max(gaps):g} s apart; "
+            "give times in seconds, or split the log at long gaps"
+        )
+    for k, step in enumerate(gaps / parts):
+        try:
+            plant.check_dt(float(step))
+        except ValueError as error:
+            raise ValueError(f"reading {k + 1}, {t[k]:.10g} s, is {gaps[k]:.10g} s after the one before: {error}") from error
+    last, which = np.cumsum(parts.astype(int)) - 1, np.repeat(np.arange(t.size), parts.astype(int))
+    ahead = last[which] - np.arange(which.size)  # steps of the gap that are still to come
+    times = t[which] - ahead * (gaps / parts)[which]
+    between = (ahead / parts[which])[:, None]  # 0 at a reading
+    inputs = u[which] * (1 - between) + np.concatenate([u[:1], u[:-1]])[which] * between
+    begins = np.full(which.size, np.nan)
+    begins[last[fresh]] = (t - gaps)[fresh]
+    return Track(times, np.where(between == 0, y[which], np.nan), inputs, ahead == 0, begins), reported

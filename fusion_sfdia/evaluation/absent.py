@@ -1,0 +1,74 @@
+"""Sensors that no residual shows: readings that are missing, or that repeat their value, for a long time or throughout."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+DUE = 10  # readings that are due: where half of them are missing, the sensor has dropped out
+REPEATED = 16  # equal readings in a row: with 8 pairs a test of quiet readings has power, see `kalman_banks.quiet`
+LONGER = 10  # times the usual number of equal readings in a row
+
+
+def dropouts(y: Array) -> list[list[tuple[int, int]]]:
+    """Return, for each sensor of y (K, N), the first and last index of each stretch in which at least half of the readings due
+    are missing.
+
+    A sensor is due every p samples, p the median distance of its readings; of `DUE` readings due in a row half are missing.
+    Samples without any reading are a gap of the log and do not count.
+    """
+    rows = np.flatnonzero(np.any(np.isfinite(y), axis=1))
+    found: list[list[tuple[int, int]]] = []
+    for column in np.isfinite(y[rows]).T:
+        at = np.flatnonzero(column)
+        if at.size < 2:
+            found.append([(0, len(y) - 1)] if at.size < column.size else [])
+            continue
+        period = max(1, int(np.median(np.diff(at))))
+        width = min(DUE * period, column.size)
+        read = np.concatenate([[0], np.cumsum(column)])
+        few = read[width:] - read[:-width] <= width / period / 2  # of the window that begins here
+        if width < DUE * period:
+            few &= column.size >= DUE * period // 2
+        missing = np.zeros(column.size, bool)
+        for k in np.flatnonzero(few):
+            missing[k : k + width] = True
+        found.append([span for a, b in _runs(missing) if (span := _trimmed(rows, column, a, b, period)) is not None])
+    return found
+
+
+def _trimmed(rows: Array, column: Array, a: int, b: int, period: int) -> tuple[int, int] | None:
+    """The first and last sample at which a reading is overdue between a and b; None where fewer than half of DUE are."""
+    absent = np.flatnonzero(~column[a : b + 1]) + a
+    if absent.size < DUE * period / 2:
+        return None
+    return int(rows[absent[0]]), int(rows[absent[-1]])
+
+
+def repeats(y: Array) -> list[list[tuple[int, int]]]:
+    """Return, for each sensor of y (K, N), the first and last index of each long run of equal readings.
+
+    A run is long with `REPEATED` readings and `LONGER` times as many as the median run of the sensor has, so that a log that
+    holds slow readings is not frozen. Missing readings are passed over.
+    """
+    found: list[list[tuple[int, int]]] = []
+    for column in y.T:
+        at = np.flatnonzero(np.isfinite(column))
+        if not at.size:
+            found.append([])
+            continue
+        starts = np.flatnonzero(np.diff(column[at], prepend=np.nan) != 0)
+        lengths = np.diff(starts, append=at.size)
+        least = max(REPEATED, LONGER * float(np.median(lengths)) if lengths.size > 1 else 0.0)
+        ends = starts + lengths - 1
+        found.append([(int(at[a]), int(at[b])) for a, b, n in zip(starts, ends, lengths, strict=True) if n >= least])
+    return found
+
+
+def _runs(held: Array) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))

@@ -1,0 +1,79 @@
+"""A second look at a log after its diagnosis: one Kalman filter without the readings that the detector isolated.
+
+The detector decides sample by sample. Afterwards it is known which readings were faulty, and roughly since when; without these
+the filter states what every sensor should have read and how well that is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.gaps import Track
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
+from fusion_sfdia.filters.gaussian import condition
+
+Array = NDArray[Any]
+
+LEAD = 15  # samples before an isolation that are left out, too: an alarm follows its fault
+
+
+class Hindsight(NamedTuple):
+    """Of each sample and sensor (K, N): error, the reading less its estimate from the other sensors, sd of that without a
+    fault, and normal, the innovation over its standard deviation where the reading is used. nis (K,): normalised innovation
+    squared per reading used, and used (K,), their number. NaN where nothing is known.
+    """
+
+    error: Array
+    sd: Array
+    normal: Array
+    nis: Array
+    used: Array
+
+
+def left_out(isolated: Array, lead: int = LEAD) -> Array:
+    """Which readings (K, N) are left out: those that are isolated, and `lead` samples before each."""
+    found = isolated.copy()
+    for shift in range(1, min(lead, len(isolated) - 1) + 1):
+        found[:-shift] |= isolated[shift:]
+    return found
+
+
+def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Iterable[int]], Iterable[int]] = iter) -> Hindsight:
+    """Run the extended Kalman filter of a plant over a log without the readings `out` (K, N).
+
+    Of a reading that is used, the error is the leave-one-out residual u_i / w_i with u = S^-1 d and w = diag S^-1, whose
+    variance is 1 / w_i; of one that is not, y - h(x) after the others were used, with the variance R + H P H'. Where the
+    filter has no finite value any more, everything after is NaN.
+    """
+    filter_, rng, cov = Extended(), step_stream(0, 0), model.sensor_cov  # this filter draws nothing
+    count, n = out.shape
+    found = Hindsight(*(np.full((count, n), np.nan) for _ in range(3)), np.full(count, np.nan), np.zeros(count, int))
+    core = filter_.start(model, (), rng)
+    before, k = np.nan, -1
+    with np.errstate(all="ignore"):
+        for s in each(range(track.t.size)):
+            if np.isfinite(track.begins[s]):
+                core, before = filter_.start(model, (), rng), float(track.begins[s])
+            now, y, u = float(track.t[s]), track.y[s], track.u[s]
+            prior = filter_.predict(model, core, before, u, now - before, rng)
+            joint = filter_.joint(model, prior, now, u)
+            k += bool(track.own[s])
+            use = np.isfinite(y) & ~out[k] if track.own[s] else np.zeros(n, bool)
+            after = condition(joint, y, use)
+            if not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
+                break
+            if track.own[s]:
+                w = np.where(use, np.diagonal(after.inverse), np.nan)
+                h = model.output_jacobian_at(now, after.x, u)
+                d = np.where(use, after.innovation, 0.0)
+                found.error[k] = np.where(use, after.inverse @ d / w, y - model.output(now, after.x, u))
+                found.sd[k] = np.sqrt(np.where(use, 1 / w, np.sum((h @ after.P) * h, axis=-1) + cov))
+                found.normal[k] = np.where(use, d / np.sqrt(np.diagonal(joint.S)), np.nan)
+                found.nis[k], found.used[k] = after.nis, np.sum(use)
+            core, before = GaussianState(after.x, after.P), now
+    return found

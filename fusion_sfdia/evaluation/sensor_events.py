@@ -1,0 +1,162 @@
+"""Events of sensors with what is known afterwards: kind and size of the fault, other sensors that may have it, silent and
+frozen sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.evaluation.absent import dropouts
+from fusion_sfdia.evaluation.events import Event
+from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
+from fusion_sfdia.evaluation.hindsight import Hindsight
+
+Array = NDArray[Any]
+
+TOGETHER = 20  # samples: events of one sensor less far apart are judged together, as spikes and noise raise many
+STILL = 0.4  # share of equal successive readings of a healthy sensor above which they mean nothing
+
+
+def false_alarm_of(detector: Detector) -> float:
+    """The rate of false alarms that a detector states, else 1e-3."""
+    rate = getattr(detector, "false_alarm", 1e-3)
+    return float(rate) if isinstance(rate, int | float) and 0 < rate < 1 else 1e-3
+
+
+def explained(
+    detector: Detector,
+    t: Array,
+    y: Array,
+    decisions: Decision,
+    events: Sequence[Event],
+    after: Hindsight,
+    frozen: Sequence[Sequence[tuple[int, int]]],
+) -> tuple[Event, ...]:
+    """Return the events with those of sensors explained, and with those of sensors that are silent or `frozen` (of each
+    sensor first and last sample); the others first, then sensors and other faults in order of their start.
+    """
+    sensors = detector.plant.sensors
+    found = [e for e in events if e.kind not in ("sensor", "other")]
+    faults: list[Event] = [e for e in events if e.kind == "other"]
+    silent = dropouts(y)
+    for i, sensor in enumerate(sensors):
+        own = [e for e in events if e.kind == "sensor" and e.hypothesis == sensor.name]
+        spans = [(int(np.searchsorted(t, e.start)), int(np.searchsorted(t, e.end))) for e in own]
+        held = np.zeros(len(t), bool)
+        for a, b in spans:
+            held[a : b + 1] = True
+        pairs = np.diff(y[~held & np.isfinite(y[:, i]), i])
+        still = pairs.size > 0 and bool(np.mean(pairs == 0) > STILL)
+        mine = []
+        for first, last in _groups(spans):
+            a, b = spans[first][0], spans[last][1]
+            part = slice(a, b + 1)
+            over = b < len(t) - 1
+            named = name(after.error[part, i], after.sd[part, i], sensor.noise_sigma, y[part, i], still=still, over=over)
+            for e, (k, end) in zip(own[first : last + 1], spans[first : last + 1], strict=True):
+                only = slice(k, end + 1)
+                of_it = resized(named, after.error[only, i], after.sd[only, i], sensor.noise_sigma)
+                confidence, rivals = rivals_at(detector, decisions, i, k)
+                mine.append(replace(_with(e, of_it, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
+        for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
+            for a, b in stretches:
+                mine = _joined(mine, kind, t, a, b, sensor.name, sensor.unit)
+        faults += mine
+    return (*found, *sorted(faults, key=lambda e: (e.start, e.hypothesis)))
+
+
+def _groups(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The first and last of the events, given by their first and last samples, that are judged together."""
+    groups: list[tuple[int, int]] = []
+    for j, (a, _) in enumerate(spans):
+        if groups and a - spans[groups[-1][1]][1] - 1 < TOGETHER:
+            groups[-1] = (groups[-1][0], j)
+        else:
+            groups.append((j, j))
+    return groups
+
+
+def _with(e: Event, named: Named, sigma: float) -> Event:
+    """An event with the kind of its fault; with its size, unless that could not be found from residuals."""
+    if named.kind == "dropout":
+        return replace(e, fault="dropout", size=np.nan)
+    if not np.isfinite(named.size):
+        return replace(e, fault=named.kind, sigmas=e.size / float(sigma))
+    return replace(
+        e,
+        fault=named.kind,
+        size=named.size,
+        low=named.low,
+        high=named.high,
+        sigmas=named.size / float(sigma),
+        fault_alternatives=named.alternatives,
+    )
+
+
+def _joined(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: str, unit: str) -> list[Event]:
+    """The events of a sensor with a stretch from sample a to b in which it is silent or frozen.
+
+    Events of that kind that overlap the stretch are one with it, and so is, of a frozen sensor, any event that begins in it:
+    what follows is how long the detector takes to trust the sensor again. A stretch of equal readings within another fault
+    adds nothing.
+    """
+    if kind == "freeze" and any(e.start < t[a] and e.end >= t[b] for e in events):
+        return events
+    start, end, certain = float(t[a]), float(t[b]), 1.0 if kind == "dropout" else np.nan
+    one = Event(sensor, start, end, np.nan, unit, b == len(t) - 1, fault=kind, confidence=certain)
+    kept = []
+    for e in events:
+        if e.end < start or e.start > end or not (e.fault == kind or (kind == "freeze" and e.start >= start)):
+            kept.append(e)
+            continue
+        larger = e if not abs(one.sigmas) > abs(e.sigmas) else one
+        one = replace(
+            larger,
+            start=min(e.start, one.start),
+            end=max(e.end, one.end),
+            open=e.open or one.open,
+            fault=kind,
+            fault_alternatives=(),
+        )
+    return [*kept, one]
+
+
+def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[float, tuple[str, ...]]:
+    """The probability of hypothesis i when it was isolated, at sample k, and the other hypotheses that could not be excluded.
+
+    Of a detector that states probabilities, these, and the suspects of the sample before. Otherwise from the test statistics
+    of the sensors, T = (score q)^2 with q the normal quantile of the detector's rate of false alarms, shared by the sensors:
+    twice the logarithm of a likelihood ratio, so that the probability is exp(T_i / 2) / sum_j exp(T_j / 2).
+    """
+    tested = getattr(detector, "process_hypotheses", ())
+    names = (*detector.hypotheses, *(h.name for h in tested))
+    count = len(detector.plant.sensors)
+    together = decisions.isolated[k]
+    if decisions.probability is not None:
+        probability = np.where(np.isfinite(decisions.probability[k]), decisions.probability[k], 0.0)
+    else:
+        q = ndtri(false_alarm_of(detector) / count / 2) * getattr(detector, "threshold_scale", 1.0)
+        score = np.where(np.isfinite(decisions.scores[k]), decisions.scores[k], 0.0)
+        others = ~together[:count]
+        others[i] = True
+        half = np.where(others, np.minimum(np.abs(score * q), 1e6) ** 2 / 2, -np.inf)
+        weight = np.exp(half - np.max(half))
+        probability = np.zeros(len(names))
+        probability[:count] = weight / np.sum(weight)
+    possible = probability > POSSIBLE
+    if decisions.suspect is not None and k > 0:
+        possible |= decisions.suspect[k - 1]
+    possible[: together.size] &= ~together
+    if decisions.process is not None:  # accepted beside the sensor, not in its place
+        possible[len(detector.hypotheses) :] &= ~decisions.process[k]
+    possible[i] = False
+    ordered = sorted(np.flatnonzero(possible).tolist(), key=lambda j: -probability[j])
+    own = float(probability[i])
+    return (own if own > 0 else np.nan), tuple(names[j] for j in ordered)

@@ -1,0 +1,186 @@
+"""`inspect_plant`: what can be diagnosed with a plant, before any fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from fusion_sfdia import registry
+from fusion_sfdia.core.log import as_log, one_run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.inspection.detectability import DETECTORS, Tried, tried
+from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding, mistakes, not_analytic
+from fusion_sfdia.inspection.healthy import OnHealthy, of_healthy, on_healthy
+from fusion_sfdia.inspection.observability import Observability, observability, of_readings
+from fusion_sfdia.inspection.stepping import Stepping, of_step, stepping
+from fusion_sfdia.inspection.structure import Structural, of_structure, structural
+from fusion_sfdia.kalman_banks.identifiability import CONFOUNDED, Identifiability, identifiability
+
+T = TypeVar("T")
+SMALL, MIDDLE = 16, 80  # sensors: up to SMALL all are simulated with all detectors, up to MIDDLE four with the fast ones
+FAST = ("loo-glr", "chebyshev", "pca")
+LATE = 0.1  # share of healthy samples in which a detector isolates a sensor, above which its results mean little
+
+
+@dataclass(frozen=True, repr=False)
+class Inspection:
+    """What `inspect_plant` found: findings, the mistakes first, and what they rest on; None where it was not examined.
+
+    derivatives: how the Jacobians of step and output are found.
+    """
+
+    plant: Plant
+    findings: tuple[Finding, ...]
+    derivatives: tuple[str, str] = ("", "")
+    step: Stepping | None = None
+    readings: Observability | None = None
+    theory: Identifiability | None = None
+    detectors: tuple[Tried, ...] = ()
+    structure: Structural | None = None
+    healthy: OnHealthy | None = None
+
+    @property
+    def mistakes(self) -> tuple[Finding, ...]:
+        """What has to be corrected before any diagnosis."""
+        return tuple(f for f in self.findings if f.kind == MISTAKE)
+
+    @property
+    def remarks(self) -> tuple[Finding, ...]:
+        """What to know about the diagnosis of this plant."""
+        return tuple(f for f in self.findings if f.kind == REMARK)
+
+    @property
+    def kept_out(self) -> tuple[str, ...]:
+        """Sensors that detectors which exclude sensors may never use again on their own."""
+        return () if self.readings is None else self.readings.redundancy.indispensable
+
+    @property
+    def verdict(self) -> str:
+        """One line for the whole plant."""
+        count = len(self.mistakes)
+        if count:
+            return f"{self.plant.name}: NOT READY, {count} mistake{'s' * (count != 1)} to correct"
+        more = len(self.remarks)
+        return f"{self.plant.name}: ready for diagnosis" + (f", {more} remark{'s' * (more != 1)}" if more else "")
+
+    def __str__(self) -> str:
+        from fusion_sfdia.inspection.text import as_text
+
+        return as_text(self)
+
+    def __repr__(self) -> str:
+        return f"<Inspection of {self.verdict}>"
+
+
+def inspect_plant(
+    plant: Any,
+    healthy: Any = None,
+    *,
+    detectors: Sequence[Any] | None = None,
+    sensors: Sequence[str] | None = None,
+    simulated: bool = True,
+) -> Inspection:
+    """Examine a plant, given as in `registry.find_plant`: mistakes in its model, its step, observability and redundancy, and
+    which sensor faults are found by which detector, from what size and after how long, by theory and in simulated runs.
+
+    healthy: readings of the real plant in order, as `as_log` takes them. detectors: of the simulated runs, by default one of
+    each school; sensors: those with a fault. Up to 16 sensors all are tried, up to 80 four with the fast detectors, of more
+    none, unless they are named. simulated: False leaves the runs out. With mistakes nothing further is examined: results
+    would be those of another plant. ValueError for unknown names, and for data that do not fit.
+    """
+    found = registry.plant(plant)
+    chosen = _sensors(found) if sensors is None else tuple(sensors)
+    for name in chosen:
+        found.sensor_index(name)
+    wrong = tuple(mistakes(found))
+    if wrong:
+        return Inspection(found, wrong)
+    log = None if healthy is None else one_run(as_log(found, healthy))
+    remarks: list[Finding] = list(not_analytic(found))
+    step = stepping(found)
+    remarks += of_step(found, step)
+    readings = _attempt(partial(observability, found), "observability", remarks)
+    remarks += [] if readings is None else of_readings(found, readings)
+    theory = None
+    if len(found.sensors) <= MIDDLE:
+        theory = _attempt(partial(identifiability, found), "theory", remarks)
+        remarks += [] if theory is None else of_theory(theory)
+    pattern = structural(found)
+    remarks += of_structure(pattern)
+    runs: tuple[Tried, ...] = ()
+    if simulated and chosen:
+        usual = DETECTORS if len(found.sensors) <= SMALL else FAST
+        of = partial(tried, found, usual if detectors is None else detectors, chosen)
+        runs = _attempt(of, "simulation", remarks) or ()
+        remarks += of_runs(runs)
+    of_log = None if log is None else on_healthy(found, log, DETECTORS[0])
+    remarks += [] if of_log is None else of_healthy(found, of_log)
+    findings = sorted(remarks, key=lambda f: f.kind != MISTAKE)
+    return Inspection(found, tuple(findings), _derivatives(found), step, readings, theory, runs, pattern, of_log)
+
+
+def _attempt(examine: Callable[[], T], about: str, remarks: list[Finding]) -> T | None:
+    """The result, or None with a remark where the plant has no numbers for it."""
+    try:
+        return examine()
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        remarks.append(Finding(REMARK, about, f"not examined: {error}"))
+        return None
+
+
+def _sensors(plant: Plant) -> tuple[str, ...]:
+    """The sensors whose faults are simulated: all, or the first of each of four quantities, or none."""
+    if len(plant.sensors) <= SMALL:
+        return plant.sensor_names
+    if len(plant.sensors) > MIDDLE:
+        return ()
+    return tuple(plant.sensor_names[members[len(members) // 2]] for members in list(plant.quantities.values())[:4])
+
+
+def _derivatives(plant: Plant) -> tuple[str, str]:
+    given = plant.numerics.step_jacobian, plant.numerics.output_jacobian
+    step, output = (
+        "given by the plant" if jacobian is not None else "complex step, exact" if holds else "differences"
+        for jacobian, holds in zip(given, plant._complex_step_holds, strict=True)
+    )
+    return step, output
+
+
+def of_theory(theory: Identifiability) -> Iterator[Finding]:
+    """Sensors whose fault looks like an error of the model, or like the fault of another sensor."""
+    for text in theory.warnings:
+        about, _, what = text.partition(": ")
+        yield Finding(REMARK, about, what)
+    between = np.abs(theory.between) - np.eye(len(theory.sensors))
+    for i, j in zip(*np.nonzero(np.triu(between > CONFOUNDED)), strict=True):
+        yield Finding(
+            REMARK,
+            f"{theory.sensors[i]}, {theory.sensors[j]}",
+            f"a bias of one looks like a bias of the other (rho {theory.between[i, j]:+.2f}): that they disagree is seen, "
+            "which one is wrong hardly; a third reading of the quantity decides",
+        )
+
+
+def of_runs(runs: tuple[Tried, ...]) -> Iterator[Finding]:
+    """False alarms, and sensors that were not used again."""
+    for of in runs:
+        if of.healthy > LATE:
+            yield Finding(
+                REMARK,
+                of.detector,
+                f"isolates a sensor in {of.healthy:.0%} of the healthy samples of simulated runs: its results mean little; "
+                "use another one",
+            )
+    kept = {name: [of.detector for of in runs if name in of.kept_out] for of in runs for name in of.kept_out}
+    for by in dict.fromkeys(map(tuple, kept.values())):
+        names = [name for name, those in kept.items() if tuple(those) == by]
+        yield Finding(
+            REMARK,
+            ", ".join(names),
+            f"once isolated, not used again by {', '.join(by)} although the fault is over: after a repair call "
+            "state = detector.readmit(state, sensor)",
+        )

@@ -1,0 +1,121 @@
+"""Whether the step of a plant is short enough: its time constants, and its error by comparison with two half steps.
+
+With the Jacobian F(h) of a step of h seconds, A = (F(h) - I) / h for h -> 0 is that of the differential equation, whatever the
+method of the step; its eigenvalues s are the rates of the modes. A mode with Re s < 0 whose F(dt) grows is unstable by the step
+alone. The error of a step is estimated by Richardson's comparison of one step of dt with two of dt / 2: for a method of first
+order the difference is half of the error, for higher orders nearly all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.checks.models import along_operation, points
+from fusion_sfdia.core.covariance import diagonal
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding
+
+Array = NDArray[Any]
+
+SHORT = 1e-4  # of dt, for A: the error of (F - I) / h is of its order, rounding 1e-12
+STIFF = 2.0  # |s| dt above which an explicit step is unstable (Euler) or nearly so
+LONGEST = 1024  # steps of dt in the longest gap that is tried
+NOTED = 0.1  # of the process noise: an error of a step above it is worth a remark
+
+
+class Stepping(NamedTuple):
+    """rates (n,): eigenvalues of A in 1/s, complex; growth (n,): |eigenvalues| of F(dt). error (n,): of a step of dt, over
+    the process noise of a step (inf where that is 0 and the step errs). holds: longest step in s whose error is below that
+    noise, at least dt, inf beyond 1024 dt. timeless: whether the step ignores dt. NaN where the plant has a fixed dt.
+    """
+
+    rates: Array
+    growth: Array
+    error: Array
+    holds: float
+    timeless: bool
+
+
+def stepping(plant: Plant) -> Stepping:
+    """Examine the step about x0 and about the state after 20 steps of the usual operation."""
+    n, dt, u = len(plant.states), plant.dt, plant.input_at(0.0)
+    jacobian = plant.step_jacobian_at(0.0, plant.x0, u, dt) * plant.state_scale / plant.state_scale[:, None]
+    growth = np.sort(np.abs(np.linalg.eigvals(jacobian)))[::-1]
+    nothing = np.full(n, np.nan)
+    if plant.numerics.fixed_dt:
+        return Stepping(nothing.astype(complex), growth, nothing, dt, False)
+    x = np.concatenate([points(plant), along_operation(plant)[1]])
+    short = SHORT * dt
+    F = plant.step_jacobian_at(0.0, plant.x0, u, short) * plant.state_scale / plant.state_scale[:, None]
+    rates = np.linalg.eigvals((F - np.eye(n)) / short)
+    moved = np.any(plant.step(0.0, x, _over(u, x), dt) != x)
+    timeless = bool(moved and np.array_equal(plant.step(0.0, x, _over(u, x), dt), plant.step(0.0, x, _over(u, x), dt / 2)))
+    error = _error(plant, x, u, dt, 2)
+    holds, times = dt, 2
+    while times <= LONGEST and np.all(_error(plant, x, u, times * dt, times) < np.sqrt(times)):
+        holds, times = times * dt, 2 * times
+    return Stepping(rates, growth, error, np.inf if times > LONGEST else holds, timeless)
+
+
+def _error(plant: Plant, x: Array, u: Array, span: float, parts: int) -> Array:
+    """Largest difference (n,) of one step of `span` from `parts` of them, over the process noise of a step of dt."""
+    with np.errstate(all="ignore"):
+        at_once, divided = plant.step(0.0, x, _over(u, x), span), x
+        for k in range(parts):
+            divided = plant.step(k * span / parts, divided, _over(u, x), span / parts)
+        difference = np.max(np.abs(at_once - divided), axis=0)
+        rounding = 64 * np.finfo(float).eps * np.max(np.abs(x), axis=0)
+        noise = np.sqrt(np.maximum(diagonal(plant.process_cov), 0.0))
+        return np.where(difference <= rounding, 0.0, np.nan_to_num(difference / noise, nan=np.inf, posinf=np.inf))
+
+
+def _over(u: Array, x: Array) -> Array:
+    return np.broadcast_to(u, (len(x), u.size))
+
+
+def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
+    """What to correct, or know, about the step."""
+    dt, names = plant.dt, [s.name for s in plant.states]
+    if found.timeless:
+        yield Finding(
+            REMARK, "step", "it ignores dt: a gap in a log counts as one step; use dt, or state Numerics(fixed_dt=True)"
+        )
+        return
+    if plant.numerics.fixed_dt:
+        return
+    fastest = np.max(np.abs(found.rates))
+    if found.growth[0] > 1 + 1e-6 and np.all(found.rates.real < 1e-9 * fastest):
+        yield Finding(
+            MISTAKE,
+            "step",
+            f"a step of {dt:g} s is unstable: an error grows by {found.growth[0]:.3g} in each, while the fastest mode decays "
+            f"in {1 / fastest:.3g} s; make dt shorter than {1 / fastest:.2g} s inside of the step (substeps), or use `discretise`",
+        )
+        return
+    if fastest * dt > STIFF:
+        yield Finding(
+            REMARK,
+            "step",
+            f"the plant is stiff: its fastest mode decays in {1 / fastest:.3g} s, {fastest * dt:.3g} times in a step of {dt:g} "
+            "s; with own code take substeps of at most that time, with `discretise` substeps or decay",
+        )
+    worst = int(np.argmax(found.error))
+    if found.error[worst] > NOTED and np.isfinite(found.error[worst]):
+        yield Finding(
+            REMARK,
+            "step",
+            f"one step of {dt:g} s and two of {dt / 2:g} s differ by {found.error[worst]:.2g} times the process noise in "
+            f"{names[worst]}; take substeps or `discretise`"
+            + (", or state more process_sigma" if found.error[worst] > 1 else ""),
+        )
+    if np.isinf(plant.numerics.max_dt) and np.isfinite(found.holds):
+        yield Finding(
+            REMARK,
+            "step",
+            f"no longest step is stated, but its error exceeds the process noise beyond {found.holds:g} s; state "
+            f"Numerics(max_dt={found.holds:g}), and longer gaps are divided",
+        )

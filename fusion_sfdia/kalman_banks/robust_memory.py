@@ -1,0 +1,69 @@
+"""What `RobustBank` carries from sample to sample, and how well its accepted explanation fits."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.exclusion import Exclusion, none_excluded
+from fusion_sfdia.filters.estimators import GaussianState
+from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
+from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, empty
+from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs
+from fusion_sfdia.kalman_banks.standing import Standing, nothing
+
+Array = NDArray[Any]
+
+UNEXPLAINED = 1.5  # normalised innovation squared, beyond that of the worst sensor, that an explanation may leave
+FADING = 1 / 16  # share of the present sample in its running mean
+
+
+class RobustMemory(NamedTuple):
+    """Estimate of the augmented state, sensors left out and for how many samples (..., N), windows, accepted hypotheses.
+
+    led (..., N): samples in a row in which a sensor explained the readings better than the process, with the sign of its fault.
+    nis (...): running mean of the normalised innovation squared without the worst sensor.
+    """
+
+    estimate: GaussianState
+    exclusion: Exclusion
+    out_for: Array
+    led: Array
+    recent: Window
+    slow: Window
+    standing: Standing
+    pairs: Pairs
+    nis: Array
+
+
+def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...], grids: tuple[Grid, Grid]) -> RobustMemory:
+    """The memory before any reading, of windows on these grids, the recent one first."""
+    count, n, p, states = len(of.plant.sensors), len(of.plant.states), of.added, len(of.model.states)
+    near, far = grids
+    return RobustMemory(
+        estimate,
+        none_excluded(batch, count),
+        np.zeros((*batch, count)),
+        np.zeros((*batch, count)),
+        empty(batch, near, states, count + p + n, np.float32),
+        empty(batch, far, states, count + p, np.float32),
+        nothing(batch, p, n),
+        no_pairs(batch, count),
+        np.ones(batch),
+    )
+
+
+def faded(nis: Array, found: LeaveOneOut) -> Array:
+    """The running mean nis (...) with a sample, without the sensor that explains most of it: another fault may begin there."""
+    total = np.sum(np.where(found.used, found.innovation * found.whitened, 0.0), axis=-1)
+    others = np.sum(found.used, axis=-1) - 1
+    now = np.where(others > 0, (total - np.max(found.chi_square, axis=-1)) / np.maximum(others, 1), 1.0)
+    return np.asarray(nis + FADING * (now - nis))
+
+
+def leaves_unexplained(nis: Array) -> Array:
+    """Whether readings are farther from the prediction than an accepted explanation may leave them (...)."""
+    return np.asarray(nis > UNEXPLAINED)

@@ -1,0 +1,127 @@
+"""From the decisions of one row after another to events that open and close, in bounded memory."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.detector import Decision, Detector, stack
+from fusion_sfdia.evaluation.events import Event, events_of
+
+Array = NDArray[Any]
+
+KEPT = 600  # samples, from which size and kind of an event are taken
+
+
+class Change(NamedTuple):
+    """Something that a row decides, at its time t (s).
+
+    id: 1, 2, ... in the order of the rows. what: "opened", where a hypothesis is isolated, accepted or suspected; "closed",
+    where it is no longer, with the id of the opening; "reset", where the detector has started anew, for the stated reason.
+    event: as `diagnose` has it, with the size at that time; None for a reset.
+    """
+
+    id: int
+    what: str
+    t: float
+    event: Event | None = None
+    reason: str = ""
+
+
+class Standing(NamedTuple):
+    """An event that is not closed: its id, the times (s) at which it began and last held, and the samples since then."""
+
+    id: int
+    start: float
+    last: float
+    missed: int
+
+
+@dataclass
+class Changes:
+    """The events that stand after a row, and the last KEPT samples.
+
+    An event opens with the first sample that holds, and closes with the `gap`-th in a row that does not, so that its start
+    and end are those of `events_of`. Its size is the median over its last KEPT samples.
+    """
+
+    detector: Detector
+    gap: int
+    count: int = 0  # ids given so far
+    standing: dict[int, Standing] = field(default_factory=dict)
+    recent: deque[tuple[float, Decision]] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    def after(self, t: float, decision: Decision) -> list[Change]:
+        """What the decision of the row at t changes: first what closes, then what opens."""
+        self.recent.append((t, decision if decision.covariance is None else replace(decision, covariance=None)))
+        held = set(np.flatnonzero(_held(decision)).tolist())
+        found = []
+        for i, event in list(self.standing.items()):
+            missed = 0 if i in held else event.missed + 1
+            if missed < self.gap:
+                self.standing[i] = event._replace(last=event.last if missed else t, missed=missed)
+            else:
+                found.append(self._closed(i, t))
+        for i in sorted(held - self.standing.keys()):
+            self.count += 1
+            self.standing[i] = Standing(self.count, t, t, 0)
+            found.append(Change(self.count, "opened", t, self._event(i)))
+        return found
+
+    def reset(self, t: float, reason: str) -> list[Change]:
+        """Close all that stands, forget the samples, and state why."""
+        found = [self._closed(i, t) for i in list(self.standing)]
+        self.recent.clear()
+        self.count += 1
+        return [*found, Change(self.count, "reset", t, reason=reason)]
+
+    def _closed(self, i: int, t: float) -> Change:
+        event = replace(self._event(i), open=False)
+        return Change(self.standing.pop(i).id, "closed", t, event)
+
+    def _event(self, i: int) -> Event:
+        """The event of `events_of` on what is kept of the i-th event."""
+        _, start, last, _ = self.standing[i]
+        times, decisions = zip(*((t, d) for t, d in self.recent if start <= t <= last), strict=True)
+        sensors, tested = len(self.detector.hypotheses), getattr(self.detector, "process_hypotheses", ())
+        kinds = ("sensor", "other") if i < sensors else ("process",) if i < sensors + len(tested) else ("undecided",)
+        names = [*self.detector.hypotheses, *(h.name for h in tested)]
+        found = events_of(self.detector, np.array(times), stack(list(decisions)), KEPT + 1)
+        event = next(e for e in found if e.kind in kinds and (i >= len(names) or e.hypothesis == names[i]))
+        return replace(event, start=start)
+
+    def arrays(self) -> dict[str, Array]:
+        """What `restored` takes up again, as arrays."""
+        rows = [(i, *event) for i, event in self.standing.items()]
+        found = {"count": np.array(self.count), "standing": np.array(rows, float).reshape(-1, 5)}
+        if self.recent:
+            times, decisions = zip(*self.recent, strict=True)
+            kept = {f"recent.{name}": value for name, value in vars(stack(list(decisions))).items() if value is not None}
+            found |= {"recent": np.array(times), **kept}
+        return found
+
+    @classmethod
+    def restored(cls, detector: Detector, gap: int, arrays: dict[str, Array]) -> Changes:
+        """The same with which `arrays` was called."""
+        found = cls(detector, gap, int(arrays["count"]))
+        for i, number, start, last, missed in arrays["standing"].tolist():
+            found.standing[int(i)] = Standing(int(number), start, last, int(missed))
+        named = {f.name: arrays[f"recent.{f.name}"] for f in fields(Decision) if f"recent.{f.name}" in arrays}
+        for k, t in enumerate(arrays.get("recent", np.empty(0)).tolist()):
+            found.recent.append((t, Decision(**{name: values[k] for name, values in named.items()})))
+        return found
+
+
+def _held(decision: Decision) -> Array:
+    """Whether each hypothesis is isolated, each of the process accepted, and any suspected, in one array."""
+    parts: Iterable[Array] = (
+        decision.isolated,
+        np.zeros(0, bool) if decision.process is None else decision.process,
+        np.zeros(1, bool) if decision.suspect is None else np.any(decision.suspect, axis=-1, keepdims=True),
+    )
+    return np.concatenate([*parts])

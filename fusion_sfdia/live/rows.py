@@ -1,0 +1,106 @@
+"""Lines of text, CSV with a header or JSON, as the readings and inputs of a plant."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.logs.columns import find_sources, require_columns_of
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
+from fusion_sfdia.logs.numbers import Numbers
+from fusion_sfdia.logs.rows import RowReader
+
+Array = NDArray[Any]
+
+
+class TextRows:
+    """Reads one line after another; the first tells which form they have.
+
+    CSV: the first line, after the map's preamble, is the header, with titles as `load_log` takes them. JSON: each line is an
+    object with the titles as keys, the first with all of them; null, or no key, is a missing value. Titles, numbers, times and
+    units are as the LogMap states, by default the names of the plant. The map's hold and inputs are for the Watch. ValueError
+    for a map of a long format or with a mask, which need more than one row.
+    absent_sensors, other_columns, nominal_inputs: as in `load_log`.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        log_map: LogMap = PLAIN_MAP,
+        *,
+        absent_sensors: bool = False,
+        other_columns: bool = False,
+        nominal_inputs: bool = False,
+    ) -> None:
+        require_columns_of(plant, log_map)
+        if log_map.tag or log_map.mask:
+            raise ValueError("the map has a long format or a mask, which a watch cannot take: write one row for each time")
+        self.plant, self.log_map = plant, log_map
+        self.allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
+        self.reader: RowReader | None = None
+        self.lines = 0
+        self.header: list[str] | None = None
+
+    def row(self, line: str) -> tuple[float | datetime, Array, Array] | None:
+        """The time, y (N,) and u (m,) of a line, NaN where missing; None of an empty line and of a header.
+
+        ValueError for a first line that does not fit the plant, and for a line that is not like it.
+        """
+        self.lines += 1
+        line = line.lstrip("\ufeff")
+        if self.lines <= self.log_map.preamble or not line.strip():
+            return None
+        if self.reader is None and self.header is None and line.lstrip().startswith("{"):
+            self.reader = self._reader(list(_object(line)))
+        if self.header is None and self.reader is not None:
+            return self._numbers(_object(line))
+        cells = self._cells(line)
+        if self.header is None:
+            self.header = cells
+            if not self.log_map.unit_row:
+                self.reader = self._reader(cells)
+            return None
+        if self.reader is None:
+            self.reader = self._reader(self.header, cells)
+            return None
+        if cells == self.header:  # of a writer that began again
+            return None
+        if len(cells) != len(self.header):
+            raise ValueError(f"{len(cells)} cells under a header of {len(self.header)}; leave a missing value's cell empty")
+        return self._numbers(dict(zip(self.header, cells, strict=True)))
+
+    def _reader(self, titles: Sequence[str], units: Sequence[str] = ()) -> RowReader:
+        given = units or [""] * len(titles)
+        sources = find_sources("the first line", titles, given, self.plant, self.log_map, **self.allowed)
+        return RowReader(self.plant, self.log_map, sources, Numbers.of(self.log_map))
+
+    def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:
+        assert self.reader is not None
+        try:
+            seconds, stamp = self.reader.time(row)
+        except KeyError as error:
+            raise ValueError(f"no {error} among {shown(list(row))}") from error
+        return (seconds if stamp is None else stamp, *self.reader.values(row))
+
+    def _cells(self, line: str) -> list[str]:
+        try:
+            return next(csv.reader([line.rstrip("\r\n")], delimiter=self.log_map.separator, strict=True))
+        except csv.Error as error:
+            raise ValueError(f"not CSV ({error}): {shown(line.strip())}") from error
+
+
+def _object(line: str) -> dict[str, Any]:
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"not JSON ({str(error)[:80]}): {shown(line.strip())}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"{shown(found)} is no JSON object; expected names and values")
+    return found

@@ -1,0 +1,56 @@
+"""A watch whose events are written before its state is saved, so that none is lost when the process is killed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from fusion_sfdia.core.files import explained
+from fusion_sfdia.live.lines import change_line, sample_line
+from fusion_sfdia.live.watch import Sample, Watch
+
+
+@dataclass
+class SavedWatch:
+    """A watch with its output and its state file.
+
+    Each row is diagnosed, its lines are written, and then, every `every` rows, the state is saved to `path` (None: never). A
+    process that is killed has therefore written all events until the saved time, and perhaps some after it. Given the rows
+    after that time again, it writes these once more, with the same ids and bytes: of equal lines one is dropped, and a last
+    line without its end is no line.
+    """
+
+    watch: Watch
+    write: Callable[[str], None]  # a line, at once
+    path: Path | None = None
+    every: int = 1000
+    samples: bool = False
+    rows: int = 0
+    saved: int = 0  # rows that the state has
+    whole: bool = True  # whether all lines of the rows taken are written
+
+    def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
+        """Diagnose a row as `Watch.take`, write its lines, and save where it is time."""
+        watch, self.whole = self.watch, False
+        found = watch.take(t, y, u)
+        for sample in found:
+            for change in sample.changes:
+                self.write(change_line(change, watch.clock))
+            if self.samples:
+                self.write(sample_line(sample, watch.detector.plant, watch.detector.hypotheses, watch.clock))
+        self.rows, self.whole = self.rows + len(found), True
+        if self.rows - self.saved >= self.every:
+            try:
+                self.save()
+            except OSError as error:
+                watch.refused(f"the state is not saved ({explained(error)}); it is tried again with the next row")
+        return found
+
+    def save(self) -> None:
+        """Save the state, unless a row was interrupted before its lines were written."""
+        if self.path is not None and self.whole and self.rows > self.saved:
+            self.watch.save(self.path)
+            self.saved = self.rows

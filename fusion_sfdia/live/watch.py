@@ -1,0 +1,249 @@
+"""The diagnosis of readings as they arrive: `Watch` takes one row after another and returns what each decides."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import floats, number, whole
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.core.state import State
+from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
+from fusion_sfdia.live.changes import KEPT, Change, Changes
+from fusion_sfdia.live.gaps import steps_over
+
+Array = NDArray[Any]
+
+LONGEST_GAP = 10_000  # steps of dt that are predicted without readings, as by `diagnose`
+
+
+class WatchWarning(UserWarning):
+    """A row that a Watch did not take."""
+
+
+class Row(NamedTuple):
+    """Readings y (N,) at t (s), NaN where missing, and the inputs u (m,) as they came."""
+
+    t: float
+    y: Array
+    u: Array
+
+
+class Sample(NamedTuple):
+    """A row that was diagnosed, with the inputs used, its Decision, and what it changes."""
+
+    t: float
+    y: Array
+    u: Array
+    decision: Decision
+    changes: tuple[Change, ...]
+
+
+def _warn(remark: str) -> None:
+    warnings.warn(remark, WatchWarning, stacklevel=5)
+
+
+class Watch:
+    """A detector over rows that arrive one after another, in constant memory; the isolated samples are those of `diagnose`.
+
+    gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
+    limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
+    whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap:
+    seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. refused: called with a line
+    for each row or run of rows that is not taken; by default a WatchWarning.
+
+    Rows that are not as expected never end a watch:
+
+    - A row whose numbers do not fit, or without an input, is not taken.
+    - A row not later than the one before, late, out of order or after a clock was set back, is not taken, one line for the
+      first and one for the number of them. Directly after `load` such rows are in the state already: no line.
+    - The first row, and one later by more than longest_gap, wait for the next row. If that is later still, the time is right:
+      after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier, the waiting row is not
+      taken: its clock was wrong.
+    - Where the estimate diverges, the detector starts anew with the next row, a "reset".
+    """
+
+    def __init__(
+        self,
+        detector: Detector,
+        *,
+        gap: int = 3,
+        hold: float = 0.0,
+        nominal_inputs: bool = False,
+        at_sample: bool = False,
+        longest_gap: float | None = None,
+        refused: Callable[[str], None] = _warn,
+    ) -> None:
+        require_detector(detector)
+        self.detector, self.refused = detector, refused
+        self.hold, self.nominal_inputs, self.at_sample = number("hold", hold), nominal_inputs, at_sample
+        self.longest_gap = LONGEST_GAP * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
+        for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap)):
+            if not 0 <= seconds < np.inf:
+                raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
+        self.changes = Changes(detector, whole("gap", gap, least=1))
+        if not self.changes.gap < KEPT:
+            raise ValueError(f"gap is {gap} samples; expected fewer than the {KEPT} that are kept")
+        self.clock = Clock()
+        self.state: State | None = None
+        self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
+        self.u = self.given = np.empty(0)  # the inputs that acted until then, and those of its row
+        self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
+        self.waiting: Row | None = None
+        self.late = 0  # rows since the last one that was not
+        self.lost = False  # whether the estimate of the last row had diverged
+        self.resumed = False  # whether no row was taken since load
+
+    def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
+        """What rows (t, y, u), see `take`, decide, each as soon as its row is taken."""
+        for row in rows:
+            for sample in self.take(*row):
+                yield from sample.changes
+
+    def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
+        """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,), see `at_sample`.
+
+        t: in seconds, or all rows as time stamps, which become seconds since the first. Returns the rows diagnosed: this one,
+        none where it is not taken or waits, two after one that waited.
+        """
+        try:
+            row = self._row(t, y, u)
+        except (TypeError, ValueError) as error:
+            self.refused(f"row at {t}: {error}; it is not taken")
+            return ()
+        if self._is_late(row.t):
+            return ()
+        found: tuple[Sample, ...] = ()
+        if (waited := self.waiting) is not None:
+            self.waiting = None
+            if row.t > waited.t:
+                found = self._diagnosed(waited, row.t - waited.t)
+            else:
+                where = self.clock.at(waited.t)
+                self.refused(f"row at {where}: it is later than the row after it, at {self.clock.at(row.t)}; it is not taken")
+        if self.t is None or row.t - self.t > self.longest_gap:
+            self.waiting = row
+            return found
+        return found + self._diagnosed(row)
+
+    def _row(self, t: float | datetime, y: Any, u: Any) -> Row:
+        """The row as numbers; ValueError or TypeError where they do not fit."""
+        plant, start = self.detector.plant, self.clock.start
+        y, u = floats("y", y), floats("u", u)
+        for what, values, count in (("readings", y, len(plant.sensors)), ("inputs", u, len(plant.inputs))):
+            if values.shape != (count,):
+                raise ValueError(f"{what} of shape {values.shape}; expected ({count},), NaN where missing")
+        begun = self.t is not None or self.waiting is not None
+        if begun and isinstance(t, datetime) != (start is not None):
+            raise ValueError("give the time as in the rows before, in seconds or as a time stamp")
+        if isinstance(t, datetime):
+            seconds = 0.0 if start is None else (t - start).total_seconds()
+            self.clock = Clock(start or t)
+        elif not np.isfinite(seconds := number("t", t)):
+            raise ValueError("its time is not finite")
+        return Row(seconds, np.where(np.isinf(y), np.nan, y), u)
+
+    def _is_late(self, t: float) -> bool:
+        """Whether a row at t is not later than the last one, and a line for a run of such rows."""
+        last = self.waiting.t if self.waiting is not None and t == self.waiting.t else self.t
+        if last is None or t > last:
+            if self.late and not self.resumed:
+                self.refused(f"{self.late} rows until {self.clock.at(t)} were not taken")
+            self.late, self.resumed = 0, False
+            return False
+        if not self.late and not self.resumed:
+            self.refused(
+                f"row at {self.clock.at(t)}: it is not later than the last one, at {self.clock.at(last)}; it is not taken, nor "
+                "is another until then; start with a new state if the clock was set back"
+            )
+        self.late += 1
+        return True
+
+    def _diagnosed(self, row: Row, ahead: float = np.inf) -> tuple[Sample, ...]:
+        """Step to a row; ahead: seconds from it to the next one, where that is known."""
+        plant, state = self.detector.plant, self.state
+        pause = np.inf if self.t is None else row.t - self.t
+        too_long = self.t is not None and pause > self.longest_gap
+        try:
+            given, known_at = self._inputs(row)
+            u = self.given if self.at_sample and self.t is not None else given
+            if state is None or too_long:
+                since = min(pause, ahead)
+                state = self.detector.init((), row.t - (plant.dt if plant.numerics.fixed_dt else min(plant.dt, since)))
+            elif self.t is not None:
+                for t, between in steps_over(plant, self.t, self.u, row.t, u):
+                    state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
+            state, decision = self.detector.step(state, row.t, row.y, u)
+        except (ValueError, ArithmeticError) as error:
+            self.refused(f"row at {self.clock.at(row.t)}: {error}; it is not taken")
+            return ()
+        changes = self.changes.reset(row.t, f"no rows for {pause:g} s") if too_long else []
+        changes += self.changes.after(row.t, decision)
+        if (lost := bool(decision.diverged)) and not self.lost:
+            changes += self.changes.reset(row.t, "the estimate diverged")
+        self.state, self.lost, self.t = None if lost else state, lost, row.t
+        self.u, self.given, self.known_at = u, given, known_at
+        return (Sample(row.t, row.y, u, decision, tuple(changes)),)
+
+    def _inputs(self, row: Row) -> tuple[Array, Array]:
+        """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of
+        the last value of each; ValueError where one is neither.
+        """
+        plant = self.detector.plant
+        low, high = (np.array([getattr(s, which) for s in plant.inputs]) for which in ("low", "high"))
+        read = (row.u >= low) & (row.u <= high) & np.isfinite(row.u)
+        known_at = np.where(read, row.t, self.known_at)
+        if read.all():
+            return row.u, known_at
+        if self.nominal_inputs:
+            before = row.t - plant.dt if self.t is None else max(row.t - plant.dt, self.t)
+            return np.where(read, row.u, plant.input_at(before)), known_at
+        unknown = row.t - known_at > self.hold
+        if not unknown.any():
+            return np.where(read, row.u, self.given), known_at
+        value, s = next((v, s) for v, s, bad in zip(row.u, plant.inputs, unknown, strict=True) if bad)
+        came = f"is {value:g} {s.unit}, beyond {s.low:g} to {s.high:g}" if np.isfinite(value) else "is missing"
+        raise ValueError(f"input {s.name} {came}, and its last value is held for {self.hold:g} s only")
+
+    def save(self, path: str | Path) -> None:
+        """Write the state of this watch to a file, whole or not at all, from which `load` goes on with the same bits.
+
+        A row that waits is not in it: it is to be given again. Before the first row was diagnosed nothing is written.
+        """
+        if self.t is None:
+            return
+        own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
+        own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
+        state = {} if self.state is None else state_arrays(self.detector, self.state)
+        parts = {"watch": own, "changes": self.changes.arrays(), "state": state}
+        write_arrays(Path(path), {f"{part}/{name}": value for part, named in parts.items() for name, value in named.items()})
+
+    @classmethod
+    def load(cls, path: str | Path, detector: Detector, **settings: Any) -> Watch:
+        """The watch that was saved, with the same detector and settings, see `Watch`.
+
+        Given all rows after `t` again, or all rows from the start, it goes on as if it had never stopped: what it decided
+        after the save it decides again, with the same ids. ValueError for another file, or another detector.
+        """
+        found = cls(detector, **settings)
+        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}}
+        try:
+            for name, value in read_arrays(Path(path)).items():
+                part, _, rest = name.partition("/")
+                parts[part][rest] = value
+            own = parts["watch"]
+            found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
+            found.changes = Changes.restored(detector, found.changes.gap, parts["changes"])
+            found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
+            found.known_at, found.lost, found.resumed = own["known_at"], bool(own["lost"]), True
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"{path} is not the saved state of a watch ({error}); name another file") from error
+        found.state = None if not parts["state"] else state_of(path, detector, parts["state"])
+        return found

@@ -1,0 +1,1 @@
+"""Logs of readings as historians export them: a map states how columns become readings and inputs of a plant."""

@@ -1,0 +1,45 @@
+"""A log checked before it is diagnosed: how it was read, and which units look wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.logs.findings import LoadedLog
+from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.logs.suspects import suspected_units
+
+
+def check_log(
+    source: Any,
+    plant: Plant,
+    log_map: LogMap | str | Path | None = None,
+    *,
+    absent_sensors: bool = False,
+    other_columns: bool = False,
+    nominal_inputs: bool = False,
+) -> LoadedLog:
+    """Read a log as `load_log` does, and add to its findings the sensors whose unit looks wrong, see `suspected_units`.
+
+    ValueError as `load_log` raises it.
+    """
+    found = load_log(
+        source,
+        plant,
+        log_map,
+        absent_sensors=absent_sensors,
+        other_columns=other_columns,
+        nominal_inputs=nominal_inputs,
+    )
+    return found._replace(findings=(*found.findings, *suspected_units(plant, found.log)))
+
+
+def without_suspects(plant: Plant, found: LoadedLog) -> LoadedLog:
+    """The log with the readings missing whose unit is suspected wrong: what they show is no fault of the sensor."""
+    y = found.log.y.copy()
+    y[:, np.isin(plant.sensor_names, found.suspects)] = np.nan
+    return found._replace(log=found.log._replace(y=y))

@@ -1,0 +1,185 @@
+"""Which columns of a log feed which sensors and inputs of a plant, and in what unit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from fusion_sfdia.core.arguments import require_unique, shown
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.logs.conversion import Conversion, conversion
+from fusion_sfdia.logs.log_map import SECONDS, Column, LogMap
+from fusion_sfdia.logs.tables import some
+
+
+class Source(NamedTuple):
+    """A column of a log, by title, that feeds a sensor or an input, by name and position in y or u.
+
+    unit: that its numbers are in once multiplied by the scale of the map. quality: title of its quality codes, or "".
+    """
+
+    title: str
+    name: str
+    position: int
+    is_input: bool
+    unit: str
+    conversion: Conversion
+    quality: str = ""
+
+
+class Sources(NamedTuple):
+    """The columns of the times with the unit in their title, the sources of readings and inputs, and what is not used."""
+
+    times: tuple[str, ...]
+    time_unit: str
+    columns: tuple[Source, ...]
+    ignored: tuple[str, ...]
+
+    def without_column(self, plant: Plant) -> list[str]:
+        """The inputs of the plant that no column feeds."""
+        fed = {c.name for c in self.columns if c.is_input}
+        return [s.name for s in plant.inputs if s.name not in fed]
+
+
+def find_sources(
+    where: str,
+    header: Sequence[str],
+    units: Sequence[str],
+    plant: Plant,
+    log_map: LogMap,
+    *,
+    absent: bool = False,
+    other: bool = False,
+    nominal: bool = False,
+) -> Sources:
+    """Return what each column of a header is; ValueError for a header that does not fit the plant or the map.
+
+    units: of the columns, "" where their titles state them. absent, other, nominal: whether sensors without a column, columns
+    of nothing and inputs without a column are accepted. With columns in the map, others than its own and the plant's are not
+    used.
+    """
+    long = bool(log_map.tag)
+    if not long:
+        require_unique(
+            f"columns of a log of plant {plant.name!r}", [*log_map.time, *(c.name for c in (*plant.sensors, *plant.inputs))]
+        )
+    _require_titles(where, header, log_map)
+    times, time_unit = ((), "") if long else _times(where, header, log_map)
+    own: dict[str, tuple[int, bool, Sensor | Signal]] = {s.name: (i, True, s) for i, s in enumerate(plant.inputs)}
+    own |= {s.name: (i, False, s) for i, s in enumerate(plant.sensors)}
+    found: dict[str, Source] = {}
+    unknown = []
+    qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}
+    for title, row_unit in zip(header, units, strict=True):
+        name, bracket = split_title(title)
+        column = log_map.columns.get(title) or log_map.columns.get(name)
+        if title in times or title in qualities:
+            continue
+        if column is None and name not in own:
+            unknown.append(name)
+            continue
+        target = name if column is None else column.name
+        position, is_input, signal = own[target]
+        if column is not None and bool(column.input) != is_input:
+            raise ValueError(f"{where}: {target!r} of plant {plant.name!r} is {'an input' if is_input else 'a sensor'}")
+        if target in found:
+            raise ValueError(f"{where}: the column {name!r} occurs twice; keep one")
+        unit = (column.unit if column else "") or bracket or row_unit
+        try:
+            converted = conversion(unit, signal.unit, column.scale if column else 1.0)
+        except ValueError as error:
+            raise ValueError(
+                f"{where}: column {name!r} is in {shown(unit)}, plant {plant.name!r} has it in {signal.unit!r}: {error}"
+            ) from error
+        quality = _quality(log_map, title, column)
+        if quality and quality not in header:
+            raise ValueError(f"{where}: no column {shown(quality)} with the quality of {shown(title)}; correct the map")
+        found[target] = Source(title, target, position, is_input, unit, converted, quality)
+    _require_needed(where, header, plant, found, absent, nominal)
+    if unknown and not other and not log_map.columns:
+        raise ValueError(
+            f"{where}: the columns {some(unknown)} are no sensors or inputs of plant {plant.name!r}; rename or remove them, "
+            "or ignore them with --other-columns (other_columns=True)"
+        )
+    return Sources(times, time_unit, tuple(found.values()), tuple(unknown))
+
+
+def require_columns_of(plant: Plant, log_map: LogMap) -> None:
+    """Raise ValueError for a column of the map that is no sensor or input of the plant."""
+    inputs = tuple(s.name for s in plant.inputs)
+    for title, c in log_map.columns.items():
+        kind, names = ("input", inputs) if c.input else ("sensor", plant.sensor_names)
+        if c.name not in names:
+            raise ValueError(
+                f"the map has the {kind} {shown(c.name)} for column {shown(title)}; {kind}s of plant {plant.name!r}: "
+                f"{some(names)}"
+            )
+
+
+def split_title(title: str) -> tuple[str, str]:
+    """Return name and unit of "name [unit]"; the unit is "" where there is none."""
+    match = re.fullmatch(r"\s*(.*?)\s*(?:\[([^\[\]]*)\])?\s*", title, flags=re.DOTALL)
+    name, unit = match.groups() if match else (title, None)
+    return name, (unit or "").strip()
+
+
+def _require_titles(where: str, header: Sequence[str], log_map: LogMap) -> None:
+    """Raise ValueError for a column that the map names and the header lacks."""
+    names = {*header, *(split_title(title)[0] for title in header)}
+    if lacking := [title for title in log_map.columns if title not in names]:
+        kind = "tags" if log_map.tag else "columns"
+        raise ValueError(f"{where}: no {kind} {some(lacking)}, which the map names, among {some(header)}; correct the map")
+
+
+def _times(where: str, header: Sequence[str], log_map: LogMap) -> tuple[tuple[str, ...], str]:
+    """The titles of the columns of times, and the unit that the title of a single one states."""
+    by_name = {split_title(title)[0]: title for title in reversed(header)}
+    titles = []
+    for name in log_map.time:
+        title = name if name in header else by_name.get(name)
+        if title is None and len(header) == 1 and (mark := re.search(r"[;\t|,]", header[0])):
+            raise ValueError(
+                f"{where}: cells are separated by {mark[0]!r}; expected "
+                + (
+                    "commas, and decimal points; or state separator in a map"
+                    if log_map.separator == ","
+                    else f"{log_map.separator!r}, as the map states"
+                )
+            )
+        if title is None:
+            raise ValueError(
+                f"{where}: no column {name!r} among {some(header)}; give the column of the times (s) that name, or state "
+                "`time` in a map"
+            )
+        titles.append(title)
+    unit = split_title(titles[0])[1] if len(titles) == 1 else ""
+    if unit and unit not in SECONDS and not log_map.format:
+        raise ValueError(f"{where}: column {log_map.time[0]!r} is in {shown(unit)}; expected one of {', '.join(SECONDS)}")
+    return tuple(titles), "" if log_map.format else unit
+
+
+def _quality(log_map: LogMap, title: str, column: Column | None) -> str:
+    if column is not None and column.quality:
+        return column.quality
+    return "" if log_map.tag else log_map.quality.replace("{column}", split_title(title)[0])
+
+
+def _require_needed(
+    where: str, header: Sequence[str], plant: Plant, found: dict[str, Source], absent: bool, nominal: bool
+) -> None:
+    """Raise ValueError where a sensor or an input has no column, unless that is accepted, and where no sensor has one."""
+    lacking = [n for n in plant.sensor_names if n not in found]
+    if lacking and not absent:
+        raise ValueError(
+            f"{where}: no column for the sensors {some(lacking)} of plant {plant.name!r}; add them (empty where not read), "
+            "or take them as missing with --absent-sensors (absent_sensors=True)"
+        )
+    if len(lacking) == len(plant.sensors):
+        raise ValueError(f"{where}: no column of any sensor of plant {plant.name!r}; sensors: {some(plant.sensor_names)}")
+    if (unset := [s.name for s in plant.inputs if s.name not in found]) and not nominal:
+        raise ValueError(
+            f"{where}: no column for the inputs {some(unset)} of plant {plant.name!r}; add them, or assume the plant's usual "
+            "inputs with --nominal-inputs (nominal_inputs=True)"
+        )

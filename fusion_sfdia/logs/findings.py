@@ -1,0 +1,52 @@
+"""What reading a log found and did, as data and in words."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.log import Log
+
+# what changes or questions the readings; the other kinds describe the log
+REMARKABLE = (
+    "bad", "duplicates", "held", "inputs shifted", "left out", "masked", "nominal inputs", "order", "quality", "unit suspected",
+    "zone",
+)  # fmt: skip
+
+
+class Finding(NamedTuple):
+    """One finding: its kind, the sensor or input ("" for the whole log), how many rows or values, and a sentence."""
+
+    kind: str
+    name: str
+    count: int
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class LoadedLog(NamedTuple):
+    """A log as it was read: times, readings and inputs of the plant, its wall-clock start, and what was found and done."""
+
+    log: Log
+    clock: Clock
+    findings: tuple[Finding, ...]
+
+    @property
+    def suspects(self) -> tuple[str, ...]:
+        """The sensors whose unit is suspected wrong."""
+        return tuple(f.name for f in self.findings if f.kind == "unit suspected" and f.name)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """The findings that a reader of results has to know, in words."""
+        return tuple(f.text for f in self.findings if f.kind in REMARKABLE)
+
+    def __str__(self) -> str:
+        return "\n".join(f.text for f in self.findings)
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things, as in 1 row, 3 rows."""
+    return f"{count} {what}{'s' * (count != 1)}"

@@ -1,0 +1,118 @@
+"""The two layouts of a log, a column for each sensor or a value a row with its tag, as numbers by time."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.logs.columns import Sources, find_sources
+from fusion_sfdia.logs.findings import Finding, counted
+from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.mask import mask_titles
+from fusion_sfdia.logs.numbers import NotANumberError, Numbers, good_codes
+from fusion_sfdia.logs.order import Rows, dropped
+from fusion_sfdia.logs.tables import Table, some
+from fusion_sfdia.logs.times import Times, times_of
+
+Array = NDArray[Any]
+Laid = tuple[Sources, Rows, Times, list[Finding]]
+
+
+def wide_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool]) -> Laid:
+    """A table with a column for each sensor and input."""
+    sources = find_sources(table.where, table.titles, table.units, plant, log_map, **allowed)
+    table.require_rows()
+    times = times_of(table, sources.times, sources.time_unit, log_map)
+    findings: list[Finding] = []
+    values = {}
+    also = [title for title in mask_titles(table.where, table.titles, sources, log_map)]
+    for title in [*(c.title for c in sources.columns), *also]:
+        values[title] = _numbers(table, title, log_map, findings)
+    for c in sources.columns:
+        if c.quality:
+            _apply_quality(table, c.quality, c.title, values[c.title], log_map, findings)
+    return sources, Rows(times.t, np.asarray(table.rows), values), times, findings
+
+
+def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bool]) -> Laid:
+    """A table with a value a row: the tag says of what."""
+    import pandas
+
+    for title in (*log_map.time, log_map.tag, log_map.value, *([log_map.quality] if log_map.quality else [])):
+        if title not in table.titles:
+            raise ValueError(f"{table.where}: no column {shown(title)} among {some(table.titles)}; correct the map")
+    table.require_rows()
+    tags = [str(tag).strip() for tag in table.column(log_map.tag)]
+    names = list(dict.fromkeys(tags))
+    sources = find_sources(table.where, names, [""] * len(names), plant, log_map, **allowed)
+    used = {c.title for c in sources.columns} | {*mask_titles(table.where, names, sources, log_map)}
+    chosen = np.flatnonzero([tag in used for tag in tags])
+    table = Table(
+        table.where,
+        table.titles,
+        [[column[k] for k in chosen] for column in (list(c) for c in table.columns)],
+        [table.rows[k] for k in chosen],
+        table.units,
+    )
+    tags = [tags[k] for k in chosen]
+    times = times_of(table, log_map.time, "", log_map, tags)
+    findings: list[Finding] = []
+    values = _numbers(table, log_map.value, log_map, findings)
+    if log_map.quality:
+        _apply_quality(table, log_map.quality, "", values, log_map, findings)
+    frame = pandas.DataFrame({"t": times.t, "tag": tags, "value": values, "row": table.rows})
+    twice = frame.duplicated(["t", "tag"])
+    if twice.any():
+        if log_map.duplicates == "refuse":
+            k = int(twice.argmax())
+            raise twice(table.text(k), log_map.time[0], f"{times.clock.at(float(times.t[k]))} of {tags[k]}")
+        findings.append(dropped(int(twice.sum()), log_map))
+    grouped = frame.groupby(["t", "tag"], sort=True)["value"].agg(
+        "first" if log_map.duplicates == "refuse" else log_map.duplicates
+    )
+    wide = grouped.unstack("tag")
+    first_rows = frame.groupby("t", sort=True)["row"].min()
+    return (
+        sources,
+        Rows(wide.index.to_numpy(), first_rows.to_numpy(), {title: wide[title].to_numpy() for title in used}),
+        times,
+        findings,
+    )
+
+
+def _numbers(table: Table, title: str, log_map: LogMap, findings: list[Finding]) -> Array:
+    """A column as numbers; what stands for a missing reading is counted among the findings."""
+    try:
+        values, bad = Numbers.of(log_map).column(table.column(title))
+    except NotANumberError as error:
+        expected = "a finite number, or nothing where the reading is missing"
+        if isinstance(error.cell, str) and not re.search(r"\d", error.cell):
+            expected += "; state such a text as `bad` in a map"
+        elif isinstance(error.cell, str) and re.search(r"\d[.,' ]\d", error.cell):
+            expected += f" (decimal is {log_map.decimal!r}: a map states another)"
+        raise ValueError(f"{table.text(error.position)}, column {title}: {shown(error.cell)}; expected {expected}") from error
+    if bad.any():
+        findings.append(Finding("bad", title, int(bad.sum()), f"{title}: {counted(int(bad.sum()), 'value')} marked as bad"))
+    return values
+
+
+def _apply_quality(table: Table, title: str, of: str, values: Array, log_map: LogMap, findings: list[Finding]) -> None:
+    """Make the values missing whose quality is not good."""
+    try:
+        poor = ~good_codes(table.column(title), log_map.good)
+    except NotANumberError as error:
+        raise ValueError(
+            f"{table.text(error.position)}, column {title}: {shown(error.cell)} as quality; state which codes are good: "
+            'good = "opc-da", "opc-ua" or a list, in the map'
+        ) from error
+    if count := int(np.sum(poor & np.isfinite(values))):
+        about = f"{of}: " if of else ""
+        findings.append(
+            Finding("quality", of, count, f"{about}{counted(count, 'value')} not of good quality, taken as missing")
+        )
+    values[poor] = np.nan

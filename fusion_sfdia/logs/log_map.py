@@ -1,0 +1,238 @@
+"""How the columns of a log become readings and inputs of a plant, as a file map.toml or a LogMap states it."""
+
+from __future__ import annotations
+
+import codecs
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from fusion_sfdia.core.arguments import number, shown, whole
+
+AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
+OPC_DA, OPC_UA = "opc-da", "opc-ua"
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+EXCEL = "excel"
+CHOICES = {
+    "duplicates": ("refuse", "first", "last", "mean"),
+    "order": ("refuse", "sort"),
+    "inputs": (AT_THE_SAMPLE, UNTIL_THE_SAMPLE),
+    "decimal": (".", ","),
+    "thousands": ("", ".", ",", " ", "'"),
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column of a log holds: readings of a sensor or values of an input.
+
+    unit: of the column; it is converted to that of the plant. "" means the unit in the column's title, otherwise the
+    plant's. scale: value in that unit over the number in the log. quality: the title of the column with its quality codes.
+    """
+
+    sensor: str = ""
+    input: str = ""
+    unit: str = ""
+    scale: float = 1.0
+    quality: str = ""
+
+    def __post_init__(self) -> None:
+        _require_texts("the column", self, ("sensor", "input", "unit", "quality"))
+        if bool(self.sensor) == bool(self.input):
+            raise ValueError(
+                f'sensor is {self.sensor!r} and input {self.input!r}; expected one of them, as in {{ sensor = "TT101" }}'
+            )
+        if not 0 < abs(number("scale", self.scale)) < math.inf:
+            raise ValueError(f"scale is {self.scale}; expected a finite number other than 0")
+
+    @property
+    def name(self) -> str:
+        """The name of the sensor or input in the plant."""
+        return self.sensor or self.input
+
+
+@dataclass(frozen=True)
+class LogMap:
+    """How a log is written, and which column holds which sensor or input.
+
+    time: title of the column of times, or of two that are joined, date and time. format: as strptime takes it; or the unit
+    of numbers ("s", "ms", "us", "ns", "min", "h", "d"), or "excel" for days since 1900; "" recognises ISO 8601, seconds, and
+    numbers that are seconds, milli-, micro- or nanoseconds since 1970. tz: time zone of stamps that state none, and in which
+    results are shown. separator, decimal, thousands, encoding, preamble (lines before the header), unit_row (whether the
+    row below the header holds units): of a text file.
+
+    bad: texts or numbers that stand for a missing reading. quality: pattern of the titles of quality columns, as in
+    "{column}.Q"; of a long format the title of its one. good: the codes that make a value count, "opc-da" or "opc-ua" for
+    theirs, or texts and numbers. duplicates: which of several values at one time counts. order: what is done with rows that
+    are not in order. inputs: whether the input in a row acts from that row on ("at the sample", what historians give), or
+    acted until then ("until the sample", what `simulate` writes). hold: for how long a missing input keeps its last value, s.
+    mask: comparisons such as "feed < 5", in the log's unit, of rows in which the plant is not in operation.
+    tag, value: titles of a long format, with one value a row. columns: what each column is, by title; for columns that are
+    not among them, their own title. ValueError for anything else.
+    """
+
+    time: tuple[str, ...] = ("time",)
+    format: str = ""
+    tz: str = ""
+    separator: str = ","
+    decimal: str = "."
+    thousands: str = ""
+    encoding: str = "utf-8-sig"
+    preamble: int = 0
+    unit_row: bool = False
+    bad: tuple[str | float, ...] = ()
+    quality: str = ""
+    good: str | tuple[str | float, ...] = ()
+    duplicates: str = "refuse"
+    order: str = "refuse"
+    inputs: str = AT_THE_SAMPLE
+    hold: float = 0.0
+    mask: tuple[str, ...] = ()
+    tag: str = ""
+    value: str = ""
+    columns: Mapping[str, Column] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for what in ("time", "mask", "bad"):
+            object.__setattr__(self, what, _listed(what, getattr(self, what)))
+        if not isinstance(self.good, str):
+            object.__setattr__(self, "good", _listed("good", self.good))
+        _require_texts("the map", self, ("format", "tz", "separator", "encoding", "quality", "tag", "value", *CHOICES))
+        for what in ("time", "mask"):
+            if not all(isinstance(text, str) and text for text in getattr(self, what)):
+                raise ValueError(f"{what} is {shown(getattr(self, what))}; expected a text or several")
+        for what, known in CHOICES.items():
+            if (given := getattr(self, what)) not in known:
+                raise ValueError(f"{what} is {given!r}; expected {_or(known)}")
+        if isinstance(self.good, str) and self.good not in (OPC_DA, OPC_UA):
+            raise ValueError(f'good is {self.good!r}; expected "opc-da", "opc-ua", or a list of the codes of good values')
+        if self.format not in ("", EXCEL, *SECONDS) and ("%" not in self.format or "%Z" in self.format):
+            raise ValueError(
+                f'format is {self.format!r}; expected one as strptime takes it, as in "%d-%m-%Y %H:%M:%S", the unit of '
+                f'numbers, {", ".join(SECONDS)}, or "{EXCEL}"'
+            )
+        if not 1 <= len(self.time) <= 2:
+            raise ValueError(f"time names {len(self.time)} columns; expected one, or two that are joined, date and time")
+        if len(self.separator) != 1 or self.separator in '"\r\n':
+            raise ValueError(f'separator is {self.separator!r}; expected one character, as in ";" or "\\t"')
+        if self.decimal == self.thousands:
+            raise ValueError(f"decimal and thousands are both {self.decimal!r}; give each its own")
+        whole("preamble", self.preamble, 0)
+        if not isinstance(self.unit_row, bool):
+            raise ValueError(f"unit_row is {shown(self.unit_row)}; expected true or false")
+        object.__setattr__(self, "hold", _seconds_of("hold", self.hold))
+        _require_encoding(self.encoding)
+        zone(self.tz)
+        if bool(self.tag) != bool(self.value):
+            raise ValueError(f"tag is {self.tag!r} and value {self.value!r}; a long format needs both titles")
+        if self.quality and not self.tag and "{column}" not in self.quality:
+            raise ValueError(
+                f'quality is {self.quality!r}; expected a pattern of titles, as in "{{column}}.Q", or give it by column'
+            )
+        self._require_columns()
+
+    @property
+    def has_pattern(self) -> bool:
+        """Whether the format is one of stamps in text."""
+        return "%" in self.format
+
+    def _require_columns(self) -> None:
+        if not isinstance(self.columns, Mapping) or not all(isinstance(c, Column) for c in self.columns.values()):
+            raise ValueError(f"columns is {shown(self.columns)}; expected a Column for each title")
+        taken: dict[str, str] = {}
+        for title, column in self.columns.items():
+            if column.name in taken:
+                raise ValueError(f"the columns {taken[column.name]!r} and {title!r} are both {column.name!r}; keep one")
+            taken[column.name] = title
+
+
+def load_map(path: str | Path) -> LogMap:
+    """Return the LogMap of a file in TOML, with the tables [log] and [columns].
+
+    ValueError that names the file and the key for anything that LogMap and Column do not take.
+    """
+    try:
+        found = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not TOML ({error}); expected the tables [log] and [columns]") from error
+    try:
+        _require_keys("", found, ("log", "columns"), tables=True)
+        columns = {}
+        for title, what in found.get("columns", {}).items():
+            where = f"column {title!r}: "
+            if not isinstance(what, dict):
+                raise ValueError(f'{where}{shown(what)}; expected a table, as in {{ sensor = "TT101", unit = "degC" }}')
+            _require_keys(where, what, [f.name for f in fields(Column)])
+            try:
+                columns[title] = Column(**what)
+            except ValueError as error:
+                raise ValueError(f"{where}{error}") from error
+        given = found.get("log", {})
+        _require_keys("[log] ", given, [f.name for f in fields(LogMap) if f.name != "columns"])
+        return LogMap(**given, columns=columns)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def zone(name: str) -> ZoneInfo | None:
+    """Return the time zone of that name, None for ""; ValueError for an unknown one."""
+    try:
+        return ZoneInfo(name) if name else None
+    except (ValueError, OSError, LookupError) as error:
+        raise ValueError(
+            f'tz is {shown(name)}; expected a time zone by its place, as in "Europe/Amsterdam" or "UTC"'
+        ) from error
+
+
+def _require_keys(where: str, found: Mapping[str, Any], known: Any, *, tables: bool = False) -> None:
+    for key, value in found.items():
+        if key not in known:
+            near = get_close_matches(key, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+            raise ValueError(f"{where}unknown key {shown(key)}; {hint}")
+        if tables and not isinstance(value, dict):
+            raise ValueError(f"{key} is {shown(value)}; expected a table [{key}]")
+
+
+def _require_texts(where: str, owner: object, names: tuple[str, ...]) -> None:
+    for name in names:
+        if not isinstance(value := getattr(owner, name), str):
+            raise ValueError(f"{name} of {where} is {shown(value)}; expected a text")
+
+
+def _require_encoding(encoding: str) -> None:
+    try:
+        if not codecs.lookup(encoding)._is_text_encoding:  # as str.encode asks, too: hex and others are no texts
+            raise LookupError(encoding)
+    except (LookupError, ValueError) as error:
+        raise ValueError(f'encoding is {shown(encoding)}; expected one such as "utf-8", "cp1252" or "utf-16"') from error
+
+
+def _listed(what: str, value: Any) -> tuple[Any, ...]:
+    """One text or number, or a list of them, as a tuple; ValueError for anything else."""
+    items = tuple(value) if isinstance(value, list | tuple) else (value,)
+    if any(isinstance(i, bool) or not isinstance(i, str | int | float) for i in items):
+        raise ValueError(f"{what} is {shown(value)}; expected texts or numbers")
+    return items
+
+
+def _seconds_of(what: str, value: Any) -> float:
+    """A time span (s): true for any length, false for none."""
+    if isinstance(value, bool):
+        return math.inf if value else 0.0
+    if not number(what, value) >= 0:
+        raise ValueError(f"{what} is {value}; expected seconds of at least 0, or true for any length")
+    return float(value)
+
+
+def _or(known: tuple[str, ...]) -> str:
+    texts = [f'"{k}"' for k in known]
+    return f"{', '.join(texts[:-1])} or {texts[-1]}"
+
+
+PLAIN_MAP = LogMap(inputs=UNTIL_THE_SAMPLE)  # as `simulate` writes a log

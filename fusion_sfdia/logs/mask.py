@@ -1,0 +1,56 @@
+"""Rows in which a plant is not in operation, by comparisons such as "feed < 5"."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.logs.columns import Sources
+from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.order import Rows
+from fusion_sfdia.logs.tables import some
+
+Array = NDArray[Any]
+
+COMPARISONS = {"<=": operator.le, ">=": operator.ge, "==": operator.eq, "!=": operator.ne, "<": operator.lt, ">": operator.gt}
+MASK = re.compile(r"(.+?)\s*(<=|>=|==|!=|<|>)\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", re.ASCII)
+
+
+def mask_titles(where: str, titles: Sequence[str], sources: Sources, log_map: LogMap) -> list[str]:
+    """The columns that the mask compares and that feed nothing; ValueError for a comparison that cannot be read."""
+    by_name = {c.name: c.title for c in sources.columns}
+    also = []
+    for text in log_map.mask:
+        match = MASK.fullmatch(text.strip())
+        if match is None:
+            raise ValueError(f'mask is {shown(text)}; expected a comparison of a column with a number, as in "feed < 5"')
+        if match[1] not in by_name and match[1] not in titles:
+            raise ValueError(
+                f"{where}: mask {shown(text)} compares {shown(match[1])}, which is no column, sensor or input of the log; "
+                f"columns: {some(titles)}"
+            )
+        if match[1] not in by_name and match[1] not in by_name.values():
+            also.append(match[1])
+    return list(dict.fromkeys(also))
+
+
+def masked_rows(where: str, rows: Rows, sources: Sources, log_map: LogMap) -> Array:
+    """The rows (K,) in which a comparison of the mask holds, in the units of the log; a missing value compares as before it."""
+    import pandas
+
+    by_name = {c.name: c.title for c in sources.columns}
+    masked = np.zeros(rows.t.shape, dtype=bool)
+    for text in log_map.mask:
+        match = MASK.fullmatch(text.strip())
+        assert match is not None
+        values = pandas.Series(rows.values[by_name.get(match[1], match[1])]).ffill().to_numpy()
+        masked |= COMPARISONS[match[2]](values, float(match[3])) & np.isfinite(values)
+    if masked.all() and masked.size:
+        raise ValueError(f"{where}: mask {', '.join(log_map.mask)} holds in every row; it compares in the units of the log")
+    return masked

@@ -1,0 +1,112 @@
+"""From a log, as CSV, Parquet or a pandas frame, to readings and inputs of a plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.log import Log, usual_inputs
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.logs.columns import Sources, require_columns_of
+from fusion_sfdia.logs.findings import Finding, LoadedLog, counted
+from fusion_sfdia.logs.inputs import before_the_first, held, require_known, timing
+from fusion_sfdia.logs.layout import long_rows, wide_rows
+from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, LogMap, load_map
+from fusion_sfdia.logs.mask import masked_rows
+from fusion_sfdia.logs.order import Rows, in_order
+from fusion_sfdia.logs.overview import overview
+from fusion_sfdia.logs.tables import read_table, some
+
+Array = NDArray[Any]
+
+
+def load_log(
+    source: Any,
+    plant: Plant,
+    log_map: LogMap | str | Path | None = None,
+    *,
+    absent_sensors: bool = False,
+    other_columns: bool = False,
+    nominal_inputs: bool = False,
+) -> LoadedLog:
+    """Read a log of a plant: its readings and inputs in the plant's units, its wall-clock start, and what was found and done.
+
+    source: a CSV file, a Parquet file (.parquet, .pq) or a pandas frame. log_map: a LogMap or its file; without one the
+    columns have the plant's names, with or without their unit in brackets, and inputs acted until their row, as `simulate`
+    and `write_log` write them. Times are seconds, numbers since 1970 or ISO stamps; of the last two t begins at 0.
+    absent_sensors: a sensor without a column is NaN throughout. other_columns: columns that are neither are ignored.
+    nominal_inputs: inputs without a column are the plant's operation (plant.input_at) at the reading before, or dt before
+    where that is later. ValueError naming file, row (of a file the header is row 1) and column for anything else than times
+    in order, finite or missing readings, and inputs that are known and within their limits.
+    """
+    chosen = load_map(log_map) if isinstance(log_map, str | Path) else log_map or PLAIN_MAP
+    require_columns_of(plant, chosen)
+    table = read_table(source, chosen)
+    allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
+    read = long_rows if chosen.tag else wide_rows
+    sources, rows, times, findings = read(table, plant, chosen, allowed)
+    rows = in_order(table.where, rows, times.clock, chosen, findings)
+    masked = masked_rows(table.where, rows, sources, chosen)
+    log = _log(table.where, rows, sources, plant, chosen, masked, findings)
+    if sources.ignored:
+        count = len(sources.ignored)
+        findings.append(Finding("ignored", "", count, f"{counted(count, 'column')} not used: {some(sources.ignored)}"))
+    return LoadedLog(log, times.clock, (*overview(plant, log, times), *findings))
+
+
+def _log(
+    where: str,
+    rows: Rows,
+    sources: Sources,
+    plant: Plant,
+    log_map: LogMap,
+    masked: Array,
+    findings: list[Finding],
+) -> Log:
+    """Readings and inputs in the units of the plant; masked rows keep no reading, and are left out without a valid input."""
+    inputs = [c for c in sources.columns if c.is_input]
+    u = usual_inputs(plant, rows.t)
+    for c in inputs:
+        u[:, c.position] = held(rows.t, c.conversion(rows.values[c.title]), c.name, log_map, findings)
+    at_the_sample = log_map.inputs == AT_THE_SAMPLE and bool(inputs)
+    if at_the_sample:
+        fed = [c.position for c in inputs]
+        u[1:, fed] = u[:-1, fed]
+    if inputs:
+        findings.append(timing(at_the_sample))
+    if lacking := sources.without_column(plant):
+        source = "the nominal values" if plant.truth.operation is None else "the usual inputs"
+        text = f"no column for the inputs {some(lacking)}; {source} of plant {plant.name!r} are used instead"
+        findings.append(Finding("nominal inputs", "", len(lacking), text))
+    valid = np.ones(rows.t.shape, dtype=bool)
+    for c in inputs:
+        signal = plant.inputs[c.position]
+        valid &= np.isfinite(u[:, c.position]) & (u[:, c.position] >= signal.low) & (u[:, c.position] <= signal.high)
+    early = before_the_first(rows, inputs, log_map)
+    stopped = masked.copy()  # also the row after, whose input is of a masked one
+    stopped[1:] |= masked[:-1] & at_the_sample
+    left_out = (stopped | early) & ~valid
+    for c in inputs:
+        require_known(where, rows, c, u, plant, ~left_out, log_map)
+    y = np.full((rows.t.size, len(plant.sensors)), np.nan)
+    for c in sources.columns:
+        if not c.is_input:
+            y[:, c.position] = c.conversion(rows.values[c.title])
+    y[masked] = np.nan
+    if count := int(np.sum(masked)):
+        gone = int(np.sum(stopped & left_out))
+        also = f", {counted(gone, 'row')} left out, whose input is missing or beyond its limits" if gone else ""
+        text = f"{counted(count, 'row')} masked by {', '.join(log_map.mask)}: readings taken as missing{also}"
+        findings.append(Finding("masked", "", count, text))
+    if count := int(np.sum(left_out & ~stopped)):
+        findings.append(
+            Finding("left out", "", count, f"{counted(count, 'row')} before the first value of each input left out")
+        )
+    if left_out.all():
+        raise ValueError(
+            f"{where}: no row with all inputs; give each input a value, or --nominal-inputs for one without a column"
+        )
+    return Log(rows.t[~left_out], y[~left_out], u[~left_out])

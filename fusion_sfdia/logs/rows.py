@@ -1,0 +1,96 @@
+"""Single rows of a log, as they come from a plant, to readings and inputs: the same map, without a whole log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.logs.columns import Sources, find_sources, require_columns_of
+from fusion_sfdia.logs.log_map import EXCEL, SECONDS, LogMap, zone
+from fusion_sfdia.logs.numbers import Numbers, good_codes
+from fusion_sfdia.logs.times import EPOCH, ISO
+
+Array = NDArray[Any]
+
+
+class RowReader(NamedTuple):
+    """Rows {title: cell} of a log to times, readings and inputs in the units of a plant; made by `row_reader`.
+
+    What needs more than one row is left to the caller: order, duplicates, hold and whether inputs act from their row on
+    (log_map.inputs), as well as the mask.
+    """
+
+    plant: Plant
+    log_map: LogMap
+    sources: Sources
+    numbers: Numbers
+
+    def time(self, row: Mapping[str, Any]) -> tuple[float, datetime | None]:
+        """Return the time of a row in seconds, of a stamp since 1970, and the stamp; ValueError for what is no time.
+
+        A stamp of an hour that its zone has twice is taken as the first.
+        """
+        cells = [row[title] for title in self.sources.times]
+        cell = cells[0] if len(cells) == 1 else " ".join(str(c).strip() for c in cells)
+        if isinstance(cell, datetime):
+            return self._since_1970(cell)
+        text = cell.strip() if isinstance(cell, str) else cell
+        try:
+            if self.log_map.has_pattern:
+                return self._since_1970(datetime.strptime(str(text), self.log_map.format))
+            if isinstance(text, str) and ISO.fullmatch(text):
+                return self._since_1970(datetime.fromisoformat(text.replace(",", ".").upper()))
+            value = self.numbers.cell(text)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise ValueError(
+                f"column {' '.join(self.sources.times)}: {shown(cell)}; expected a time as the map has it"
+            ) from error
+        if np.isnan(value) or self.log_map.format == EXCEL:
+            raise ValueError(f"{self._time_column}: {shown(cell)}; expected seconds, or an ISO time")
+        given = self.log_map.format or self.sources.time_unit
+        for name in [given] if given else ("s", "ms", "us", "ns"):
+            if EPOCH[0] <= value * SECONDS[name] < EPOCH[1]:
+                return value * SECONDS[name], datetime.fromtimestamp(value * SECONDS[name], zone(self.log_map.tz) or UTC)
+        return value * SECONDS[given or "s"], None
+
+    def values(self, row: Mapping[str, Any]) -> tuple[Array, Array]:
+        """Return readings (N,) and inputs (m,) of a row, NaN where a cell is missing, absent, bad or not of good quality.
+
+        ValueError that names the column for a cell that is neither a number nor missing.
+        """
+        y, u = np.full(len(self.plant.sensors), np.nan), np.full(len(self.plant.inputs), np.nan)
+        for c in self.sources.columns:
+            try:
+                value = self.numbers.cell(row.get(c.title))
+                if c.quality and not good_codes([row.get(c.quality)], self.log_map.good)[0]:
+                    continue
+            except (ValueError, TypeError, OverflowError) as error:
+                raise ValueError(
+                    f"column {c.title}: {shown(row.get(c.title))}; expected a finite number, or nothing"
+                ) from error
+            (u if c.is_input else y)[c.position] = c.conversion(value)
+        return y, u
+
+    @property
+    def _time_column(self) -> str:
+        return f"column {' '.join(self.sources.times)}"
+
+    def _since_1970(self, stamp: datetime) -> tuple[float, datetime]:
+        own = zone(self.log_map.tz)
+        aware = stamp.replace(tzinfo=own or UTC) if stamp.tzinfo is None else stamp.astimezone(own) if own else stamp
+        return aware.timestamp(), aware
+
+
+def row_reader(plant: Plant, log_map: LogMap, titles: Sequence[str], *, absent_sensors: bool = False) -> RowReader:
+    """Return the reader of rows with these titles; other columns are not used. ValueError where they do not fit the plant."""
+    require_columns_of(plant, log_map)
+    sources = find_sources(
+        "the rows", titles, [""] * len(titles), plant, log_map, absent=absent_sensors, other=True, nominal=False
+    )
+    return RowReader(plant, log_map, sources, Numbers.of(log_map))

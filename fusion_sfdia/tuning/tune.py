@@ -1,0 +1,219 @@
+"""From healthy readings to a tuned plant and detector, with thresholds for a stated rate of false alarms.
+
+The log is cut in two halves. What was learnt from one predicts the other, and the scores on these predictions set the
+thresholds, so that no threshold is set on readings from which the model was learnt. The plant of the file is then learnt from
+the whole log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia import __version__, registry
+from fusion_sfdia.commissioning.commission import Commissioning, as_runs, commissioned
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.detector import NotApplicableError
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.silent import require_scale, silent, silent_scores
+from fusion_sfdia.tuning.delays import Delays, delays
+from fusion_sfdia.tuning.rate import Rate, lasting
+from fusion_sfdia.tuning.runs import as_even_runs
+from fusion_sfdia.tuning.stationary import require_stationary
+from fusion_sfdia.tuning.tail import Count, Threshold, counted, shortest, threshold
+from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_tables, plant_table, scaled
+
+Array = NDArray[Any]
+
+FAR, COLOURED, WRONG, WIDE, UNSURE = 3.0, 0.15, 1.5, 2.0, 1.5  # beyond which a figure is remarked on
+LEARNT_ON = 40  # samples above its limits from which a detector that learns sets them itself, before they are scaled
+
+
+class Source(NamedTuple):
+    """Where healthy readings come from: a file, and the clock of its times."""
+
+    name: str
+    clock: Clock = Clock()
+
+
+def tune(
+    plant: Plant | str,
+    *healthy: Any,
+    false_alarm: str | float | Rate = "1/day",
+    detector: str = "loo-glr",
+    sources: Sequence[Source] = (),
+    made: str = "",
+) -> Tuned:
+    """Tune a plant and a detector on healthy readings of the real plant.
+
+    healthy: logs, each as `as_log` takes it in one argument, of one run or several. false_alarm: samples in alarm, such as
+    "1/day" or 1e-3 (per sample), see `Rate`. detector: a registered name, or a reference such as "mine.py:MyDetector".
+    sources: where each log comes from, made: the date, both for the file alone.
+    ValueError, with the reason, for readings that cannot carry it: too short for the plant or the rate, a fault among them, not
+    stationary; NotApplicableError where the detector does not apply to the plant.
+    """
+    plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
+    logs = [_runs(as_runs(plant, (one,))) for one in healthy]
+    log = as_even_runs(plant, [run for runs in logs for run in runs])
+    dt = float(np.median(np.diff(log.t)))
+    per_sample = rate.per_sample(dt)
+    _require_enough(log, 0, rate, dt)
+    found = commissioned(plant, log, false_alarm=None)
+    _require_enough(log, found.settle, rate, dt)
+    clock = sources[0].clock if sources else Clock()
+    settled, middle = log.t[found.settle :], found.middle - found.settle
+    residuals = [fit.single[found.settle :] for fit in found.fits]
+    require_stationary(plant, (residuals[0], residuals[1]), middle, lambda k: clock.at(float(settled[k])))
+
+    build = partial(_build, entry, per_sample, (len(log.t) - found.settle) // 2 * log.y.shape[1])
+    parts = _held_out_scores(found, log, build)
+    limit = threshold(parts, per_sample)
+    if not 0 < limit.scale < np.inf:
+        raise NotApplicableError(
+            f"the score of {entry.name} on healthy readings is {limit.scale:g} where it should alarm: no threshold "
+            "has that rate"
+        )
+    across = [threshold([part], per_sample).scale for part in parts[::-1]]
+
+    tables = {"plant": plant_table(plant)} | learnt_tables(plant, found)
+    final = build(acting_plant(learnt_plant(tables, plant), entry.name), _cut(log, found.settle, len(log.t)))
+    final = scaled(final, limit.scale, per_sample)
+    late = delays(final, log, found.settle)
+    for i, row in enumerate(tables["sensors"].values()):
+        row |= {f"delay_{size:g}": float(late.delay[s, i]) for s, size in enumerate(late.sizes)}
+    used = {"name": entry.name, "threshold_scale": limit.scale, "false_alarm": str(rate), "per_sample": per_sample}
+    origin = [Source(f"readings {i + 1}") for i in range(len(logs))] if not sources else list(sources)
+    provenance = {
+        "healthy": [
+            {
+                "file": s.name,
+                "rows": sum(len(r.t) for r in runs),
+                "from": s.clock.at(float(runs[0].t[0])),
+                "to": s.clock.at(float(runs[0].t[-1])),
+            }
+            for s, runs in zip(origin, logs, strict=True)
+        ],
+        "made": {"version": __version__, "date": made},
+    }
+    quality = _quality(found, log, limit, counted(parts, across), late, rate, dt)
+    document = {"plant": tables["plant"], "detector": used, **{k: v for k, v in tables.items() if k != "plant"}}
+    return Tuned(document | provenance | {"quality": quality}, final if entry.learns else None)
+
+
+def _runs(log: Log) -> list[Log]:
+    """Each run of a log by itself: y (K, N), u (K, m)."""
+    return [Log(log.t, log.y[:, i], log.u[:, i]) for i in range(log.y.shape[1])]
+
+
+def _cut(log: Log, start: int, end: int) -> Log:
+    return Log(*(a[start:end] for a in log))
+
+
+def _require_enough(log: Log, settle: int, rate: Rate, dt: float) -> None:
+    """Raise ValueError where there are too few samples after settling for the rate."""
+    steps, runs = log.y.shape[:2]
+    least, left = shortest(rate.per_sample(dt)), runs * max(steps - settle, 0)
+    if left < least:
+        raise ValueError(
+            f"the healthy log is too short for {rate} (one sample in {rate.samples(dt):.4g}): {left} samples "
+            f"({lasting(left * dt)}) after the filter has settled, expected at least {least} ({lasting(least * dt)}); the "
+            f"shortest log is {least // runs + settle} samples long, {lasting((least // runs + settle) * dt)}"
+            f"{f', in {runs} runs' if runs > 1 else ''}: give a longer one, or a higher rate"
+        )
+
+
+def _build(entry: registry.NamedDetector, rate: float, samples: int, plant: Plant, healthy: Log) -> Any:
+    """The detector with usual settings; one that learns has learnt from these readings."""
+    if not entry.learns:
+        built: Any = registry.detector(entry, plant)
+    else:
+        built = entry.build(plant, healthy=healthy, false_alarm=min(max(rate, LEARNT_ON / samples), 0.2))
+        if built.plant is not plant:
+            raise NotApplicableError(
+                f"detector {entry.name} builds its own version of plant {plant.name!r}, which a tuned file cannot hold; choose "
+                "another detector"
+            )
+    require_scale(entry.name, built)
+    return built
+
+
+def _held_out_scores(found: Commissioning, log: Log, build: Any) -> list[Array]:
+    """The scores (K, B) of the first and of the second half, by a detector that has learnt from the other."""
+    ends = [(found.settle, found.middle), (found.middle, len(log.t))]
+    parts = []
+    for own, learnt, plant in zip(ends, ends[::-1], found.halves[::-1], strict=True):
+        detector = build(acting_plant(plant, build.args[0].name), _cut(log, *learnt))
+        state, scores = silent_scores(silent(detector), *_cut(log, 0, own[1]))
+        if np.any(state.diverged):
+            raise ValueError(
+                f"the estimate of {build.args[0].name} diverges on the healthy log; check inputs, units and parameters of the "
+                "plant"
+            )
+        parts.append(np.nan_to_num(scores[own[0] :]))
+    return parts
+
+
+def _quality(
+    found: Commissioning, log: Log, limit: Threshold, count: Count, late: Delays, rate: Rate, dt: float
+) -> dict[str, Any]:
+    """Figures of quality by name, as plain numbers."""
+    steps, runs = log.y.shape[:2]
+    figures: dict[str, Any] = {
+        "samples": runs * (steps - found.settle),
+        "runs": runs,
+        "settle": found.settle,
+        "learnt": list(found.kept),
+        "nis_before": found.before.nis,
+        "nis": found.after.nis,
+        "coloured_before": found.before.coloured,
+        "coloured": found.after.coloured,
+        "threshold": "counted" if limit.counted else "extrapolated by a generalised Pareto tail",
+        "threshold_interval": [limit.low, limit.high],
+        "expected_above": limit.expected,
+        "tail_shape": limit.shape,
+        "achieved": {
+            "rate": str(rate.same(count.rate, dt)) if count.rate else "0",
+            "low": str(rate.same(count.low, dt)) if count.low else "0",
+            "high": str(rate.same(count.high, dt)),
+            "samples_above": count.above,
+            "alarms": count.alarms,
+        },
+        "delays": f"simulated: biases added to these readings, {late.onsets} onsets a sensor, within {late.within:g} s",
+    }
+    for s, size in enumerate(late.sizes):
+        figures[f"delay_{size:g}"] = {
+            "median": float(np.median(late.delay[s])),
+            "worst": float(np.max(late.delay[s])),
+            "found": float(np.mean(late.found[s])),
+        }
+    figures["remarks"] = _remarks(found, figures, limit)
+    return figures
+
+
+def _remarks(found: Commissioning, figures: dict[str, Any], limit: Threshold) -> list[str]:
+    """What a user should know before relying on it."""
+    remarks = []
+    if found.parameters is not None:
+        away = np.abs(found.parameters.value - found.parameters.prior) / found.parameters.prior_sd
+        remarks += [
+            f"{name} is {a:.1f} of its stated deviations off: the model may lack something, or a fault be hidden in it"
+            for name, a in zip(found.parameters.names, away, strict=True)
+            if a > FAR
+        ]
+    if figures["coloured"] > COLOURED:
+        remarks.append(
+            f"{100 * figures['coloured']:.0f} % of the autocorrelations of the prediction errors are outside their bands: the "
+            "model lacks something, or a slow fault is in the log"
+        )
+    if not 1 / WRONG < figures["nis"] < WRONG:
+        remarks.append(f"prediction errors are {np.sqrt(figures['nis']):.2g} times as large as the model expects (NIS, root)")
+    if limit.scale > WIDE:
+        remarks.append(f"thresholds are {limit.scale:.2g} times those of a right model: small faults are not seen")
+    if limit.high > UNSURE * limit.low:
+        remarks.append("the threshold is uncertain by more than a factor of 1.5: a longer log would settle it")
+    return remarks

@@ -1,0 +1,240 @@
+"""What tuning has found, as a readable file, and the plant and the detector that follow from it."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia import registry
+from fusion_sfdia.commissioning.commission import Commissioning
+from fusion_sfdia.commissioning.disturbances import Found, with_disturbance
+from fusion_sfdia.commissioning.innovations import fixed
+from fusion_sfdia.commissioning.noise import Noise, state_groups, with_noise
+from fusion_sfdia.commissioning.parameters import Estimate, declared, free, moved
+from fusion_sfdia.commissioning.start import Start, with_start
+from fusion_sfdia.core.arguments import number, shown
+from fusion_sfdia.core.batch_detector import BatchDetector
+from fusion_sfdia.core.files import all_or_none
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.saved_detectors import load_detector, save_detector
+from fusion_sfdia.tuning.document import read_document, write_document
+from fusion_sfdia.tuning.rate import Rate
+
+Array = NDArray[Any]
+
+COMMENTS = {
+    "": "A plant and a detector tuned on healthy readings by `fusion-sfdia tune`; for `diagnose --tuned`.\n"
+    "SI units, standard deviations, seconds. Thresholds hold for these values: tune again rather than edit.",
+    "plant": "For this plant only: the digest is of the names and units of its states, inputs, sensors and parameters.",
+    "detector": "threshold_scale is a factor on all thresholds, which healthy readings exceed at the stated rate.",
+    "sensors": "Noise of each sensor, and what the plant states; delay of a bias of so many sigma (s, see quality).",
+    "process_noise": "Factor on the standard deviation that the plant states, of all states of a unit.",
+    "parameters": "Estimates with standard deviation, and what the plant states.",
+    "disturbance": "A direction of mismatch (state: units of the states; reading: of the sensors): its mean is an offset.",
+    "start": "Where runs begin: a state, and the variance of first states about it.",
+    "quality": "How well this holds, on halves of the log from which it was not learnt.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """A tuned plant and detector: document holds the tables of the file, fitted the detector where it learns from data.
+
+    fitted: the detector, or the file that `save_detector` wrote; None where class, plant and scale suffice.
+    """
+
+    document: dict[str, Any]
+    fitted: Any = None
+
+    @property
+    def rate(self) -> Rate:
+        """The stated rate of false alarms."""
+        return Rate.of(str(self.document["detector"]["false_alarm"]))
+
+    @property
+    def threshold_scale(self) -> float:
+        """Factor on the thresholds of the detector as it is registered."""
+        return number("threshold_scale", self.document["detector"]["threshold_scale"])
+
+    @property
+    def detector_name(self) -> str:
+        """The detector for which the thresholds hold, a name or a reference."""
+        return str(self.document["detector"]["name"])
+
+    @property
+    def quality(self) -> dict[str, Any]:
+        """Figures of quality."""
+        return dict(self.document["quality"])
+
+    def plant(self, plant: Plant) -> Plant:
+        """The plant with what was learnt; ValueError where the file is of another plant."""
+        require_same_plant(self.document, plant)
+        return learnt_plant(self.document, plant)
+
+    def detector(self, plant: Plant) -> Any:
+        """The tuned detector on the plant as `plant` gives it, from the plant as its maker gives it; ValueError as there."""
+        acting = acting_plant(self.plant(plant), self.detector_name)
+        if self.fitted is not None:
+            return load_detector(self.fitted, acting) if isinstance(self.fitted, Path) else self.fitted
+        built: Any = registry.detector(self.detector_name, acting)
+        return scaled(built, self.threshold_scale, number("per_sample", self.document["detector"]["per_sample"]))
+
+    def write(self, path: str | Path) -> None:
+        """Write the file, and beside it (.npz) a detector that learns from data."""
+        path = Path(path)
+        if self.fitted is None:
+            write_document(path, self.document, COMMENTS)
+            return
+        beside = path.with_suffix(".npz").name
+        document = self.document | {"detector": self.document["detector"] | {"fitted": beside}}
+        with all_or_none(path.parent) as new:
+            if isinstance(self.fitted, Path):
+                (new / beside).write_bytes(self.fitted.read_bytes())
+            else:
+                save_detector(new / beside, self.fitted)
+            write_document(new / path.name, document, COMMENTS)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Tuned:
+        """Read a file; ValueError, which names it, where it is none."""
+        path = Path(path)
+        document = read_document(path)
+        for table, keys in NEEDED.items():
+            if not isinstance(found := document.get(table), dict) or (lacking := [k for k in keys if k not in found]):
+                what = f"[{table}]" if not isinstance(found, dict) else f"{lacking[0]} in [{table}]"
+                raise ValueError(f"{path} has no {what}; expected a file that `fusion-sfdia tune` wrote")
+        beside = document["detector"].get("fitted")
+        tuned = cls(document, None if beside is None else path.parent / str(beside))
+        try:
+            if not 0 < tuned.threshold_scale < np.inf:
+                raise ValueError(f"threshold_scale is {tuned.threshold_scale}; expected a positive number")
+            tuned.rate.per_sample(number("dt", document["plant"]["dt"]))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        return tuned
+
+
+NEEDED = {
+    "plant": ("name", "dt", "digest"),
+    "detector": ("name", "threshold_scale", "false_alarm", "per_sample"),
+    "sensors": (),
+    "quality": (),
+}
+
+
+def scaled(detector: Any, scale: float, rate: float) -> Any:
+    """The detector with its thresholds times a scale that was fitted for that rate per sample."""
+    fitted = {"fitted_rate": rate} if isinstance(detector, BatchDetector) else {}
+    return replace(detector, threshold_scale=scale * detector.threshold_scale, **fitted)
+
+
+def acting_plant(plant: Plant, detector: str) -> Plant:
+    """The plant on which a detector acts: one that runs a filter on it estimates learnt disturbances along.
+
+    A detector that tests the process does so by itself.
+    """
+    entry = registry.find_detector(detector)
+    if entry.tests_process or entry.learns or not plant.uncertainty.disturbances:
+        return plant
+    return fixed(plant) if hasattr(registry.detector(entry, plant), "estimator") else plant
+
+
+def plant_table(plant: Plant) -> dict[str, Any]:
+    """Name, step, sizes and digest of the names and units of a plant."""
+    known = plant.uncertainty
+    named: list[Any] = [*plant.states, *plant.inputs, *plant.sensors, *known.parameters]
+    text = "\n".join([plant.name, repr(plant.dt), *(f"{v.name} [{v.unit}]" for v in named), *sorted(known.inputs)])
+    return {
+        "name": plant.name,
+        "dt": plant.dt,
+        "states": len(plant.states),
+        "inputs": [s.name for s in plant.inputs],
+        "digest": hashlib.sha256(text.encode()).hexdigest()[:16],
+    }
+
+
+def require_same_plant(document: dict[str, Any], plant: Plant) -> None:
+    """Raise ValueError, with what differs, where a file was tuned for another plant."""
+    own, found = plant_table(plant), document["plant"]
+    reasons = [
+        f"{what} {shown(found.get(what))}, this one {shown(own[what])}"
+        for what in ("name", "dt", "states", "inputs")
+        if found.get(what) != own[what]
+    ]
+    if tuple(document["sensors"]) != plant.sensor_names:
+        others = [*(set(document["sensors"]) ^ set(plant.sensor_names))] or ["their order"]
+        reasons.append(
+            f"{len(document['sensors'])} sensors, this one {len(plant.sensors)}, other are {', '.join(sorted(others)[:4])}"
+        )
+    if not reasons and found["digest"] != own["digest"]:
+        reasons.append("other names or units of states, sensors or parameters")
+    for sensor in plant.sensors:
+        if not reasons and document["sensors"][sensor.name].get("stated") != sensor.noise_sigma:
+            stated = shown(document["sensors"][sensor.name].get("stated"))
+            reasons.append(f"sensor {sensor.name!r} with a stated sigma of {stated}, this one {sensor.noise_sigma!r}")
+    if reasons:
+        raise ValueError(
+            f"it was tuned for another plant than {plant.name!r}: that one has {'; '.join(reasons)}; tune again on healthy "
+            "readings of this plant"
+        )
+
+
+def learnt_tables(plant: Plant, found: Commissioning) -> dict[str, Any]:
+    """The tables of what was learnt, from the plant before."""
+    tables: dict[str, Any] = {}
+    tables["sensors"] = {
+        s.name: {"sigma": float(sigma), "stated": s.noise_sigma, "unit": s.unit}
+        for s, sigma in zip(plant.sensors, found.plant.sensor_sigma, strict=True)
+    }
+    if found.noise is not None:
+        tables["process_noise"] = {
+            unit: float(np.sqrt(f)) for unit, f in zip(found.noise.groups, found.noise.process, strict=True)
+        }
+    if (known := found.parameters) is not None:
+        rows = zip(known.names, known.value, known.sd, known.prior, known.prior_sd, strict=True)
+        tables["parameters"] = {
+            name: {"value": float(v), "sd": float(sd), "stated": float(p), "stated_sd": float(psd)}
+            for name, v, sd, p, psd in rows
+        }
+    if found.disturbances:
+        tables["disturbance"] = [
+            {
+                "mean": d.mean,
+                "sd": d.sd,
+                "time_constant": d.time_constant,
+                "state": d.state.tolist(),
+                "reading": d.reading.tolist(),
+            }
+            for d in found.disturbances
+        ]
+    if found.start is not None:
+        tables["start"] = {"x0": found.start.x0.tolist(), "variance": found.start.spread.tolist()}
+    return tables
+
+
+def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
+    """The plant with what the tables of a document hold; ValueError for values that do not fit it."""
+    try:
+        if rows := document.get("parameters"):
+            names = tuple(declared(plant)[0][i] for i in free(plant))
+            values, sds = (np.array([number(f"{what} of {n}", rows[n][what]) for n in names]) for what in ("value", "sd"))
+            plant = moved(plant, Estimate(names, values, sds, values, sds, np.empty((0, 0)), sds))
+        for d in document.get("disturbance", []):
+            none = np.empty((0, 0))
+            state, reading = (np.array(d[what], dtype=float) for what in ("state", "reading"))
+            mean, sd, lasting = (number(f"{what} of a disturbance", d[what]) for what in ("mean", "sd", "time_constant"))
+            plant = with_disturbance(plant, Found(state, reading, none, none, mean, sd, lasting, 1.0))
+        groups, table = state_groups(plant), document.get("process_noise", {})
+        process = np.array([number(f"process noise in {unit}", table.get(unit, 1.0)) for unit in groups]) ** 2
+        sigma = np.array([number(f"sigma of {n}", document["sensors"][n]["sigma"]) for n in plant.sensor_names])
+        plant = with_noise(plant, Noise(groups, process, process, (sigma / plant.sensor_sigma) ** 2, sigma))
+        if start := document.get("start"):
+            plant = with_start(plant, Start(*(np.array(start[what], dtype=float) for what in ("x0", "variance"))))
+    except KeyError as error:
+        raise ValueError(f"the tuned values have no {error}; tune again, or restore the file") from error
+    return plant

@@ -1,0 +1,85 @@
+"""The command `tune`, and `diagnose` with what it has tuned or on a healthy stretch of the log itself."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from fusion_sfdia.cli.main import main
+
+TOY = """
+from toy_plants import chain
+
+
+def make():
+    return chain(3, process=0.3)
+"""
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = main(arguments)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+@pytest.mark.slow
+def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("toy.py").write_text(TOY)
+    plant = ("--plant", "toy.py:make")
+    for name, seed in (("a", "1"), ("b", "2")):
+        call(capsys, "simulate", *plant, "--steps", "250", "--seed", seed, "--process-noise", "--out", f"{name}.csv")
+    tune = ("tune", *plant, "--healthy", "a.csv", "--healthy", "b.csv", "--false-alarm", "0.02")
+    code, out, err = call(capsys, *tune)
+    assert code == 0 and out.startswith("loo-glr on chain, ") and out.endswith("in tuned.toml\n")
+    assert "learning from 500 samples" in err
+    written = tomllib.loads(Path("tuned.toml").read_text())
+    assert [row["file"] for row in written["healthy"]] == ["a.csv", "b.csv"]
+    assert [row["rows"] for row in written["healthy"]] == [250, 250]
+
+    code, _, err = call(capsys, *tune)
+    assert code == 2 and "tuned.toml exists; name another file with --out, or replace it with --force" in err
+
+    log = Path("b.csv").read_text().splitlines()
+    for k in range(230, 251):
+        cells = log[k].split(",")
+        log[k] = ",".join([cells[0], str(float(cells[1]) + 10.0), *cells[2:]])
+    Path("c.csv").write_text("\n".join(log) + "\n")
+    diagnose = ("diagnose", *plant, "--data", "c.csv", "--json", "--force")
+    code, out, _ = call(capsys, *diagnose, "--tuned", "tuned.toml")
+    assert code == 0
+    tuned = json.loads(out)
+    assert [e["hypothesis"] for e in tuned if e["start"] == 230] == ["s0"]
+    code, out, _ = call(capsys, *diagnose, "--healthy", "..220")
+    assert code == 0 and [e["hypothesis"] for e in json.loads(out) if e["start"] == 230] == ["s0"]
+
+    for arguments, reason in (
+        (("--tuned", "tuned.toml", "--healthy", "0..100"), "--tuned and --healthy both state what is healthy; give one"),
+        (("--tuned", "tuned.toml", "--detector", "pca"), "tuned.toml was tuned for loo-glr, not pca; leave --detector out"),
+        (("--tuned", "toy.py"), "toy.py is not a TOML file"),
+        (("--tuned", "tuned.toml", "--plant", "two-tanks"), "tuned.toml: it was tuned for another plant than 'two-tanks'"),
+        (("--healthy", "300..400"), "no reading from 300 to 400; the log goes from 1 s to 250 s"),
+    ):
+        code, _, err = call(capsys, *diagnose, *arguments)
+        assert code == 2 and reason in err and err.count("\n") == 1, err
+
+
+def test_tune_refuses_before_it_learns(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("toy.py").write_text(TOY)
+    plant = ("--plant", "toy.py:make")
+    call(capsys, "simulate", *plant, "--steps", "250", "--out", "a.csv")
+    for arguments, reason in (
+        (("--healthy", "a.csv", "--false-alarm", "1/moon"), "expected such as 1/day, 2/hour or 1e-3"),
+        (("--healthy", "a.csv"), "too short for 1/day (one sample in 8.64e+04): 250 samples"),
+        (("--healthy", "missing.csv"), "missing.csv"),
+        (("--healthy", "a.csv", "--detector", "loo-gir", "--false-alarm", "0.1"), "unknown detector 'loo-gir'"),
+    ):
+        code, _, err = call(capsys, "tune", *plant, *arguments)
+        assert code == 2 and reason in err, err
+    assert not Path("tuned.toml").exists()

@@ -1,0 +1,111 @@
+"""The command `watch` on a stream of rows: lines out, a kill, and the same events."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from toy_plants import readings, tanks
+
+from fusion_sfdia.cli.main import main
+from fusion_sfdia.logs.csv_log import write_log
+
+PATIENCE = 120  # s, after which the test fails instead of hanging
+DETECTOR = ["--plant", "two-tanks", "--detector", "loo-chi2"]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """200 rows, with a bias of l1 in samples 60 to 99 and of q2 from 150 on."""
+    t, _, y, u = readings(tanks(), 200, 1, seed=1)
+    y = y[:, 0].copy()
+    y[60:100, 0] += 0.5
+    y[150:, 3] += 3e-4
+    write_log(tmp_path / "log.csv", tanks(), t, y, u[:, 0])
+    return tmp_path / "log.csv"
+
+
+def watched(monkeypatch: pytest.MonkeyPatch, text: bytes, *options: str) -> int:
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(text)))
+    return main(["watch", *DETECTOR, *options])
+
+
+def test_rows_in_and_a_json_line_an_event_and_a_sample_out(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    text = log.read_bytes()
+    assert watched(monkeypatch, text) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    long = [e for e in events if e["event"] == "opened" and e["hypothesis"] in ("l1", "q2")]
+    assert [(e["hypothesis"], e["t"]) for e in long][:2] == [("l1", 305.0), ("q2", 755.0)]
+    assert watched(monkeypatch, text, "--samples") == 0
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [e for e in found if e["event"] != "sample"] == events
+    samples = [e for e in found if e["event"] == "sample"]
+    assert [s["t"] for s in samples] == [5.0 * k for k in range(1, 201)]
+    bad = samples[70]
+    assert "l1" in bad["isolated"] and bad["alarm"]
+    assert bad["sigma"]["l1"] != 0.01 and bad["sigma"]["l2"] == 0.01  # of the estimate, of the sensor
+    header, *rows = text.decode().splitlines()
+    names = [cell.split()[0] for cell in header.split(",")]
+    lines = [json.dumps({n: float(c) for n, c in zip(names, r.split(","), strict=True)}) for r in rows]
+    assert watched(monkeypatch, "\n".join(lines).encode()) == 0
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == events
+
+
+def test_what_is_no_row_is_said_and_counted_and_ends_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path
+) -> None:
+    header, *rows = log.read_bytes().splitlines(keepends=True)
+    rows[20:20] = [b"a,b\n", b"\xff\xfe,1,2,3,4,5\n", b"\n", header, rows[3], b"x" * 2_500_000 + b"\n"]
+    assert watched(monkeypatch, header + b"".join(rows)) == 0
+    out, err = capsys.readouterr()
+    events = [json.loads(line) for line in out.splitlines()]
+    assert events and watched(monkeypatch, log.read_bytes()) == 0
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == events
+    said = err.splitlines()
+    assert "fusion-sfdia: line 22: 2 cells under a header of 6" in said[0] and "line 23: column time [s]: " in said[1]
+    assert "row at 20 s: it is not later than the last one, at 100 s" in said[2]
+    assert said[-1] == f"fusion-sfdia: {len(said) - 1} remarks in all"
+    assert watched(monkeypatch, b"time,l1\n1,2\n") == 2
+    assert "no column for the sensors" in capsys.readouterr().err
+    assert watched(monkeypatch, b"", "--state", str(log / "x")) == 2 and watched(monkeypatch, b"", "--save-every", "0") == 2
+    assert "there is no folder" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_watch_that_is_killed_and_started_again_has_written_the_same_events(tmp_path: Path, root: Path, log: Path) -> None:
+    lines = log.read_text().splitlines(keepends=True)
+    command = [sys.executable, "-m", "fusion_sfdia", "watch", *DETECTOR, "--state", "w.state", "--save-every", "20"]
+    environment = os.environ | {"PYTHONPATH": str(root)}
+
+    def started() -> subprocess.Popen[str]:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        return subprocess.Popen([*command, "--samples"], cwd=tmp_path, env=environment, text=True, **pipes)  # type: ignore[call-overload, no-any-return]
+
+    first = started()
+    assert first.stdin and first.stdout
+    first.stdin.writelines(lines[:130])
+    first.stdin.flush()
+    before = ""
+    while '"t": 645.0' not in before:  # the 129th row, after the save at 600 s
+        line = first.stdout.readline()
+        assert line, "the watch has ended"
+        before += line
+    first.kill()
+    rest, _ = first.communicate(timeout=PATIENCE)
+    second = started()
+    after, err = second.communicate("".join(lines), timeout=PATIENCE)  # all rows again
+    assert second.returncode == 0 and "w.state: goes on after 600 s" in err
+    (tmp_path / "w.state").unlink()
+    whole, _ = started().communicate("".join(lines), timeout=PATIENCE)
+    seen = [line for text in (before + rest, after) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+    assert list(dict.fromkeys(seen)) == whole.splitlines(keepends=True)
+    assert len(seen) > len(set(seen)) and np.array([len(before), len(after)]).min() > 0

@@ -1,0 +1,94 @@
+"""Lines of text as rows, and what is said of lines that are none."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from toy_plants import tanks
+
+from fusion_sfdia.live.remarks import Remarks
+from fusion_sfdia.live.rows import TextRows
+from fusion_sfdia.logs.log_map import Column, LogMap
+
+HEADER = "inflow,time [s],q2,q12,l2,l1\n"
+
+
+def test_csv_by_the_names_of_the_header() -> None:
+    rows = TextRows(tanks())
+    assert rows.row("\ufeff" + HEADER) is None and rows.row("\n") is None
+    t, y, u = rows.row("6e-4, 5 ,1e-3,,0.9,1.1\r\n")
+    assert t == 5.0 and u.tolist() == [6e-4]
+    np.testing.assert_array_equal(y, [1.1, 0.9, np.nan, 1e-3])
+    assert rows.row(HEADER) is None  # of a writer that began again
+    assert rows.row("6e-4,2026-03-01T14:20:05Z,,,,\n")[0] == datetime(2026, 3, 1, 14, 20, 5, tzinfo=UTC)
+    assert np.isnan(rows.row(",10,,,,")[2]).all()
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("1,2,3", r"3 cells under a header of 6; leave a missing value's cell empty"),
+        ("6e-4,5,1,1,1,Bad", r"column l1: 'Bad'; expected a finite number, or nothing"),
+        ("6e-4,5,1,1,1,1_0", r"column l1: '1_0'"),
+        ("6e-4,yesterday,1,1,1,1", r"time \[s\]: 'yesterday'; expected a time"),
+        ('6e-4,5,1,1,1,"1', r"not CSV"),
+    ],
+)
+def test_csv_that_is_none(line: str, message: str) -> None:
+    rows = TextRows(tanks())
+    rows.row(HEADER)
+    with pytest.raises(ValueError, match=message):
+        rows.row(line)
+
+
+def test_csv_by_a_map() -> None:
+    """Titles, separator, decimal comma, units and bad texts of a historian, below a preamble."""
+    columns = {"T1.LT1": Column(sensor="l1", unit="mm"), "feed": Column(input="inflow", unit="m3/h")}
+    written = LogMap(
+        time="Timestamp", tz="Europe/Amsterdam", separator=";", decimal=",", preamble=1, bad=("Bad",), columns=columns
+    )
+    rows = TextRows(tanks(), written, absent_sensors=True)
+    assert rows.row("Export; of today") is None and rows.row("Timestamp;T1.LT1;feed;q2") is None
+    t, y, u = rows.row("2026-07-01 14:00:00;1100,5;3,6;Bad")
+    assert isinstance(t, datetime) and t.isoformat() == "2026-07-01T14:00:00+02:00"
+    np.testing.assert_allclose(y, [1.1005, np.nan, np.nan, np.nan], rtol=1e-15)
+    np.testing.assert_allclose(u, [1e-3], rtol=1e-15)
+    for odd in ({"tag": "Tag", "value": "Value"}, {"mask": "l1 < 0.1"}):
+        with pytest.raises(ValueError, match="long format or a mask, which a watch cannot take"):
+            TextRows(tanks(), LogMap(**odd))  # type: ignore[arg-type]
+
+
+def test_json_by_its_keys() -> None:
+    rows = TextRows(tanks(), other_columns=True)
+    t, y, u = rows.row('{"time": 5, "l1": 1.1, "l2": null, "q12": "0.5", "q2": 1, "inflow": 6e-4, "note": "x"}')
+    assert t == 5.0 and u.tolist() == [6e-4]
+    np.testing.assert_array_equal(y, [1.1, np.nan, 0.5, 1.0])
+    assert np.isnan(rows.row('{"time": 10, "l1": 1}')[1][1:]).all()
+    for line, message in (
+        ('{"time": 5, ', "not JSON"),
+        ("[1, 2]", "no JSON object"),
+        ('{"time": 5, "l1": [1]}', r"column l1: \[1\]; expected a finite number"),
+        ('{"time": 5, "l1": ' + "9" * 400 + "}", "column l1: 999"),
+        ('{"time": [1]}', r"time: \[1\]; expected"),
+        ('{"l1": 1}', "no 'time' among"),
+        ("[" * 100_000, "not JSON"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rows.row(line)
+
+
+def test_a_first_line_that_does_not_fit_the_plant_is_refused_as_that_of_a_log() -> None:
+    for line in ("time,l1\n", '{"time": 5, "l1": 1}'):
+        with pytest.raises(ValueError, match="the first line: no column for the sensors 'l2', 'q12', 'q2'"):
+            TextRows(tanks()).row(line)
+    with pytest.raises(ValueError, match="no column for the inputs 'inflow'"):
+        TextRows(tanks(), absent_sensors=True).row("time,l1\n")
+    assert TextRows(tanks(), absent_sensors=True, nominal_inputs=True).row("time,l1\n") is None
+
+
+def test_remarks_stay_few_however_many_there_are() -> None:
+    said: list[str] = []
+    remarks = Remarks(said.append)
+    for k in range(1, 5001):
+        remarks(f"{k}")
+    assert said == [*map(str, range(1, 11)), *(f"{n} (the {n}th such line; others are not shown)" for n in (100, 1000))]

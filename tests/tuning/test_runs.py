@@ -1,0 +1,49 @@
+"""Healthy logs of several lengths, with gaps, as runs side by side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from toy_plants import chain, changed
+
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.tuning.runs import as_even_runs
+
+PLANT = changed(chain(2), fixed_dt=False)
+
+
+def log(steps: int, first: float = 1.0, dt: float = 1.0) -> Log:
+    t = first + dt * np.arange(steps)
+    return Log(t, np.stack([t, -t], axis=1), np.empty((steps, 0)))
+
+
+def test_one_log_is_one_run() -> None:
+    found = as_even_runs(PLANT, [log(100)])
+    assert found.y.shape == (100, 1, 2)
+    np.testing.assert_array_equal(found.y[:, 0], log(100).y)
+
+
+def test_a_gap_parts_a_log_and_each_part_begins_anew() -> None:
+    first, second = log(300), log(290, first=5000.0)
+    both = Log(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
+    found = as_even_runs(PLANT, [both])
+    assert found.y.shape == (290, 2, 2)
+    np.testing.assert_array_equal(found.y[:, 1], second.y)
+    np.testing.assert_array_equal(found.t, first.t[:290])
+
+
+def test_the_length_is_that_which_uses_most_samples() -> None:
+    assert as_even_runs(PLANT, [log(1000), log(310)]).y.shape == (310, 4, 2)
+    assert as_even_runs(PLANT, [log(1000), log(60)]).y.shape == (1000, 1, 2)
+
+
+def test_an_unevenly_sampled_log_stands_alone() -> None:
+    uneven = log(200)
+    uneven = uneven._replace(t=uneven.t + 0.3 * np.sin(np.arange(200)))
+    assert as_even_runs(PLANT, [uneven, log(100)]).y.shape == (200, 1, 2)
+
+
+def test_a_log_of_gaps_is_refused() -> None:
+    plant = changed(PLANT, max_dt=1.0)
+    with pytest.raises(ValueError, match="no stretch of 40 samples without a gap"):
+        as_even_runs(plant, [log(200, dt=2.0)])

@@ -1,0 +1,176 @@
+"""Tuning on a small linear plant: noise is found, the rate is kept, a file gives the same decisions, bad logs are refused."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_plants import chain, readings
+
+from fusion_sfdia.core.detector import run
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.signals import Signal
+from fusion_sfdia.tuning.rate import Rate
+from fusion_sfdia.tuning.tail import counted
+from fusion_sfdia.tuning.tune import tune
+from fusion_sfdia.tuning.tuned import Tuned
+from fusion_sfdia.tuning.words import as_text
+
+RATE, STEPS, RUNS = 0.02, 300, 4
+PLANT = chain(4, process=0.3)
+TRUE_SIGMA = 1.0, 3.0, 0.4, 1.0  # of sensors that all state 1
+
+
+def truth() -> Plant:
+    sensors = tuple(replace(s, sigma=sigma) for s, sigma in zip(PLANT.sensors, TRUE_SIGMA, strict=True))
+    return replace(PLANT, sensors=sensors)
+
+
+@cache
+def healthy(seed: int = 1, runs: int = RUNS) -> Log:
+    t, _, y, u = readings(truth(), STEPS, runs, seed=seed)
+    return Log(t, y, u)
+
+
+@cache
+def tuned(detector: str = "loo-glr") -> Tuned:
+    return tune(PLANT, healthy(), false_alarm=RATE, detector=detector, made="2026-03-01")
+
+
+def with_fault(sensor: int, since: int, change: Any) -> Log:
+    log = healthy()
+    y = log.y.copy()
+    y[since:, :, sensor] = change(y[since:, :, sensor])
+    return log._replace(y=y)
+
+
+@pytest.mark.slow
+def test_the_noise_of_each_sensor_is_found() -> None:
+    found = tuned().plant(PLANT).sensor_sigma
+    # relative standard error of a sigma by 1100 samples with half of their freedom: 1 / sqrt(2 * 550)
+    np.testing.assert_allclose(found, TRUE_SIGMA, rtol=4 / np.sqrt(1100))
+    assert [row["stated"] for row in tuned().document["sensors"].values()] == [1.0] * 4
+    assert abs(tuned().quality["nis"] - 1) < 4 * np.sqrt(2 / (RUNS * STEPS * 4)) < 0.3 < abs(tuned().quality["nis_before"] - 1)
+
+
+@pytest.mark.slow
+def test_fresh_readings_alarm_at_the_stated_rate() -> None:
+    detector = tuned().detector(PLANT)
+    assert detector.fitted_rate == RATE
+    from fusion_sfdia.core.silent import silent, silent_scores
+
+    scale = tuned().threshold_scale
+    _, scores = silent_scores(silent(replace(detector, threshold_scale=1.0)), *healthy(2, 12))
+    count = counted([scores[50:]], scale)
+    assert count.low < 1.5 * RATE and count.high > RATE / 1.5  # the log itself leaves a factor of 1.5, see below
+    low, high = tuned().quality["threshold_interval"]
+    assert counted([scores[50:]], high).low < RATE < counted([scores[50:]], low).high
+
+
+@pytest.mark.slow
+def test_a_file_gives_the_same_decisions_to_the_bit(tmp_path: Path) -> None:
+    tuned().write(tmp_path / "tuned.toml")
+    again = Tuned.read(tmp_path / "tuned.toml")
+    assert again.document == tuned().document
+    log = with_fault(1, 100, lambda y: y + 12.0)
+    one, two = (run(d, d.init((RUNS,)), log)[1] for d in (tuned().detector(PLANT), again.detector(PLANT)))
+    for name, value in vars(one).items():
+        if value is not None:
+            np.testing.assert_array_equal(value, getattr(two, name), err_msg=name)
+    assert one.isolated[120, :, 1].all()
+
+
+@pytest.mark.slow
+def test_a_detector_that_learns_is_kept_beside_the_file(tmp_path: Path) -> None:
+    found = tuned("limits")
+    found.write(tmp_path / "tuned.toml")
+    again = Tuned.read(tmp_path / "tuned.toml")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["tuned.npz", "tuned.toml"]
+    one, two = (run(d, d.init((RUNS,)), healthy(3))[1] for d in (found.detector(PLANT), again.detector(PLANT)))
+    np.testing.assert_array_equal(one.scores, two.scores)
+    assert RATE / 3 < np.mean(one.score > 1) < 3 * RATE
+
+
+@pytest.mark.slow
+def test_the_text_states_rates_noise_and_delays() -> None:
+    text = as_text(tuned())
+    for line in (
+        r"^loo-glr on chain, \d+ healthy samples after \d+ to settle, in 4 runs$",
+        r"^false alarms: 0\.02 stated",
+        r"^  noise of s1: noisier than stated, times (2\.9|3)",
+        r"^  noise of s2: quieter than stated, times 0\.",
+        r"^predictions: NIS (0\.9|1\.0)",
+        r"^delay of a bias, simulated: biases added to these readings, 3 onsets a sensor, within 60 s:$",
+        r"^  10 sigma: median [0-3] s, worst sensor .*, 100 % detected$",
+    ):
+        assert re.search(line, text, re.MULTILINE), f"{line}\n{text}"
+    small, large = (tuned().quality[f"delay_{size}"] for size in (3, 10))
+    assert large["median"] <= small["median"] and small["found"] <= large["found"] == 1
+
+
+@pytest.mark.slow
+def test_another_plant_is_refused_with_the_reason() -> None:
+    state = replace(PLANT.states[0], unit="K") if PLANT.states[0].unit != "K" else Signal("other")
+    for other, reason in (
+        (replace(PLANT, name="other"), "name 'chain', this one 'other'"),
+        (chain(5, process=0.3), "states 4, this one 5; 4 sensors, this one 5, other are s4"),
+        (replace(PLANT, dt=2.0, numerics=replace(PLANT.numerics, fixed_dt=False)), "dt 1.0, this one 2.0"),
+        (replace(PLANT, states=(state, *PLANT.states[1:])), "other names or units"),
+        (truth(), r"sensor 's1' with a stated sigma of 1\.0, this one 3\.0"),
+    ):
+        with pytest.raises(ValueError, match=f"tuned for another plant than .*{reason}.*; tune again"):
+            tuned().plant(other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("log", "reason"),
+    [
+        (with_fault(1, 150, lambda y: y + 30.0), "'s1' contradicts all others"),
+        (with_fault(0, 100, lambda y: y[:1] + 0 * y), "'s0' repeats one reading 199 times"),
+    ],
+    ids=["bias", "freeze"],
+)
+def test_a_log_with_a_fault_is_refused(log: Log, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        tune(PLANT, log, false_alarm=RATE)
+
+
+def test_a_log_that_is_too_short_is_refused_with_the_shortest() -> None:
+    with pytest.raises(ValueError, match=r"too short for 1/day .*: 1200 samples .* expected at least 2880 \(48\.0 minutes\)"):
+        tune(PLANT, healthy(), false_alarm="1/day")
+    with pytest.raises(ValueError, match="no stretch of 40 samples"):
+        tune(PLANT, Log(*(a[:30] for a in healthy())), false_alarm=RATE)
+
+
+@pytest.mark.slow
+def test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated() -> None:
+    found = tune(PLANT, healthy(), false_alarm="2/hour")
+    assert found.rate == Rate(2.0, "hour")
+    assert found.quality["expected_above"] < 1 and "Pareto" in found.quality["threshold"]
+    assert "cannot be counted on so short a log" in as_text(found)
+    assert found.threshold_scale > tuned().quality["threshold_interval"][1]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[plant]\nname = 'a'\n", r"no dt in \[plant\]"),
+        ("a = 1\n", r"no \[plant\]"),
+        (
+            "[plant]\nname='a'\ndt=1.0\ndigest='a'\n[detector]\nname='a'\nthreshold_scale='x'\nfalse_alarm='1/day'\nper_sample=1e-3\n"
+            "[sensors]\n[quality]\n",
+            "threshold_scale is 'x'; expected a number",
+        ),
+    ],
+)
+def test_a_file_of_something_else_is_refused(text: str, reason: str, tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_text(text)
+    with pytest.raises(ValueError, match=rf"x\.toml.*{reason}"):
+        Tuned.read(tmp_path / "x.toml")
