@@ -20,6 +20,7 @@ from fusion_sfdia.core.detector import ProcessHypothesis as ProcessHypothesis
 from fusion_sfdia.core.detector import run as run
 from fusion_sfdia.core.discretise import discretise as discretise
 from fusion_sfdia.core.equation import equation as equation
+from fusion_sfdia.core.gaps import Gap as Gap
 from fusion_sfdia.core.linear import linear_plant as linear_plant
 from fusion_sfdia.core.log import Log as Log
 from fusion_sfdia.core.log import as_log as as_log
@@ -57,6 +58,7 @@ from fusion_sfdia.evaluation.fault_draws import draw_faults as draw_faults
 from fusion_sfdia.evaluation.fault_effects import apply_faults as apply_faults
 from fusion_sfdia.evaluation.faults import Fault as Fault
 from fusion_sfdia.evaluation.faults import load_faults as load_faults
+from fusion_sfdia.evaluation.model_health import Health as Health
 from fusion_sfdia.evaluation.simulate import Recording as Recording
 from fusion_sfdia.evaluation.simulate import simulate as simulate
 from fusion_sfdia.filters.estimators import Ensemble as Ensemble
@@ -108,6 +110,7 @@ from fusion_sfdia.monitoring.calibration import calibrate as calibrate
 from fusion_sfdia.monitoring.monitor import Monitor as Monitor
 from fusion_sfdia.monitoring.monitor import Monitored as Monitored
 from fusion_sfdia.monitoring.monitor import learn_monitor as learn_monitor
+from fusion_sfdia.monitoring.outlier_detector import SensorFaultDetector as SensorFaultDetector
 from fusion_sfdia.monitoring.since_start import SinceStart as SinceStart
 from fusion_sfdia.named import diagnose as diagnose
 from fusion_sfdia.named import fit as fit

@@ -19,6 +19,7 @@ sys.path.insert(0, str(HERE))
 
 import comparison  # noqa: E402  (beside this file)
 import findings  # noqa: E402
+import robustness  # noqa: E402
 
 PAGES = (*(HERE / f"{name}.md" for name in ("README", *comparison.PLANTS)), HERE.parents[1] / "README.md")
 MARKED = re.compile(r"(<!-- table: ([\w-]+) -->\n\n)(.*?)(\n\n<!-- end -->)", re.DOTALL)
@@ -59,6 +60,7 @@ def choices(rows: Sequence[comparison.Row]) -> str:
                 *(values(detector, "graded-10-sigma", "exact_isolation"), mismatch),
             )
         )
+    lines.insert(1, doubting())
     header = (
         "situation",
         "detector",
@@ -68,6 +70,19 @@ def choices(rows: Sequence[comparison.Row]) -> str:
         "false isolation, model mismatch",
     )
     return comparison.table(header, lines)
+
+
+def doubting() -> tuple[str, ...]:
+    """The line of the detector for those who do not trust their model, from robustness.csv."""
+    detector = "robust-glr"
+    numbers = robustness.summary(robustness.read_rows(robustness.NUMBERS), detector, comparison.PLANTS)
+    cells = (" / ".join(f"{value:.2f}" for value in values) for values in numbers)
+    return (
+        "**the model may be wrong, or the process may fail**",
+        f"`{detector}` (default)",
+        "model, and what is uncertain in it",
+        *cells,
+    )
 
 
 def of_plant(rows: Sequence[comparison.Row], plant: str) -> str:

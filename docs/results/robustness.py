@@ -10,11 +10,14 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 
+from fusion_sfdia.comparison.protocol import HEALTHY
 from fusion_sfdia.evaluation.results import Row, read_rows, write_rows
 from fusion_sfdia.report.content import Table
+from fusion_sfdia.robustness.aims import BIAS, DRIFT, EXACT, FALSE, SMALL_BIAS, found, mismatches, process_faults
 from fusion_sfdia.robustness.report import METHOD, cases_table, findings
-from fusion_sfdia.robustness.rows import SCENARIO, variants_of
+from fusion_sfdia.robustness.rows import SCENARIO, index_of, variants_of
 from fusion_sfdia.robustness.tables import tables_of
 
 HERE = Path(__file__).parent
@@ -29,6 +32,8 @@ that is wrong, under faults of the process and under slow drifts, and what commi
 changes. In brackets 95 % intervals over seeds.
 """
 
+GAINS = """**What a rival gains by knowing more.** TODO"""
+
 
 def rounded(row: Row) -> Row:
     """Numbers to three digits."""
@@ -37,13 +42,13 @@ def rounded(row: Row) -> Row:
 
 def load(paths: Sequence[Path]) -> list[Row]:
     """The rows that the page shows."""
-    found: dict[tuple[str, ...], Row] = {}
+    first: dict[tuple[str, ...], Row] = {}
     for path in paths:
         for row in read_rows(path):
             key = (row.plant, row.detector, row.fault, row.condition, row.metric)
             if row.scenario == SCENARIO and row.metric not in LEFT_OUT:
-                found.setdefault(key, rounded(row))
-    return list(found.values())
+                first.setdefault(key, rounded(row))
+    return list(first.values())
 
 
 def cell(value: object) -> str:
@@ -61,14 +66,46 @@ def markdown(table: Table) -> str:
     return "\n\n".join(part for part in (f"### {table.title}", table.caption, table.method, body) if part)
 
 
+def overview(rows: Sequence[Row]) -> str:
+    """Each variant on all plants: exact isolation on the right model, false isolation by mismatch and by process faults."""
+    index, plants = index_of(rows), list(dict.fromkeys(row.plant for row in rows))
+    lines = []
+    for variant in dict.fromkeys(row.detector for row in rows):
+        values: list[list[float]] = [[], [], [], []]
+        for plant in plants:
+            exact = found(index, plant, variant, EXACT, (BIAS,), ("",))
+            wrong = [r.value for r in found(index, plant, variant, FALSE, (HEALTHY,), mismatches(plant))]
+            faults = [r.value for r in found(index, plant, variant, FALSE, process_faults(plant), ("",))]
+            one = ([r.value for r in exact], wrong and [median(wrong)], wrong and [max(wrong)], faults and [max(faults)])
+            for column, number in zip(values, one, strict=True):
+                column.append(*number) if number else column.append(float("nan"))
+        lines.append((variant, *(" / ".join("-" if v != v else f"{v:.2f}" for v in column) for column in values)))
+    header = (
+        *("detector", "right model: exact isolation, bias 10 sigma", "mismatch: false isolation, median case"),
+        *("mismatch: worst case", "process faults: worst case"),
+    )
+    return markdown(Table("All detectors", header, tuple(lines), caption=f"Four values: {', '.join(plants)}; - not tried."))
+
+
 def render(rows: Sequence[Row]) -> str:
     """The page."""
-    parts = [ABOUT, *METHOD]
+    parts = [ABOUT, *METHOD, GAINS, overview(rows)]
     for plant in dict.fromkeys(row.plant for row in rows):
         if variants_of(rows, plant):
             parts += [f"## {plant}", "\n".join(f"- {line}" for line in findings(rows, plant))]
             parts += [markdown(table) for table in (*tables_of(rows, plant), cases_table(plant))]
     return "\n\n".join(parts) + "\n"
+
+
+def summary(rows: Sequence[Row], detector: str, plants: Sequence[str]) -> tuple[list[float], ...]:
+    """Of a detector on each plant: area under the ROC, the worse of exact isolation of bias and drift of 10 sigma, and the
+    worst false isolation in any mismatch case.
+    """
+    index = index_of(rows)
+    areas = [index[plant, detector, SMALL_BIAS, "", "auc"].value for plant in plants]
+    exact = [min(index[plant, detector, fault, "", EXACT].value for fault in (BIAS, DRIFT)) for plant in plants]
+    false = [max(r.value for r in found(index, plant, detector, FALSE, (HEALTHY,), mismatches(plant))) for plant in plants]
+    return areas, exact, false
 
 
 def main(paths: Sequence[Path]) -> None:

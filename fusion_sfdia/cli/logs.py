@@ -47,7 +47,7 @@ def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     _add_log(one)
-    one.add_argument("--detector", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--detector", help=f"{WHICH} (default: robust-glr)")
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument(
         "--healthy", metavar="FROM..TO", help="a stretch of the log (s) in which all is in order, to tune on first"
@@ -97,7 +97,7 @@ def _check_log(chosen: argparse.Namespace) -> int:
         other_columns=chosen.other_columns,
         nominal_inputs=chosen.nominal_inputs,
     )
-    print(json.dumps([f._asdict() for f in found.findings], indent=2) if chosen.json else found)
+    print(json.dumps([asdict(f) for f in found.findings], indent=2) if chosen.json else found)
     return 0
 
 
@@ -146,13 +146,13 @@ def _fault(text: str) -> tuple[str, str | None]:
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.cli.tune import tuned_detector
+    from fusion_sfdia.cli.tune import diagnosing_detector
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with warnings.catch_warnings(record=True) as issued:
         warnings.simplefilter("always", UserWarning)
-        name, built = tuned_detector(chosen)
+        name, built = diagnosing_detector(chosen)
         found = diagnose_log(
             chosen.data,
             built,
@@ -162,14 +162,18 @@ def _diagnose(chosen: argparse.Namespace) -> int:
             other_columns=chosen.other_columns,
             nominal_inputs=chosen.nominal_inputs,
             force=chosen.force,
-            detector_name=chosen.detector,
+            detector_name=name,
         )
     for warning in issued:
         print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
     code = int(found.decisions.diverged.any())
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
-        entries = [kind | {k: _finite(v) for k, v in asdict(e).items()} for kind, e in zip(kinds, found.events, strict=True)]
+        times = [{"start_time": found.clock.at(e.start), "end_time": found.clock.at(e.end)} for e in found.events]
+        entries = [
+            kind | {k: _finite(v) for k, v in asdict(e).items()} | when
+            for kind, e, when in zip(kinds, found.events, times, strict=True)
+        ]
         print(json.dumps(entries, indent=2))
         return code
     print(f"{as_text(found, name)}\n{', '.join(FILES)}: in {out}")

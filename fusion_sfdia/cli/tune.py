@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
+DEFAULT = "robust-glr"
 
 
 def add_tune(commands: Any) -> None:
@@ -22,10 +23,11 @@ def add_tune(commands: Any) -> None:
     )
     one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
     one.add_argument(
-        "--healthy", type=Path, action="append", required=True, metavar="LOG.csv", help="a healthy log; repeatable"
+        "--healthy", type=Path, action="append", required=True, metavar="LOG", help="a healthy log, CSV or Parquet; repeatable"
     )
+    one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which column is which sensor")
     one.add_argument("--false-alarm", default="1/day", metavar="RATE", help="stated rate of false alarms (default: 1/day)")
-    one.add_argument("--detector", default="loo-glr", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--detector", default=DEFAULT, help=f"{WHICH} (default: {DEFAULT})")
     one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
     one.add_argument(
@@ -37,35 +39,52 @@ def add_tune(commands: Any) -> None:
     one.set_defaults(work=_tune)
 
 
-def tuned_detector(chosen: argparse.Namespace) -> tuple[str, Any]:
-    """Name and detector of `diagnose`: as registered, of --tuned, or tuned on the stretch --healthy of the log."""
+def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:
+    """Name and object of a detector on a plant: of a tuned file, or as registered (DEFAULT where none is named)."""
     from fusion_sfdia import registry
-    from fusion_sfdia.logs.csv_log import read_log
-    from fusion_sfdia.tuning.stretch import on_stretch
     from fusion_sfdia.tuning.tuned import Tuned
 
-    plant, name = registry.plant(chosen.plant), chosen.detector or "loo-glr"
-    if chosen.tuned and chosen.healthy:
-        raise ValueError("--tuned and --healthy both state what is healthy; give one")
+    if tuned is None:
+        name = detector or DEFAULT
+        return name, registry.detector(name, registry.plant(plant))
+    found = Tuned.read(tuned)
+    if detector not in (None, found.detector_name):
+        raise ValueError(
+            f"{tuned} was tuned for {found.detector_name}, not {detector}; leave --detector out, or tune again with --detector "
+            f"{detector}"
+        )
+    try:
+        return found.detector_name, found.detector(registry.plant(plant))
+    except ValueError as error:
+        raise ValueError(f"{tuned}: {error}") from error
+
+
+def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any]:
+    """Name and object of the detector of `diagnose`, which may be tuned on the stretch --healthy of the log."""
+    from fusion_sfdia import registry
+    from fusion_sfdia.tuning.stretch import on_stretch
+
+    if chosen.healthy is None:
+        return bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     if chosen.tuned:
-        tuned = Tuned.read(chosen.tuned)
-        if chosen.detector and chosen.detector != tuned.detector_name:
-            raise ValueError(
-                f"{chosen.tuned} was tuned for {tuned.detector_name}, not {chosen.detector}; leave --detector out, or tune "
-                f"again with --detector {chosen.detector}"
-            )
-        try:
-            return tuned.detector_name, tuned.detector(plant)
-        except ValueError as error:
-            raise ValueError(f"{chosen.tuned}: {error}") from error
-    if chosen.healthy:
-        options = {what: getattr(chosen, what) for what in ("absent_sensors", "other_columns", "nominal_inputs")}
-        return name, on_stretch(plant, read_log(chosen.data, plant, **options), chosen.healthy, name).detector(plant)
-    return name, registry.detector(name, plant)
+        raise ValueError("--tuned and --healthy both state what is healthy; give one")
+    plant, name = registry.plant(chosen.plant), chosen.detector or DEFAULT
+    loaded = _loaded(chosen, chosen.data, plant)
+    tuned = on_stretch(plant, loaded.log, chosen.healthy, name, loaded.clock)
+    for remark in tuned.quality["remarks"]:
+        print(f"fusion-sfdia: warning: --healthy {chosen.healthy}: {remark}", file=sys.stderr)
+    return name, tuned.detector(plant)
+
+
+def _loaded(chosen: argparse.Namespace, path: Path, plant: Any) -> Any:
+    """A log as it is diagnosed."""
+    from fusion_sfdia.logs.check import check_log, without_suspects
+
+    options = {what: getattr(chosen, what) for what in ("absent_sensors", "other_columns", "nominal_inputs")}
+    return without_suspects(plant, check_log(path, plant, chosen.map, **options))
 
 
 def _tune(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.logs.csv_log import read_log
     from fusion_sfdia.registry import plant
     from fusion_sfdia.tuning.tune import Source, tune
     from fusion_sfdia.tuning.words import as_text
@@ -73,15 +92,18 @@ def _tune(chosen: argparse.Namespace) -> int:
     if chosen.out.is_dir() or (chosen.out.is_file() and not chosen.force):
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
     model = plant(chosen.plant)
-    options = {what: getattr(chosen, what) for what in ("absent_sensors", "other_columns", "nominal_inputs")}
-    logs = [read_log(path, model, **options) for path in chosen.healthy]
-    print(f"fusion-sfdia: learning from {sum(len(log.t) for log in logs)} samples; this may take minutes", file=sys.stderr)
+    logs = [_loaded(chosen, path, model) for path in chosen.healthy]
+    for path, one in zip(chosen.healthy, logs, strict=True):
+        for remark in one.remarks:
+            print(f"fusion-sfdia: warning: {path}: {remark}", file=sys.stderr)
+    count = sum(len(one.log.t) for one in logs)
+    print(f"fusion-sfdia: learning from {count} samples; this may take minutes", file=sys.stderr)
     tuned = tune(
         model,
-        *logs,
+        *(one.log for one in logs),
         false_alarm=chosen.false_alarm,
         detector=chosen.detector,
-        sources=[Source(str(path)) for path in chosen.healthy],
+        sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
         made=date.today().isoformat(),
     )
     tuned.write(chosen.out)

@@ -30,7 +30,8 @@ def add_watch(commands: Any) -> None:
         allow_abbrev=False,
     )
     one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
-    one.add_argument("--detector", default="loo-glr", help=f"{WHICH} (default: loo-glr)")
+    one.add_argument("--detector", help=f"{WHICH} (default: robust-glr)")
+    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
     one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")
     one.add_argument("--nodes", type=Path, metavar="NODES.toml", help="which nodes are read and written, with --opcua")
@@ -49,15 +50,15 @@ def add_watch(commands: Any) -> None:
     one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
     one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
     one.add_argument("--nominal-inputs", action="store_true", help="assume the plant's usual inputs where they are missing")
-    one.set_defaults(work=_watch)
+    one.set_defaults(work=_watch, healthy=None)  # a stretch of a log, which `diagnose` has
 
 
 def _watch(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.cli.tune import bound_detector
     from fusion_sfdia.live.remarks import Remarks
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.live.watch import Watch
     from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, PLAIN_MAP, load_map
-    from fusion_sfdia.registry import detector, plant
 
     if chosen.state is not None and not chosen.state.absolute().parent.is_dir():
         raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
@@ -66,7 +67,7 @@ def _watch(chosen: argparse.Namespace) -> int:
     if (chosen.opcua is None) != (chosen.nodes is None) or (chosen.opcua and chosen.map):
         raise ValueError("--opcua needs --nodes, which states what a --map states of text; give both or neither")
     refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
-    bound = detector(chosen.detector, plant(chosen.plant))
+    _, bound = bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     settings = {
         "hold": log_map.hold if chosen.hold is None else chosen.hold,
         "nominal_inputs": chosen.nominal_inputs,

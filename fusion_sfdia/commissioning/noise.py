@@ -31,6 +31,7 @@ BLOCK = 100  # samples whose adjoint is kept at once
 PRIOR = 10.0  # samples' worth of belief in the stated noise (inverse gamma distribution of a variance)
 BRIEF = 15  # samples of a window about whose mean a sensor scatters
 LOUD = 1.5  # of its stated variance: a sensor is no louder up to there
+CHANCE = 4.0  # standard errors of that variance in addition
 LEAST, MOST = 0.01, 100.0  # factors of a variance in all
 
 
@@ -82,12 +83,14 @@ def louder_sensors(plant: Plant, single: Array) -> Plant:
     known = np.sum(np.isfinite(parts), axis=1)
     mean = np.nansum(parts, axis=1) / np.maximum(known, 1)
     power = np.nansum((parts - mean[:, None]) ** 2, axis=1) / np.maximum(known - 1, 1)
-    factors = np.ones(len(plant.sensors))
-    for i in range(factors.size):
-        if np.any(enough := known[..., i] > BRIEF // 2):
-            factors[i] = np.median(power[..., i][enough])
+    sensors = np.ones(len(plant.sensors))
+    for i in range(sensors.size):
+        enough = known[..., i] > BRIEF // 2
+        if (windows := int(np.sum(enough))) > 0:
+            chance = CHANCE * 1.25 * np.sqrt(2 / (BRIEF - 1) / windows)  # 1.25: of a median over that of a mean
+            factor = float(np.median(power[..., i][enough]))
+            sensors[i] = min(factor, MOST) if factor > LOUD + chance else 1.0
     groups = state_groups(plant)
-    sensors = np.where(factors > LOUD, np.minimum(factors, MOST), 1.0)
     return with_noise(plant, _noise(groups, factors := np.concatenate([np.ones(len(groups)), sensors]), factors))
 
 

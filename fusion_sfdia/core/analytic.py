@@ -115,11 +115,11 @@ class _Traced(np.ndarray[Any, Any]):
     def __getitem__(self, where: Any) -> Any:
         return _wrapped(self.view(np.ndarray)[_plain(where)], self.uses | _uses(where))
 
-    @property
+    @property  # type: ignore[misc]  # only read here
     def real(self) -> Any:
         return _traced(self.view(np.ndarray).real, _of("real", self.uses))
 
-    @property
+    @property  # type: ignore[misc]
     def imag(self) -> Any:
         return _traced(self.view(np.ndarray).imag, _of("imag", self.uses))
 

@@ -102,7 +102,7 @@ def usual_inputs(plant: Plant, t: Array) -> Array:
     return np.array([plant.input_at(float(s)) for s in before], dtype=float).reshape(t.size, len(plant.inputs))
 
 
-def require_within_limits(where: str, plant: Plant, signal: Signal, values: Array, rows: Sequence[int]) -> None:
+def require_within_limits(where: str, plant: Plant, signal: Signal, values: Array, rows: Sequence[int] | Array) -> None:
     """Raise ValueError, which names the row, for a value (K,) of an input beyond its limits; rows: the number of each."""
     for k in np.flatnonzero((values < signal.low) | (values > signal.high))[:1]:
         raise ValueError(

@@ -85,6 +85,11 @@ def _cure(error: Exception) -> str:
         )
     if "can be converted to Python scalars" in text or "must be real number" in text or "unsupported format" in text:
         return "functions of `math` and float() take one number; write those of numpy, np.sqrt, which take batches of states"
+    if "could not be broadcast" in text:
+        return (
+            "write it for batches, which are leading axes: x[..., 0], not x[0], and join states along the last axis, "
+            "np.stack([...], axis=-1)"
+        )
     return "write it for batches, which are leading axes: x[..., 0]"
 
 

@@ -15,10 +15,11 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, MissingPackageError, ProcessHypothesis, stack
 from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
+from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
-from fusion_sfdia.evaluation.health import Health, health_of
 from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
+from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import explained, false_alarm_of
 
 Array = NDArray[Any]
@@ -207,11 +208,12 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
                 f"{signals[i].unit} at {t[where[0]]:g} s; {fate}: leave such cells empty, or check units"
             )
     if np.any(decisions.capped):
-        most = getattr(detector, "most_faults", "too many")
+        most, of = getattr(detector, "most_faults", "too many"), len(detector.plant.sensors)
+        why = redundancy(detector.plant).reason if getattr(detector, "max_faults", None) is None else "as max_faults states"
         remarks.append(
             f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
-            f"{t[np.argmax(decisions.capped)]:g} s, but {most} are excluded already, all that redundancy or max_faults allows: "
-            "check the model, or pass max_faults"
+            f"{t[np.argmax(decisions.capped)]:g} s, but {most} of {of} are excluded already, all that the detector "
+            f"allows ({why}): check the model, or pass max_faults"
         )
     for flags, what, cure in (
         (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),

@@ -67,8 +67,13 @@ class Event:
             return size
         return f"{size} ({self.low:.4g} to {self.high:.4g}), {abs(self.sigmas):.3g} sigma"
 
-    def period(self, clock: Clock) -> str:
+    @property
+    def period(self) -> str:
         """When, in words."""
+        return self.when(Clock())
+
+    def when(self, clock: Clock) -> str:
+        """When, in words, with the times of a clock."""
         if self.open:
             return f"since {clock.at(self.start)}"
         return (
@@ -97,7 +102,7 @@ class ProcessEvent(Event):
 
     def told(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
-        return f"{self.difference} {self.period(clock)}: not a sensor"
+        return f"{self.difference} {self.when(clock)}: not a sensor"
 
     @property
     def difference(self) -> str:
@@ -120,7 +125,7 @@ class UndecidedEvent(Event):
 
     def told(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
-        return f"cannot tell: {listed(self.suspects, ' or ')}, {self.period(clock)}"
+        return f"cannot tell: {listed(self.suspects, ' or ')}, {self.when(clock)}"
 
 
 def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tuple[Event, ...]:

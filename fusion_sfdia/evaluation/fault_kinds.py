@@ -49,11 +49,12 @@ class Named(NamedTuple):
 
 
 def resized(named: Named, error: Array, sd: Array, sigma: float) -> Named:
-    """A fault named over several events with the size of one of them: of spikes their height, else as it was."""
-    known = np.isfinite(error) & np.isfinite(sd)
-    if named.kind != "spikes" or not np.any(known):
+    """A fault named over several events with the size of one of them: of spikes their height there, else as it was."""
+    with np.errstate(invalid="ignore"):
+        loud = np.abs(error) > QUIET * sd
+    if named.kind != "spikes" or not np.any(loud):
         return named
-    size, low, high = _size("spikes", error[known], sd[known], sigma, [], 0.0)
+    size, low, high = _size("spikes", error[loud], sd[loud], sigma, [], 0.0)
     return named._replace(size=size, low=low, high=high)
 
 
@@ -78,9 +79,11 @@ def name(error: Array, sd: Array, sigma: float, y: Array, *, still: bool, over: 
     if not still and pairs.size >= 4 and np.mean(pairs == 0) >= EQUAL:
         worst = int(np.argmax(np.abs(z)))
         return Named("freeze", *_interval(float(e[worst]), float(s[worst])))
+    others: tuple[str, ...]
     scores, ramps, rho = _scores(z, x / max(x[-1], 1.0))
     if z.size <= FEW:
-        kind, others = ("spikes", ()) if over else ("bias", ("spikes", "drift", "noise"))
+        kind = "spikes" if over else "bias"
+        others = () if over else ("spikes", "drift", "noise")
     else:
         kind = max(scores, key=lambda k: scores[k])
         weight = {k: float(np.exp(v - scores[kind])) for k, v in scores.items()}
@@ -123,8 +126,9 @@ def _fitted(columns: Array, values: Array) -> Array:
 
 def _normal(r: Array) -> float:
     """Log likelihood of independent normal numbers r (n,), up to a constant, at their best variance, at least 1."""
-    variance = max(1.0, float(np.mean(r * r)))
-    return -r.size / 2 * (np.log(variance) + float(np.mean(r * r)) / variance)
+    square = float(np.mean(r * r))
+    variance = max(1.0, square)
+    return float(-r.size / 2 * (np.log(variance) + square / variance))
 
 
 def _spikes(z: Array) -> float:
@@ -173,7 +177,7 @@ def _size(kind: str, e: Array, s: Array, sigma: float, ramps: Ramps, rho: float)
             variance.append(max(sigma**2 * leverage + common, spread))
         share, ends = np.array([p for p, _ in ramps]), np.array(value)
         size = float(share @ ends)
-        return _interval(size, np.sqrt(share @ (np.array(variance) + (ends - size) ** 2)))
+        return _interval(size, float(np.sqrt(share @ (np.array(variance) + (ends - size) ** 2))))
     if kind == "noise":
         total, none = float(np.sum(e**2)), float(np.mean(s**2))
         values = (total / n, total / float(chi2.ppf(0.975, n)), total / float(chi2.ppf(0.025, n)))

@@ -6,7 +6,7 @@ the filter states what every sensor should have read and how well that is known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +43,7 @@ def left_out(isolated: Array, lead: int = LEAD) -> Array:
     return found
 
 
-def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Iterable[int]], Iterable[int]] = iter) -> Hindsight:
+def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[int]], Iterable[int]] = iter) -> Hindsight:
     """Run the extended Kalman filter of a plant over a log without the readings `out` (K, N).
 
     Of a reading that is used, the error is the leave-one-out residual u_i / w_i with u = S^-1 d and w = diag S^-1, whose
@@ -52,7 +52,8 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Iterable[i
     """
     filter_, rng, cov = Extended(), step_stream(0, 0), model.sensor_cov  # this filter draws nothing
     count, n = out.shape
-    found = Hindsight(*(np.full((count, n), np.nan) for _ in range(3)), np.full(count, np.nan), np.zeros(count, int))
+    error, sd, normal = (np.full((count, n), np.nan) for _ in range(3))
+    found = Hindsight(error, sd, normal, np.full(count, np.nan), np.zeros(count, int))
     core = filter_.start(model, (), rng)
     before, k = np.nan, -1
     with np.errstate(all="ignore"):
@@ -65,7 +66,7 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Iterable[i
             k += bool(track.own[s])
             use = np.isfinite(y) & ~out[k] if track.own[s] else np.zeros(n, bool)
             after = condition(joint, y, use)
-            if not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
+            if np.any(prior.lost) or not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
                 break
             if track.own[s]:
                 w = np.where(use, np.diagonal(after.inverse), np.nan)

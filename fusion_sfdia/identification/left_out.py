@@ -48,9 +48,11 @@ def side_by_side(logs: Sequence[Log]) -> tuple[Array, Array, Array]:
 def left_out(plant: Plant, logs: Sequence[Log], scale: Array) -> LeftOut:
     """The one-step predictions by the extended Kalman filter of runs without gaps, -(e' S^-1 e + log |2 pi S|) / 2.
 
-    scale (N,): the unit of each reading. Runs are stepped `side_by_side`; the first WARM_UP samples of each are not judged.
+    scale (N,): the unit of each reading. Runs are stepped `side_by_side`; the first WARM_UP samples of each, or the
+    first quarter of a shorter one, are not judged.
     """
-    y, u, _ = side_by_side(logs)
+    y, u, own = side_by_side(logs)
+    judged = np.arange(len(own))[:, None] >= np.minimum(WARM_UP, own.sum(axis=0) // 4)
     steps, size, _ = y.shape
     estimator, rng = Extended(), np.random.default_rng(0)  # this filter draws nothing
     core = estimator.start(plant, (size,), rng)
@@ -60,10 +62,10 @@ def left_out(plant: Plant, logs: Sequence[Log], scale: Array) -> LeftOut:
         joint = estimator.joint(plant, prior, (k + 1) * plant.dt, u[k])
         found = condition(joint, y[k])
         core = core._replace(x=found.x, P=found.P)
-        if k >= WARM_UP and (count := int(found.used.sum())):
-            both = found.used[..., :, None] & found.used[..., None, :]
-            S = np.where(both, joint.S / np.outer(scale, scale), np.eye(len(scale)))
-            chi_square = float(np.sum(np.where(found.used.any(axis=-1), found.nis * found.used.sum(axis=-1), 0.0)))
+        used = found.used & judged[k, :, None]
+        if count := int(used.sum()):
+            S = np.where(used[..., :, None] & used[..., None, :], joint.S / np.outer(scale, scale), np.eye(len(scale)))
+            chi_square = float(np.sum(np.where(used.any(axis=-1), found.nis * used.sum(axis=-1), 0.0)))
             log_det = float(np.sum(np.linalg.slogdet(S)[1])) + count * np.log(2 * np.pi)
             total = total.plus(LeftOut(-(chi_square + log_det) / 2, chi_square, count))
     return total

@@ -77,7 +77,7 @@ def tried(plant: Plant, detectors: Sequence[Any], sensors: Sequence[str]) -> tup
 
 
 def _fault(plant: Plant, i: int, kind: str, size: float) -> Fault:
-    given: dict[str, float] = {} if np.isnan(size) else {"magnitude": size * float(plant.sensor_sigma[i])}
+    given: dict[str, Any] = {} if np.isnan(size) else {"magnitude": size * float(plant.sensor_sigma[i])}
     onset, length = (BEFORE + 1) * plant.dt, ACTING * plant.dt
     return Fault(plant.sensor_names[i], kind, onset * (1 - 1e-9), length, **given)
 

@@ -98,7 +98,7 @@ def inspect_plant(
         found.sensor_index(name)
     wrong = tuple(mistakes(found))
     if wrong:
-        return Inspection(found, wrong)
+        return Inspection(found, (*_unstable(found), *wrong))
     log = None if healthy is None else one_run(as_log(found, healthy))
     remarks: list[Finding] = list(not_analytic(found))
     step = stepping(found)
@@ -121,6 +121,15 @@ def inspect_plant(
     remarks += [] if of_log is None else of_healthy(found, of_log)
     findings = sorted(remarks, key=lambda f: f.kind != MISTAKE)
     return Inspection(found, tuple(findings), _derivatives(found), step, readings, theory, runs, pattern, of_log)
+
+
+def _unstable(plant: Plant) -> Iterator[Finding]:
+    """That the step is unstable, which may be the cause of other mistakes."""
+    try:
+        step = stepping(plant)
+    except Exception:  # whatever a wrong model raises is among its mistakes
+        return
+    yield from (f for f in of_step(plant, step) if f.kind == MISTAKE)
 
 
 def _attempt(examine: Callable[[], T], about: str, remarks: list[Finding]) -> T | None:
@@ -180,7 +189,7 @@ def of_runs(runs: tuple[Tried, ...]) -> Iterator[Finding]:
         names = [name for name, those in kept.items() if tuple(those) == by]
         yield Finding(
             REMARK,
-            ", ".join(names),
+            ", ".join(names) if len(names) < 5 else f"{len(names)} sensors",
             f"once isolated, not used again by {', '.join(by)} although the fault is over: after a repair call "
             "state = detector.readmit(state, sensor)",
         )

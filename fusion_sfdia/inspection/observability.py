@@ -20,14 +20,15 @@ from fusion_sfdia.inspection.findings import REMARK, Finding
 Array = NDArray[Any]
 
 SAMPLES = 60
+EARLY, FORGOTTEN = 3, 0.01  # samples after which so little is left of what the model forgets at once
 PART = 0.3  # of the largest entry of a direction: a state with more belongs to it
 
 
 class Observability(NamedTuple):
-    """rank of n states over `samples`. condition: largest over smallest singular value, inf where the rank is less than n.
+    """rank: how many of n directions the readings determine, or the model forgets within 3 samples (states that inputs set).
 
-    unseen: states in the directions that are not determined. needed: sensor and the states that are not without it.
-    redundancy: how many sensors may fail together, and why.
+    condition: largest over smallest singular value of those that readings determine. unseen: states in the other directions.
+    needed: sensor and the states that are not determined without it. redundancy: how many sensors may fail together, and why.
     """
 
     rank: int
@@ -43,24 +44,27 @@ def observability(plant: Plant, samples: int = SAMPLES) -> Observability:
     """The observability of the states from all sensors, and from all but one."""
     scale, n = plant.state_scale, len(plant.states)
     x, Phi, rows = plant.x0, np.eye(n), []
+    early = Phi
     for k in range(samples):
         t, u = k * plant.dt, plant.input_at(k * plant.dt)
         F = plant.step_jacobian_at(t, x, u, plant.dt) * scale / scale[:, None]
         Phi = F @ Phi
         x = plant.guard(plant.step(t, x, u, plant.dt))[0]
+        early = Phi if k < EARLY else early
         rows.append(plant.output_jacobian_at(t + plant.dt, x, u) * scale / plant.sensor_sigma[:, None] @ Phi)
     each = np.stack(rows, axis=1)  # (N, K, n)
-    compact = np.linalg.qr(each, mode="r")  # (N, min(K, n), n)
+    compact = np.asarray(np.linalg.qr(each, mode="r"))  # (N, min(K, n), n)
     values, directions = _singular(compact)
     least = np.finfo(float).eps * samples * max(len(compact), n) * values[0]
     rank = int(np.sum(values > least))
+    unseen = directions[rank:][np.linalg.norm(directions[rank:] @ early.T, axis=-1) > FORGOTTEN]
     needed = []
     for i, name in enumerate(plant.sensor_names):
         kept, lost = _singular(np.delete(compact, i, axis=0))
         if (left := int(np.sum(kept > least))) < rank:
             needed.append((name, _named(plant, lost[left:rank])))
-    condition = float(values[0] / values[-1]) if rank == n else np.inf
-    return Observability(rank, n, samples, condition, _named(plant, directions[rank:]), tuple(needed), redundancy(plant))
+    condition = float(values[0] / values[rank - 1]) if rank else np.inf
+    return Observability(n - len(unseen), n, samples, condition, _named(plant, unseen), tuple(needed), redundancy(plant))
 
 
 def _singular(rows: Array) -> tuple[Array, Array]:

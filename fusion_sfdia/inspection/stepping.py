@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.checks.models import along_operation, points
+from fusion_sfdia.checks.models import points
 from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding
@@ -22,15 +22,19 @@ from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding
 Array = NDArray[Any]
 
 SHORT = 1e-4  # of dt, for A: the error of (F - I) / h is of its order, rounding 1e-12
+SET = 0.5  # |s| h of a state that its equation sets at once, as by an input: no mode
+CHANGE = 0.05  # of the inputs, in the excursion
 STIFF = 2.0  # |s| dt above which an explicit step is unstable (Euler) or nearly so
 LONGEST = 1024  # steps of dt in the longest gap that is tried
 NOTED = 0.1  # of the process noise: an error of a step above it is worth a remark
 
 
 class Stepping(NamedTuple):
-    """rates (n,): eigenvalues of A in 1/s, complex; growth (n,): |eigenvalues| of F(dt). error (n,): of a step of dt, over
-    the process noise of a step (inf where that is 0 and the step errs). holds: longest step in s whose error is below that
-    noise, at least dt, inf beyond 1024 dt. timeless: whether the step ignores dt. NaN where the plant has a fixed dt.
+    """rates: eigenvalues of A in 1/s, complex, without states that are set at once. growth (n,): |eigenvalues| of F(dt).
+
+    error (n,): of a step of dt, over the process noise of a step (inf where that is 0 and the step errs). holds: longest step
+    in s whose error is below that noise, at least dt, inf beyond 1024 dt. timeless: whether the step ignores dt. NaN where the
+    plant has a fixed dt.
     """
 
     rates: Array
@@ -41,17 +45,18 @@ class Stepping(NamedTuple):
 
 
 def stepping(plant: Plant) -> Stepping:
-    """Examine the step about x0 and about the state after 20 steps of the usual operation."""
+    """Examine the step at x0, its error while the inputs are 5 % off; about x0 where there are none."""
     n, dt, u = len(plant.states), plant.dt, plant.input_at(0.0)
     jacobian = plant.step_jacobian_at(0.0, plant.x0, u, dt) * plant.state_scale / plant.state_scale[:, None]
     growth = np.sort(np.abs(np.linalg.eigvals(jacobian)))[::-1]
     nothing = np.full(n, np.nan)
     if plant.numerics.fixed_dt:
         return Stepping(nothing.astype(complex), growth, nothing, dt, False)
-    x = np.concatenate([points(plant), along_operation(plant)[1]])
+    x = _excursion(plant)
     short = SHORT * dt
     F = plant.step_jacobian_at(0.0, plant.x0, u, short) * plant.state_scale / plant.state_scale[:, None]
     rates = np.linalg.eigvals((F - np.eye(n)) / short)
+    rates = rates[np.abs(rates) * short < SET]
     moved = np.any(plant.step(0.0, x, _over(u, x), dt) != x)
     timeless = bool(moved and np.array_equal(plant.step(0.0, x, _over(u, x), dt), plant.step(0.0, x, _over(u, x), dt / 2)))
     error = _error(plant, x, u, dt, 2)
@@ -59,6 +64,20 @@ def stepping(plant: Plant) -> Stepping:
     while times <= LONGEST and np.all(_error(plant, x, u, times * dt, times) < np.sqrt(times)):
         holds, times = times * dt, 2 * times
     return Stepping(rates, growth, error, np.inf if times > LONGEST else holds, timeless)
+
+
+def _excursion(plant: Plant) -> Array:
+    """States (5, n) after one to five steps under inputs that are higher by 5 %; some about x0 where there are none."""
+    u, x, found = plant.input_at(0.0), plant.x0, []
+    if not u.size:
+        return points(plant)
+    high = np.array([s.high for s in plant.inputs])
+    u = np.minimum(u + CHANGE * np.where(u == 0, [s.nominal or 1.0 for s in plant.inputs], np.abs(u)), high)
+    for k in range(5):
+        with np.errstate(all="ignore"):
+            x = plant.guard(plant.step(k * plant.dt, x, u, plant.dt))[0]
+        found.append(x)
+    return np.array(found)
 
 
 def _error(plant: Plant, x: Array, u: Array, span: float, parts: int) -> Array:
@@ -87,16 +106,16 @@ def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
         return
     if plant.numerics.fixed_dt:
         return
-    fastest = np.max(np.abs(found.rates))
-    if found.growth[0] > 1 + 1e-6 and np.all(found.rates.real < 1e-9 * fastest):
+    fastest = np.max(np.abs(found.rates), initial=0.0)
+    if found.growth[0] > 1 + 1e-6 and found.rates.size and np.all(found.rates.real < 1e-9 * fastest):
         yield Finding(
             MISTAKE,
             "step",
             f"a step of {dt:g} s is unstable: an error grows by {found.growth[0]:.3g} in each, while the fastest mode decays "
-            f"in {1 / fastest:.3g} s; make dt shorter than {1 / fastest:.2g} s inside of the step (substeps), or use `discretise`",
+            f"in {1 / fastest:.3g} s; make dt shorter than {1 / fastest:.2g} s inside of the step, or use `discretise`",
         )
         return
-    if fastest * dt > STIFF:
+    if fastest * dt > STIFF and np.max(found.error) > NOTED:
         yield Finding(
             REMARK,
             "step",

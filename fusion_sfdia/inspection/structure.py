@@ -68,7 +68,7 @@ def _patterns(plant: Plant) -> tuple[Array, Array]:
     x = plant.guard(x)[0]
     A = (plant.step_jacobian_at(0.0, x, u, short) - np.eye(x.size)) * scale / scale[:, None]
     H = plant.output_jacobian_at(0.0, x, u) * scale
-    return tuple(np.abs(m) > ABSENT * np.max(np.abs(m), axis=-1, keepdims=True) for m in (A, H))  # type: ignore[return-value]
+    return tuple(np.abs(m) > ABSENT * np.max(np.abs(m), axis=-1, keepdims=True) for m in (A, H))
 
 
 def of_structure(found: Structural) -> Iterator[Finding]:

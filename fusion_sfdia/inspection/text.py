@@ -18,7 +18,8 @@ WIDTH = 110
 def as_text(found: Inspection) -> str:
     """The verdict, mistakes and remarks, the model, and which faults are found."""
     plant = found.plant
-    counts = f"{len(plant.sensors)} sensors, {len(plant.states)} states, {len(plant.inputs)} inputs"
+    kinds = (("sensor", plant.sensors), ("state", plant.states), ("input", plant.inputs))
+    counts = ", ".join(f"{len(of)} {kind}{'s' * (len(of) != 1)}" for kind, of in kinds)
     lines = [found.verdict, f"{counts}, a reading every {plant.dt:g} s"]
     for title, findings in (("Mistakes: correct them first", found.mistakes), ("Remarks", found.remarks)):
         if findings:

@@ -64,7 +64,8 @@ class LeaveOneOutBank(ExcludingBank):
     false_alarm: probability that an alarm begins in one step with healthy sensors. With accommodation an alarm lasts until its
     sensor is readmitted, otherwise until its samples have left the window. The sensors share it equally; with a window, one
     half is for the one-sample test and one half for the onsets. By Bonferroni it is a bound, for a correct model.
-    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows).
+    max_faults: sensors that may be excluded at once (None: what the plant's redundancy allows, half of the
+    sensors or fewer, see `redundancy`; `inspect_plant` states it, and `Decision.capped` where it binds).
     accommodate: leave out isolated sensors; without it the statistics are those of the filter on all sensors, for sweeps over
     the threshold.
     """

@@ -73,7 +73,8 @@ class RobustBank(ExcludingBank):
     (twice a logarithm of a likelihood ratio) of a sensor must exceed that of the process, and the reverse. smallest: size, over
     the noise of a sensor, below which the windows isolate no sensor, since a model errs by as much: the alarm is undecided. A
     parameter or input must differ by `USUAL` of its prior standard deviation.
-    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows).
+    max_faults: sensors that may be left out at once (None: what the plant's redundancy allows, half of the
+    sensors or fewer, see `redundancy`; `inspect_plant` states it, and `Decision.capped` where it binds).
     accommodate: leave out isolated sensors and follow the process; without it the statistics are those of one filter, for
     sweeps over the threshold.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Decision, Detector, stack
 from fusion_sfdia.evaluation.events import Event, events_of
+from fusion_sfdia.evaluation.sensor_events import rivals_at
 
 Array = NDArray[Any]
 
@@ -23,7 +23,8 @@ class Change(NamedTuple):
 
     id: 1, 2, ... in the order of the rows. what: "opened", where a hypothesis is isolated, accepted or suspected; "closed",
     where it is no longer, with the id of the opening; "reset", where the detector has started anew, for the stated reason.
-    event: as `diagnose` has it, with the size at that time; None for a reset.
+    event: as `diagnose` has it, with the size at that time, when it opens with confidence and alternatives, and without the
+    kind of fault and its interval, which need a second look; None for a reset.
     """
 
     id: int
@@ -59,8 +60,7 @@ class Changes:
     def after(self, t: float, decision: Decision) -> list[Change]:
         """What the decision of the row at t changes: first what closes, then what opens."""
         self.recent.append((t, decision if decision.covariance is None else replace(decision, covariance=None)))
-        held = set(np.flatnonzero(_held(decision)).tolist())
-        found = []
+        held, found = _held(decision), []
         for i, event in list(self.standing.items()):
             missed = 0 if i in held else event.missed + 1
             if missed < self.gap:
@@ -70,7 +70,7 @@ class Changes:
         for i in sorted(held - self.standing.keys()):
             self.count += 1
             self.standing[i] = Standing(self.count, t, t, 0)
-            found.append(Change(self.count, "opened", t, self._event(i)))
+            found.append(Change(self.count, "opened", t, self._with_rivals(self._event(i), i)))
         return found
 
     def reset(self, t: float, reason: str) -> list[Change]:
@@ -93,7 +93,16 @@ class Changes:
         names = [*self.detector.hypotheses, *(h.name for h in tested)]
         found = events_of(self.detector, np.array(times), stack(list(decisions)), KEPT + 1)
         event = next(e for e in found if e.kind in kinds and (i >= len(names) or e.hypothesis == names[i]))
-        return replace(event, start=start)
+        sigma = self.detector.plant.sensor_sigma
+        return replace(event, start=start, sigmas=event.size / float(sigma[i]) if event.kind == "sensor" else np.nan)
+
+    def _with_rivals(self, event: Event, i: int) -> Event:
+        """An event of a sensor at its first sample, with its probability and the hypotheses that are not excluded."""
+        if event.kind != "sensor":
+            return event
+        last = [decision for _, decision in self.recent][-2:]
+        confidence, rivals = rivals_at(self.detector, stack(last), i, len(last) - 1)
+        return replace(event, confidence=confidence, alternatives=rivals)
 
     def arrays(self) -> dict[str, Array]:
         """What `restored` takes up again, as arrays."""
@@ -117,11 +126,11 @@ class Changes:
         return found
 
 
-def _held(decision: Decision) -> Array:
-    """Whether each hypothesis is isolated, each of the process accepted, and any suspected, in one array."""
-    parts: Iterable[Array] = (
-        decision.isolated,
-        np.zeros(0, bool) if decision.process is None else decision.process,
-        np.zeros(1, bool) if decision.suspect is None else np.any(decision.suspect, axis=-1, keepdims=True),
-    )
-    return np.concatenate([*parts])
+def _held(decision: Decision) -> set[int]:
+    """Which hypotheses are isolated, which of the process accepted, and, as one more, whether any is suspected."""
+    held = set(np.flatnonzero(decision.isolated).tolist()) if decision.isolated.any() else set()
+    if decision.process is not None and decision.process.any():
+        held |= set((np.flatnonzero(decision.process) + decision.isolated.size).tolist())
+    if decision.suspect is not None and decision.suspect.any():
+        held.add(decision.suspect.size)
+    return held

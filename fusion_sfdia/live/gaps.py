@@ -12,13 +12,15 @@ from fusion_sfdia.core.plant import Plant
 Array = NDArray[Any]
 
 
-def steps_over(plant: Plant, t_before: float, u_before: Array, t: float, u: Array) -> list[tuple[float, Array]]:
-    """Times and inputs of the steps strictly between two rows; none where the plant can step over the gap at once.
+def steps_over(
+    plant: Plant, longest: float, before: tuple[float, Array], now: tuple[float, Array]
+) -> list[tuple[float, Array]]:
+    """Times and inputs of the steps strictly between two rows, given by times and inputs (m,); none up to `longest` s.
 
-    Otherwise equal steps of about dt, with inputs (m,) interpolated between those of the rows.
+    Otherwise equal steps of about dt, with inputs interpolated between those of the rows, as in `core.gaps.bridged`.
     """
+    (t_before, u_before), (t, u) = before, now
     gap = t - t_before
-    longest = plant.dt if plant.numerics.fixed_dt else plant.numerics.max_dt
     if gap <= longest * (1 + 1e-9):
         return []
     parts = int(np.ceil(gap / plant.dt * (1 - 1e-9)))

@@ -25,7 +25,8 @@ def change_line(change: Change, clock: Clock) -> str:
         return _json({**found, "reason": change.reason})
     event = change.event
     stamps = {} if clock.start is None else {"start_time": clock.at(event.start), "end_time": clock.at(event.end)}
-    return _json({**found, "kind": event.kind, **asdict(event), **stamps})
+    known = {name: v for name, v in asdict(event).items() if name == "size" or (v not in ("", ()) and v == v)}
+    return _json({**found, "kind": event.kind, **known, **stamps})
 
 
 def sample_line(sample: Sample, plant: Plant, hypotheses: tuple[str, ...], clock: Clock) -> str:

@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import find_sources, require_columns_of
 from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
+from fusion_sfdia.logs.mask import COMPARISONS, MASK, mask_titles
 from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.rows import RowReader
 
@@ -25,8 +27,8 @@ class TextRows:
 
     CSV: the first line, after the map's preamble, is the header, with titles as `load_log` takes them. JSON: each line is an
     object with the titles as keys, the first with all of them; null, or no key, is a missing value. Titles, numbers, times and
-    units are as the LogMap states, by default the names of the plant. The map's hold and inputs are for the Watch. ValueError
-    for a map of a long format or with a mask, which need more than one row.
+    units are as the LogMap states, by default the names of the plant; in a row that its mask covers all readings are missing.
+    Its hold and inputs are for the Watch; order and duplicates are those of a Watch. ValueError for a map of a long format.
     absent_sensors, other_columns, nominal_inputs: as in `load_log`.
     """
 
@@ -40,13 +42,14 @@ class TextRows:
         nominal_inputs: bool = False,
     ) -> None:
         require_columns_of(plant, log_map)
-        if log_map.tag or log_map.mask:
-            raise ValueError("the map has a long format or a mask, which a watch cannot take: write one row for each time")
+        if log_map.tag:
+            raise ValueError("the map has a long format, which a watch cannot take: write one row for each time")
         self.plant, self.log_map = plant, log_map
         self.allowed = {"absent": absent_sensors, "other": other_columns, "nominal": nominal_inputs}
         self.reader: RowReader | None = None
         self.lines = 0
         self.header: list[str] | None = None
+        self.compared: dict[str, float] = {}  # the last value of what each comparison of the mask compares
 
     def row(self, line: str) -> tuple[float | datetime, Array, Array] | None:
         """The time, y (N,) and u (m,) of a line, NaN where missing; None of an empty line and of a header.
@@ -79,6 +82,7 @@ class TextRows:
     def _reader(self, titles: Sequence[str], units: Sequence[str] = ()) -> RowReader:
         given = units or [""] * len(titles)
         sources = find_sources("the first line", titles, given, self.plant, self.log_map, **self.allowed)
+        mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no comparison of a column
         return RowReader(self.plant, self.log_map, sources, Numbers.of(self.log_map))
 
     def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:
@@ -87,7 +91,20 @@ class TextRows:
             seconds, stamp = self.reader.time(row)
         except KeyError as error:
             raise ValueError(f"no {error} among {shown(list(row))}") from error
-        return (seconds if stamp is None else stamp, *self.reader.values(row))
+        y, u = self.reader.values(row)
+        if self.log_map.mask and self._is_masked(self.reader, row):
+            y = np.full_like(y, np.nan)
+        return seconds if stamp is None else stamp, y, u
+
+    def _is_masked(self, reader: RowReader, row: dict[str, Any]) -> bool:
+        """Whether a comparison holds, in the units of the rows; a missing value compares as the one before it."""
+        titles, masked = {c.name: c.title for c in reader.sources.columns}, False
+        for text in self.log_map.mask:
+            name, comparison, limit = MASK.fullmatch(text.strip()).groups()  # type: ignore[union-attr]
+            if not np.isnan(value := reader.numbers.cell(row.get(titles.get(name, name)))):
+                self.compared[text] = value
+            masked |= text in self.compared and COMPARISONS[comparison](self.compared[text], float(limit))
+        return masked
 
     def _cells(self, line: str) -> list[str]:
         try:

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, whole
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.core.gaps import MOST_BRIDGES, longest_step
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
 from fusion_sfdia.live.changes import KEPT, Change, Changes
 from fusion_sfdia.live.gaps import steps_over
 
 Array = NDArray[Any]
-
-LONGEST_GAP = 10_000  # steps of dt that are predicted without readings, as by `diagnose`
 
 
 class WatchWarning(UserWarning):
@@ -84,7 +83,8 @@ class Watch:
         require_detector(detector)
         self.detector, self.refused = detector, refused
         self.hold, self.nominal_inputs, self.at_sample = number("hold", hold), nominal_inputs, at_sample
-        self.longest_gap = LONGEST_GAP * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
+        self.longest_step = longest_step(detector.plant)
+        self.longest_gap = MOST_BRIDGES * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
         for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap)):
             if not 0 <= seconds < np.inf:
                 raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
@@ -95,6 +95,7 @@ class Watch:
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
         self.u = self.given = np.empty(0)  # the inputs that acted until then, and those of its row
+        self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.waiting: Row | None = None
         self.late = 0  # rows since the last one that was not
@@ -178,7 +179,7 @@ class Watch:
                 since = min(pause, ahead)
                 state = self.detector.init((), row.t - (plant.dt if plant.numerics.fixed_dt else min(plant.dt, since)))
             elif self.t is not None:
-                for t, between in steps_over(plant, self.t, self.u, row.t, u):
+                for t, between in steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u)):
                     state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
             state, decision = self.detector.step(state, row.t, row.y, u)
         except (ValueError, ArithmeticError) as error:
@@ -196,8 +197,7 @@ class Watch:
         """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of
         the last value of each; ValueError where one is neither.
         """
-        plant = self.detector.plant
-        low, high = (np.array([getattr(s, which) for s in plant.inputs]) for which in ("low", "high"))
+        plant, (low, high) = self.detector.plant, self.limits
         read = (row.u >= low) & (row.u <= high) & np.isfinite(row.u)
         known_at = np.where(read, row.t, self.known_at)
         if read.all():

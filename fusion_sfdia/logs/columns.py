@@ -63,12 +63,14 @@ def find_sources(
     long = bool(log_map.tag)
     if not long:
         require_unique(
-            f"columns of a log of plant {plant.name!r}", [*log_map.time, *(c.name for c in (*plant.sensors, *plant.inputs))]
+            f"{where}: columns of a log of plant {plant.name!r}",
+            [*log_map.time, *plant.sensor_names, *(s.name for s in plant.inputs)],
         )
     _require_titles(where, header, log_map)
     times, time_unit = ((), "") if long else _times(where, header, log_map)
-    own: dict[str, tuple[int, bool, Sensor | Signal]] = {s.name: (i, True, s) for i, s in enumerate(plant.inputs)}
-    own |= {s.name: (i, False, s) for i, s in enumerate(plant.sensors)}
+    own: dict[str, tuple[int, bool, Sensor | Signal]] = {}
+    own.update({s.name: (i, True, s) for i, s in enumerate(plant.inputs)})
+    own.update({s.name: (i, False, s) for i, s in enumerate(plant.sensors)})
     found: dict[str, Source] = {}
     unknown = []
     qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}

@@ -10,6 +10,7 @@ from fusion_sfdia.core.arguments import shown
 
 ANGLES = ("radian", "degree", "revolution", "turn", "grade", "arcminute", "arcsecond", "steradian")
 PRESSURES = ("Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi")
+UNIT = re.compile(r"[\w\s^*/().%°·²³⁴¹⁻-]+")
 ATMOSPHERE = 101325.0  # Pa
 
 
@@ -63,13 +64,16 @@ def _registry() -> Any:
     registry = pint.UnitRegistry(cache_folder=None)
     registry.define("Nm = newton * meter")
     for unit in PRESSURES:
-        registry.define(f"{unit}_gauge = {unit}; offset: {ATMOSPHERE}")
+        in_pascal = float(registry.Quantity(1.0, unit).m_as("Pa"))
+        registry.define(f"{unit}_gauge = {in_pascal!r} * pascal; offset: {ATMOSPHERE}")
     return registry
 
 
 def _units(text: str) -> Any:
     """The units of a text as they stand in exports: m3/h, kg/(m2 s), °C, bar(g), psig."""
     plain = text.strip()
+    if not UNIT.fullmatch(plain):  # pint reads what follows # as a comment
+        raise ValueError(f"{text!r} is no unit")
     if match := re.fullmatch(rf"({'|'.join(PRESSURES)})[ _-]?(?:\(?([ag])\)?)", plain):
         plain = match[1] if match[2] == "a" else f"{match[1]}_gauge"
     plain = re.sub(r"(?<![A-Za-z])([kcdm]?m|ft|in|s|min|h)([234])(?![\w.])", r"\1^\2", plain)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from fusion_sfdia.core.clock import Clock
@@ -14,7 +15,8 @@ REMARKABLE = (
 )  # fmt: skip
 
 
-class Finding(NamedTuple):
+@dataclass(frozen=True)
+class Finding:
     """One finding: its kind, the sensor or input ("" for the whole log), how many rows or values, and a sentence."""
 
     kind: str

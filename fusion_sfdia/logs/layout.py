@@ -15,7 +15,7 @@ from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.mask import mask_titles
 from fusion_sfdia.logs.numbers import NotANumberError, Numbers, good_codes
-from fusion_sfdia.logs.order import Rows, dropped
+from fusion_sfdia.logs.order import Rows, dropped, twice
 from fusion_sfdia.logs.tables import Table, some
 from fusion_sfdia.logs.times import Times, times_of
 
@@ -56,7 +56,7 @@ def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
         table.where,
         table.titles,
         [[column[k] for k in chosen] for column in (list(c) for c in table.columns)],
-        [table.rows[k] for k in chosen],
+        [table.rows[int(k)] for k in chosen],
         table.units,
     )
     tags = [tags[k] for k in chosen]
@@ -66,12 +66,12 @@ def long_rows(table: Table, plant: Plant, log_map: LogMap, allowed: dict[str, bo
     if log_map.quality:
         _apply_quality(table, log_map.quality, "", values, log_map, findings)
     frame = pandas.DataFrame({"t": times.t, "tag": tags, "value": values, "row": table.rows})
-    twice = frame.duplicated(["t", "tag"])
-    if twice.any():
+    again = frame.duplicated(["t", "tag"])
+    if again.any():
         if log_map.duplicates == "refuse":
-            k = int(twice.argmax())
+            k = int(again.argmax())
             raise twice(table.text(k), log_map.time[0], f"{times.clock.at(float(times.t[k]))} of {tags[k]}")
-        findings.append(dropped(int(twice.sum()), log_map))
+        findings.append(dropped(int(again.sum()), log_map))
     grouped = frame.groupby(["t", "tag"], sort=True)["value"].agg(
         "first" if log_map.duplicates == "refuse" else log_map.duplicates
     )

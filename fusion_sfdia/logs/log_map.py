@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -18,6 +19,7 @@ AT_THE_SAMPLE, UNTIL_THE_SAMPLE = "at the sample", "until the sample"
 OPC_DA, OPC_UA = "opc-da", "opc-ua"
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 EXCEL = "excel"
+MASK = re.compile(r"(.+?)\s*(<=|>=|==|!=|<|>)\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", re.ASCII)
 CHOICES = {
     "duplicates": ("refuse", "first", "last", "mean"),
     "order": ("refuse", "sort"),
@@ -64,7 +66,7 @@ class LogMap:
     of numbers ("s", "ms", "us", "ns", "min", "h", "d"), or "excel" for days since 1900; "" recognises ISO 8601, seconds, and
     numbers that are seconds, milli-, micro- or nanoseconds since 1970. tz: time zone of stamps that state none, and in which
     results are shown. separator, decimal, thousands, encoding, preamble (lines before the header), unit_row (whether the
-    row below the header holds units): of a text file.
+    row below the header holds units), footer (rows at the end that are no readings): of a text file.
 
     bad: texts or numbers that stand for a missing reading. quality: pattern of the titles of quality columns, as in
     "{column}.Q"; of a long format the title of its one. good: the codes that make a value count, "opc-da" or "opc-ua" for
@@ -85,6 +87,7 @@ class LogMap:
     encoding: str = "utf-8-sig"
     preamble: int = 0
     unit_row: bool = False
+    footer: int = 0
     bad: tuple[str | float, ...] = ()
     quality: str = ""
     good: str | tuple[str | float, ...] = ()
@@ -106,6 +109,9 @@ class LogMap:
         for what in ("time", "mask"):
             if not all(isinstance(text, str) and text for text in getattr(self, what)):
                 raise ValueError(f"{what} is {shown(getattr(self, what))}; expected a text or several")
+        for text in self.mask:
+            if not MASK.fullmatch(text.strip()):
+                raise ValueError(f'mask is {shown(text)}; expected a comparison of a column with a number, as in "feed < 5"')
         for what, known in CHOICES.items():
             if (given := getattr(self, what)) not in known:
                 raise ValueError(f"{what} is {given!r}; expected {_or(known)}")
@@ -122,7 +128,8 @@ class LogMap:
             raise ValueError(f'separator is {self.separator!r}; expected one character, as in ";" or "\\t"')
         if self.decimal == self.thousands:
             raise ValueError(f"decimal and thousands are both {self.decimal!r}; give each its own")
-        whole("preamble", self.preamble, 0)
+        for what in ("preamble", "footer"):
+            whole(what, getattr(self, what), 0)
         if not isinstance(self.unit_row, bool):
             raise ValueError(f"unit_row is {shown(self.unit_row)}; expected true or false")
         object.__setattr__(self, "hold", _seconds_of("hold", self.hold))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,14 +11,13 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.logs.columns import Sources
-from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.log_map import MASK, LogMap
 from fusion_sfdia.logs.order import Rows
 from fusion_sfdia.logs.tables import some
 
 Array = NDArray[Any]
 
 COMPARISONS = {"<=": operator.le, ">=": operator.ge, "==": operator.eq, "!=": operator.ne, "<": operator.lt, ">": operator.gt}
-MASK = re.compile(r"(.+?)\s*(<=|>=|==|!=|<|>)\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)", re.ASCII)
 
 
 def mask_titles(where: str, titles: Sequence[str], sources: Sources, log_map: LogMap) -> list[str]:
@@ -28,8 +26,7 @@ def mask_titles(where: str, titles: Sequence[str], sources: Sources, log_map: Lo
     also = []
     for text in log_map.mask:
         match = MASK.fullmatch(text.strip())
-        if match is None:
-            raise ValueError(f'mask is {shown(text)}; expected a comparison of a column with a number, as in "feed < 5"')
+        assert match is not None  # LogMap has seen to it
         if match[1] not in by_name and match[1] not in titles:
             raise ValueError(
                 f"{where}: mask {shown(text)} compares {shown(match[1])}, which is no column, sensor or input of the log; "

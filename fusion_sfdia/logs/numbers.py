@@ -167,7 +167,8 @@ def _is_good(code: Any, good: str | tuple[str | float, ...]) -> bool:
         return False
     value = _integer(code)
     if good and not isinstance(good, str):
-        return any(code == (g.strip().casefold() if isinstance(g, str) else g) or value == _integer(g) for g in good)
+        texts = {g.strip().casefold() for g in good if isinstance(g, str)}
+        return code in texts or (value is not None and value in {_integer(g) for g in good})
     if value is None:
         if not str(code).startswith(("good", "bad", "uncertain")):
             raise ValueError("no quality")

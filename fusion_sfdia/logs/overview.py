@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.tables import some
 from fusion_sfdia.logs.times import Times
+
+Array = NDArray[Any]
 
 STEP = 50.0  # usual steps over those of the plant, above which the times look as if in another unit than seconds
 GAP = 2.5  # usual steps: a time between rows that is longer counts as a gap
@@ -35,8 +40,8 @@ def overview(plant: Plant, log: Log, times: Times) -> list[Finding]:
             f"{clock.at(float(t[longest]))}"
         )
         found.append(Finding("gap", "", gaps.size, text))
-    missing = np.isnan(log.y)
-    if silent := [n for n, none in zip(plant.sensor_names, missing.all(axis=0), strict=True) if none]:
+    missing: Array = np.isnan(log.y)
+    if silent := [plant.sensor_names[i] for i in np.flatnonzero(missing.all(axis=0))]:
         found.append(Finding("silent", "", len(silent), f"no reading of {some(silent)}"))
     partly = missing.any(axis=0) & ~missing.all(axis=0)
     if partly.any():

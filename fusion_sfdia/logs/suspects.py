@@ -48,7 +48,7 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
         e = float(np.median(predicted[begin, i]))
         if not abs(e) > CLEAR * sensor.noise_sigma:
             continue
-        best = mix_up(readings[begin], predicted[begin, i], sensor.unit)
+        best = mix_up(readings[begin], predicted[begin, i], sensor.unit, sensor.noise_sigma)
         parts = [float(np.median(readings[part])) for part in np.array_split(with_reading, PARTS)]
         if best is None or any(abs(best.factor * p + best.offset - e) > 0.5 * abs(e) for p in parts):
             continue
@@ -58,11 +58,12 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
     return found
 
 
-def mix_up(y: Array, expected: Array | float, unit: str) -> MixUp | None:
+def mix_up(y: Array, expected: Array | float, unit: str, noise: float = 0.0) -> MixUp | None:
     """Return the mix-up of units that explains values y (K,) where others are expected, in that unit; None where none does.
 
     With |e| the median of what is expected, and the error the median of the differences from it: where the error is above
-    OFF |e|, the mix-up with the smallest explains y if that is within FITS |e| and BETTER times smaller.
+    OFF |e|, the mix-up with the smallest explains y if that is within FITS |e| + noise, the standard deviation of a reading,
+    and BETTER times smaller.
     """
     e = float(np.median(np.abs(expected)))
 
@@ -72,7 +73,7 @@ def mix_up(y: Array, expected: Array | float, unit: str) -> MixUp | None:
     if not (as_it_is := error(MixUp(1.0, 0.0, ""))) > OFF * e or not np.isfinite(as_it_is):
         return None
     best = min(_mix_ups(unit), key=error)
-    return best if error(best) <= min(FITS * e, as_it_is / BETTER) else None
+    return best if error(best) <= min(FITS * e + noise, as_it_is / BETTER) else None
 
 
 def _mix_ups(unit: str) -> list[MixUp]:

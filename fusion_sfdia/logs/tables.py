@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -64,9 +65,10 @@ def _of_text(path: Path, log_map: LogMap) -> Table:
         with path.open(encoding=log_map.encoding, newline="") as file:
             lines = io.StringIO(file.read(), newline="")
     except UnicodeError as error:
-        raise ValueError(
-            f"{path} is not a CSV text file in {log_map.encoding} ({error}); give the encoding in a map, or export as UTF-8"
-        ) from error
+        cure = "give the encoding in a map, or export as UTF-8"
+        if path.suffix.casefold() in (".xls", ".xlsx", ".gz", ".zip"):
+            cure = "save a workbook as CSV, and unpack an archive"
+        raise ValueError(f"{path} is not a CSV text file in {log_map.encoding} ({error}); {cure}") from error
     for _ in range(log_map.preamble):
         lines.readline()
     reader = csv.reader(lines, strict=True, delimiter=log_map.separator)
@@ -77,6 +79,7 @@ def _of_text(path: Path, log_map: LogMap) -> Table:
             f"{path} is not a CSV text file ({error}, line {log_map.preamble + reader.line_num}); expected text as `simulate` "
             "writes it"
         ) from error
+    rows = rows[: max(len(rows) - log_map.footer, 1)]
     if not rows:
         raise ValueError(f"{path} is empty; expected a header: the time and the sensors of the plant")
     if not rows[0][1][-1].strip() and not any(row[-1].strip() for _, row in rows if len(row) == len(rows[0][1])):
@@ -93,6 +96,8 @@ def _of_text(path: Path, log_map: LogMap) -> Table:
     units = [""] * width
     if log_map.unit_row and below:
         units, below = [c.strip().strip("[]") for c in below[0][1]], below[1:]
+        if any(re.fullmatch(r"[+-]?\d+[.,]\d*", unit) for unit in units):
+            raise ValueError(f"{path}: the row below the header holds numbers, no units; leave unit_row out of the map")
     return Table(str(path), titles, [[row[i] for _, row in below] for i in range(width)], [n for n, _ in below], units)
 
 

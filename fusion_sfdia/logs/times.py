@@ -21,8 +21,8 @@ Array = NDArray[Any]
 EPOCH = (6.3e8, 4.1e9)  # s since 1970: numbers of the years 1990 to 2099
 ISO = re.compile(r"\d{4}-\d\d-\d\d(?:[T ]\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?)?(?:Z|[+-]\d\d(?::?\d\d)?)?", re.ASCII | re.I)
 OFFSET = re.compile(r"(?:Z|[+-]\d\d(?::?\d\d)?)", re.I)
-COMMON = ("%d-%m-%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S")
-COMMON += (*(f.removesuffix(":%S") for f in COMMON), "%m/%d/%Y %I:%M:%S %p", "%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S")
+DAYS = ("%d-%m-%Y", "%d/%m/%Y", "%m/%d/%Y", "%d.%m.%Y", "%Y/%m/%d", "%d-%b-%y", "%d-%b-%Y")
+COMMON = tuple(f"{day} {hour}" for day in DAYS for hour in ("%H:%M:%S", "%H:%M", "%I:%M:%S %p"))
 EXCEL = np.datetime64("1899-12-30", "ms")  # day 0, with which days from 1900-03-01 on are right
 
 
@@ -105,7 +105,9 @@ def _of_texts(table: Table, title: str, texts: list[str], log_map: LogMap, tags:
             pandas.Series(texts, dtype=object), format=log_map.format or "ISO8601", utc=with_offset[0], errors="coerce"
         )
     except (ValueError, TypeError, re.error) as error:
-        raise ValueError(f"format is {log_map.format!r} ({error}); expected one as strptime takes it") from error
+        raise ValueError(
+            f"{table.where}, column {title}: format is {log_map.format!r} ({error}); expected one as strptime takes it"
+        ) from error
     if stamps.isna().any():
         k = int(stamps.isna().argmax())
         form = f"a time as {log_map.format}" if log_map.format else "a date and time as 2026-03-01 14:20:05"

@@ -44,16 +44,16 @@ class TimeAxis(NamedTuple):
         """Times (s), a number or (K,), as places on the axis."""
         if self.clock.start is None:
             return np.asarray(t) / self.seconds
-        return float(date2num(self.clock.start)) + np.asarray(t) / 86400
+        return float(date2num(self.clock.start)) + np.asarray(t) / 86400  # type: ignore[no-untyped-call]
 
     def label_on(self, axes: Axes) -> None:
         """Name the axis, with wall-clock times where there are any."""
         axes.set_xlabel(self.label)
         if self.clock.start is not None:
             zone = self.clock.start.tzinfo
-            locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)
+            locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
             axes.xaxis.set_major_locator(locator)
-            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))
+            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))  # type: ignore[no-untyped-call]
 
 
 def time_axis(found: Diagnosis) -> TimeAxis:
@@ -124,7 +124,14 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     for e in found.events:
         if e.hypothesis in names and e.kind == "sensor":
             row = names.index(e.hypothesis) + 0.42
-            axes.plot([at(e.start), at(e.end + step)], [row, row], color=COLOURS[1], linewidth=2.5, solid_capstyle="butt")
+            axes.plot(
+                [at(e.start), at(e.end + step)],
+                [row, row],
+                color=COLOURS[1],
+                linewidth=2.5,
+                solid_capstyle="butt",
+                clip_on=False,
+            )
     for g in found.gaps:
         axes.axvspan(float(at(g.start)), float(at(g.end)), color="0.85", zorder=3)
     faulty = {e.hypothesis for e in found.events}
@@ -150,16 +157,19 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     error, sd, reading = found.after.error[window, i], found.after.sd[window, i], y[window, i]
     recon = found.decisions.reconstruction[window, i]
     expected = np.where(np.isfinite(error), reading - error, recon)
-    shown = _thinned(reading)
+    shown = thinned(reading)
     x = at(t[window])[shown]
+    over = np.flatnonzero(np.isin(t[window][shown], [g.end for g in found.gaps]))  # where a line is not drawn on
     figure = Figure(figsize=(4.8, 3.9), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    upper.fill_between(
-        x, (expected - 2 * sd)[shown], (expected + 2 * sd)[shown], color=COLOURS[2], alpha=0.25, lw=0, label="+- 2 sd"
+    low, high, middle, read, difference = (
+        np.insert(v[shown], over, np.nan) for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error / sd)
     )
-    upper.plot(x, expected[shown], color=COLOURS[2], linewidth=1.2, label="predicted by the others")
-    upper.plot(x, reading[shown], ".-", color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
-    lower.plot(x, (error / sd)[shown], ".-", color=COLOURS[0], markersize=3, linewidth=0.8)
+    x = np.insert(x, over, x[over])
+    upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="+- 2 sd")
+    upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="predicted by the others")
+    upper.plot(x, read, ".-", color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
+    lower.plot(x, difference, ".-", color=COLOURS[0], markersize=3, linewidth=0.8)
     lower.axhspan(-3, 3, color="0.9", zorder=0)
     step = _step(t)
     for axes in (upper, lower):
@@ -174,7 +184,7 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     return figure
 
 
-def _thinned(values: Array) -> Array:
+def thinned(values: Array) -> Array:
     """Positions (k,) among values (K,) that keep lowest and highest of each of many parts."""
     if values.size <= MOST_POINTS:
         return np.arange(values.size)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,7 +57,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         strips = [_drawn("overview", "All sensors", lambda: overview(plant, y, found), caption)]
     grouped = _by_sensor(found, plant) if found.after is not None and len(found.t) > 1 else {}
     zooms = [
-        _drawn(f"zoom-{k}", f"{name}: {_extents(own)}", lambda own=own: zoom(plant, y, found, own), _caption(found, own))
+        _drawn(f"zoom-{k}", f"{name}: {_extents(own)}", partial(zoom, plant, y, found, own), _caption(found, own))
         for k, (name, own) in enumerate(list(grouped.items())[:MOST_ZOOMS])
     ]
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)

@@ -34,6 +34,10 @@ def unbatched(t: float, x: Array, u: Array, dt: float) -> Array:
     return np.array([x[0] + dt * (u[0] - 0.1 * x[0]), x[1] + dt * 0.1 * (x[0] - x[1])])
 
 
+def joined_first(t: float, x: Array, u: Array, dt: float) -> Array:
+    return np.asarray(x + dt * np.array(rates(x, u[..., 0])))
+
+
 def of_one_number(t: float, x: Array, u: Array, dt: float) -> Array:
     return np.stack([x[..., 0] - dt * 0.1 * math.sqrt(x[..., 0]), x[..., 1]], axis=-1)
 
@@ -75,6 +79,7 @@ def tank(step: Any, **changes: Any) -> Plant:
     [
         (first_axis, r"gives shape \(2, 3, 1\) .* stack them along the last axis, np.stack\(\[...\], axis=-1\)"),
         (unbatched, r"gives shape .*; expected \(3, 1, 2\): .* with a batch as leading axes \(x\[..., 0\]\)"),
+        (joined_first, r"fails for .*: x\[..., 0\], not x\[0\], and join states along the last axis, np.stack\(\[...\], axis"),
         (of_one_number, r"functions of `math` and float\(\) take one number; write those of numpy, np.sqrt"),
         (branching, "`if`, `min` and `max` of Python take one number; write np.where, np.minimum and np.maximum"),
     ],

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from datetime import datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +16,11 @@ import pytest
 from toy_plants import readings, tanks
 
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.logs.csv_log import write_log
+from fusion_sfdia.logs.reading import load_log
+from fusion_sfdia.named import diagnose
 
 PATIENCE = 120  # s, after which the test fails instead of hanging
 DETECTOR = ["--plant", "two-tanks", "--detector", "loo-chi2"]
@@ -109,3 +114,42 @@ def test_a_watch_that_is_killed_and_started_again_has_written_the_same_events(tm
     seen = [line for text in (before + rest, after) for line in text.splitlines(keepends=True) if line.endswith("\n")]
     assert list(dict.fromkeys(seen)) == whole.splitlines(keepends=True)
     assert len(seen) > len(set(seen)) and np.array([len(before), len(after)]).min() > 0
+
+
+def test_a_tuned_detector_watches(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], log: Path) -> None:
+    from fusion_sfdia.tuning.tuned import Tuned
+
+    class Found:
+        detector_name = "loo-chi2"
+
+        def detector(self, plant: Plant) -> LeaveOneOutBank:
+            return LeaveOneOutBank(plant, window=1, threshold_scale=1000.0)
+
+    monkeypatch.setattr(Tuned, "read", lambda path: Found() if path == log.parent / "tuned.toml" else None)
+    assert watched(monkeypatch, log.read_bytes(), "--tuned", str(log.parent / "tuned.toml")) == 0
+    assert capsys.readouterr().out == ""  # its thresholds are far above the faults
+    assert watched(monkeypatch, b"", "--tuned", str(log.parent / "tuned.toml"), "--detector", "pca") == 2
+    assert "was tuned for loo-chi2, not pca" in capsys.readouterr().err
+
+
+def test_a_map_states_how_rows_are_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, log: Path
+) -> None:
+    """Time stamps, a decimal comma, and inputs that act from their row on, as `diagnose` takes them with the same map."""
+    header, *rows = log.read_text().splitlines()
+    stamps = [datetime(2026, 3, 1) + timedelta(seconds=float(row.partition(",")[0])) for row in rows]
+    cells = [
+        ";".join([str(s), *(c.replace(".", ",") for c in row.split(",")[1:])]) for s, row in zip(stamps, rows, strict=True)
+    ]
+    assert header.startswith("time")
+    (tmp_path / "map.toml").write_text('[log]\ntz = "Europe/Amsterdam"\nseparator = ";"\ndecimal = ","\n')
+    text = "\n".join([header.replace(",", ";"), *cells])
+    (tmp_path / "mapped.csv").write_text(text)
+    loaded = load_log(tmp_path / "mapped.csv", tanks(), tmp_path / "map.toml")
+    expected = diagnose(LeaveOneOutBank(tanks(), window=1), loaded.log)
+    assert watched(monkeypatch, text.encode(), "--map", str(tmp_path / "map.toml"), "--samples") == 0
+    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    isolated = [[name in s["isolated"] for name in tanks().sensor_names] for s in found if s["event"] == "sample"]
+    np.testing.assert_array_equal(isolated, expected.decisions.isolated)
+    opened = next(e for e in found if e["event"] == "opened" and e["hypothesis"] == "l1")
+    assert opened["time"] == opened["start_time"] == "2026-03-01 00:05:05+01:00"

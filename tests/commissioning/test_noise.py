@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings
 
-from fusion_sfdia.commissioning.noise import LEAST, PRIOR, _moments, _noise, likeliest_noise, state_groups, with_noise
+from fusion_sfdia.commissioning.noise import (
+    LEAST,
+    PRIOR,
+    _moments,
+    _noise,
+    likeliest_noise,
+    louder_sensors,
+    state_groups,
+    with_noise,
+)
 from fusion_sfdia.commissioning.score import fitted
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
@@ -55,3 +64,23 @@ def test_the_true_noise_is_found_within_standard_errors() -> None:
 def test_process_noise_that_is_not_there_becomes_small_but_not_zero() -> None:
     found = likeliest_noise(chain(4, process=0.3), log_of(noisy(1e-3, 0), 300, 2), np.arange(300) >= 50)
     assert LEAST <= found.process[0] < 0.2
+
+
+def test_a_louder_sensor_is_found_before_anything_is_learnt_and_a_fault_is_not_noise() -> None:
+    plant = chain(4, process=0.3)
+    log = log_of(noisy(1.0, 1), 400, 2)
+    found = louder_sensors(plant, fitted(plant, log).single).sensor_sigma
+    assert found[1] > 2 and found[[0, 2, 3]].tolist() == [1.0, 1.0, 1.0]
+    healthy = log_of(plant, 400, 2)
+    y = healthy.y.copy()
+    y[150:, :, 0] += 8.0
+    y[:, :, 2] += np.linspace(0, 20, 400)[:, None]
+    y[:100, :, 3] += np.random.default_rng(0).normal(0, 5, (100, 2))
+    faulty = louder_sensors(plant, fitted(plant, healthy._replace(y=y)).single)
+    assert faulty.sensor_sigma.tolist() == [1.0] * 4
+
+
+def test_many_sensors_and_few_windows_are_not_taken_for_loud() -> None:
+    single = np.random.default_rng(0).standard_normal((200, 60, 4))
+    for b in range(60):
+        assert louder_sensors(chain(4), single[:, b : b + 1]).sensor_sigma.tolist() == [1.0] * 4

@@ -36,6 +36,17 @@ def test_every_table_of_a_page_is_that_of_its_numbers(root: Path, pages: ModuleT
     assert used == set(found)
 
 
+def test_the_page_of_the_kinds_of_faults_is_that_of_its_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At least as many are named rightly as the test of a few of them assumes, see tests/evaluation/test_kind_trials.py."""
+    monkeypatch.syspath_prepend(str(folder))
+    kinds = importlib.import_module("fault_kinds")
+    rows = kinds.load()
+    assert kinds.render(rows) == (folder / "fault-kinds.md").read_text(encoding="utf-8")
+    counts = [int(row["count"]) for row in rows]
+    right = [int(row["count"]) for row in rows if row["fault"] == row["named"]]
+    assert sum(counts) == 4 * 6 * len(kinds.SEEDS) and sum(right) >= 0.95 * sum(counts)
+
+
 def test_no_number_of_the_papers_has_the_place_of_another(folder: Path) -> None:
     with (folder / "papers.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

@@ -120,6 +120,7 @@ def test_lists_make_the_same_plant() -> None:
         (lambda: replace(PLANT, output=3), "plant 'two-tanks': output is 3; expected a function"),
         (lambda: changed(PLANT, operation=lambda t: [1.0, 2.0]).input_at(0.0), r"operation .* gives shape \(2,\); expected"),
         (lambda: changed(PLANT, operation=lambda t: "x").input_at(0.0), "that operation of plant 'two-tanks' gives is 'x'"),
+        (lambda: PLANT.in_units({"l1": "mm"}), "unit of sensor 'l1' is 'mm'; expected the unit and readings in it per m"),  # type: ignore[dict-item]
         (lambda: PLANT.in_units({"l1": ("mm", "1")}), "scale of sensor 'l1' is '1'; expected a number"),  # type: ignore[dict-item]
         (lambda: LeaveOneOutBank(PLANT, window=np.nan), "window, in samples, is nan; expected a whole number"),  # type: ignore[arg-type]
         (lambda: LeaveOneOutBank(PLANT, window=2.5), "window, in samples, is 2.5; expected"),  # type: ignore[arg-type]

@@ -8,6 +8,7 @@ from toy_plants import chain, readings, tanks
 
 from fusion_sfdia import registry
 from fusion_sfdia.core.detector import Decision, MissingPackageError, NotApplicableError, check_reading, run, stack
+from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -134,3 +135,13 @@ def test_a_wrong_setting_is_no_matter_of_the_plant() -> None:
     with pytest.raises(ValueError, match="threshold_scale") as raised:
         LeaveOneOutBank(chain(3), threshold_scale=-1.0)
     assert not isinstance(raised.value, NotApplicableError)
+
+
+def test_a_fitted_detector_states_the_rate_of_its_thresholds() -> None:
+    plant = chain(3)
+    log = readings(plant, 300, 2, seed=0)
+    detector = LeaveOneOutBank(plant)
+    fitted = detector.fit_thresholds(Log(log[0], log[2], log[3]), false_alarm=0.02)
+    assert (detector.fitted_rate, fitted.fitted_rate, fitted.false_alarm) == (None, 0.02, 1e-3)
+    with pytest.raises(ValueError, match="fitted_rate is 2"):
+        replace(detector, fitted_rate=2.0)

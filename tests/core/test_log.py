@@ -204,3 +204,40 @@ def test_anything_else_is_refused(data: tuple[Array, ...], message: str) -> None
 def test_a_recording_of_another_plant_is_refused() -> None:
     with pytest.raises(ValueError, match=r"the readings are of the sensors 'l1', .*; expected those of plant 'marine-engine'"):
         as_log(marine_engine(), simulate(PLANT, 4, [0]))
+
+
+def test_frames_of_readings_and_inputs_are_taken_by_name() -> None:
+    """Columns in another order are not readings of other sensors."""
+    pandas = pytest.importorskip("pandas")
+    log = arrays()
+    names = list(PLANT.sensor_names)
+    y = pandas.DataFrame(log.y, columns=names)[names[::-1]]
+    u = pandas.DataFrame(log.u, columns=["inflow [m3/s]"])
+    for mine, expected in zip(as_log(PLANT, log.t, y, u), log, strict=True):
+        np.testing.assert_array_equal(mine, expected)
+    np.testing.assert_array_equal(as_log(PLANT, log.t, pandas.DataFrame(log.y), log.u).y, log.y)  # numbered columns
+    with pytest.raises(
+        ValueError, match="y is a frame with the columns 'l1', 'l2', 'q12', 'q3'; expected 'l1', 'l2', 'q12', 'q2'"
+    ):
+        as_log(PLANT, log.t, y.rename(columns={"q2": "q3"})[["l1", "l2", "q12", "q3"]], log.u)
+
+
+def test_a_missing_input_is_named_with_its_row() -> None:
+    log = arrays()
+    log.u[7, 0] = np.nan
+    for read in (lambda: as_log(PLANT, log), lambda: diagnose(DETECTOR, *log), lambda: diagnose(DETECTOR, frame(log))):
+        with pytest.raises(ValueError, match=r"u has nan in row 7 \(the first is 0\), input 'inflow'|row 8, column inflow"):
+            read()
+
+
+def test_dates_of_pandas_as_times_are_not_seconds() -> None:
+    pandas = pytest.importorskip("pandas")
+    log = arrays()
+    dates = pandas.Timestamp("2024-05-01", tz="Europe/Amsterdam") + pandas.to_timedelta(log.t, unit="s")
+    for t in (dates, pandas.Series(dates), dates.tz_localize(None)):
+        with pytest.raises(ValueError, match=r"t is .*; expected an array of numbers; pass dates as seconds since the first"):
+            as_log(PLANT, t, log.y, log.u)
+    for unit in (1e3, 1e6, 1e9):
+        with pytest.raises(ValueError, match="looks like milli-, micro- or nanoseconds since 1970; pass seconds"):
+            as_log(PLANT, unit * (1.7e9 + log.t), log.y, log.u)
+    np.testing.assert_array_equal(as_log(PLANT, 1.7e9 + log.t, log.y, log.u).t, 1.7e9 + log.t)

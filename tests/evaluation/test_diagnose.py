@@ -180,7 +180,8 @@ def test_limits_of_a_diagnosis_are_warned_of() -> None:
     biased = y + np.array([20.0, -20.0, 20.0, 0.0]) * plant.sensor_sigma * (t > 50)[:, None]
     with pytest.warns(
         DiagnosisWarning,
-        match=r"more sensors would be isolated in 20 of 30 samples, first at 55 s, but 2 are excluded already",
+        match=r"more sensors would be isolated in 20 of 30 samples, first at 55 s, but 2 of 4 are excluded already, all "
+        r"that the detector allows \(half of the 4 sensors\): check the model, or pass max_faults",
     ):
         found = diagnose(LeaveOneOutBank(plant, window=1), t, biased, u)
     assert found.decisions.isolated[10:].sum(axis=-1).max() == 2

@@ -7,40 +7,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fusion_sfdia import registry
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.evaluation.diagnose import DiagnosisWarning
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.named import diagnose
 
 Array = NDArray[Any]
 
+EXAMPLE = "docs/examples/valve.py"
 K_VALVE = 4.71967e-3  # kg/s per root of Pa, fully open
-HERE = 293.15  # K, where the flow sensor reads true
 
 
-def valve() -> Plant:
+def valve(root: Path) -> Plant:
     """Opening and drift as random walks; one sensor reads (1 + drift (T - 293.15)) times the flow, the command the opening.
 
     The noises are ours, from the log's truth, rounded up: see the test of them. The command is exact, and takes 0.01 for
     its rounding; the drift is a constant, left 2e-5 a step (2e-4 over the log) of its 0.01.
     """
-
-    def flow(x: Array, u: Array) -> Array:
-        return K_VALVE * x[..., 0] ** 2 * np.sqrt(u[..., 0])
-
-    return Plant(
-        name="valve",
-        states=(Signal("opening", "1", 1.0, 0.01, 1.1), Signal("drift", "1/K", 0.0, -0.05, 0.05)),
-        inputs=(Signal("pressure_drop", "Pa", 5e4), Signal("temperature", "K", 293.15)),
-        sensors=(Sensor("flow", "flow", "kg/s", sigma=0.03), Sensor("command", "opening", "1", sigma=0.01)),
-        step=lambda t, x, u, dt: x,
-        output=lambda t, x, u: np.stack([(1 + x[..., 1] * (u[..., 1] - HERE)) * flow(x, u), x[..., 0]], axis=-1),
-        dt=3.0,
-        x0=np.array([1.0, 0.0]),
-        initial_cov=np.array([0.05, 0.02]) ** 2,
-        process_cov=np.array([0.05, 2e-5]) ** 2,
-    )
+    return registry.plant(f"{root / EXAMPLE}:make")
 
 
 def read(folder: Path) -> dict[str, Array]:
@@ -48,11 +33,11 @@ def read(folder: Path) -> dict[str, Array]:
     return {name.removeprefix("valveStuck"): log[name] for name in log.dtype.names}
 
 
-def test_the_noises_of_the_plant_are_those_of_the_log(shared_fixtures: Path) -> None:
+def test_the_noises_of_the_plant_are_those_of_the_log(shared_fixtures: Path, root: Path) -> None:
     """Root mean squares: flow less the model's at the true opening and drift (noise of the pressure drop included) 0.022, a
     step of the opening 0.030, 0.066 where it moves. Twice as much would not be "rounded up".
     """
-    log, plant = read(shared_fixtures), valve()
+    log, plant = read(shared_fixtures), valve(root)
     opening = log["valveopening"]
     x = np.stack([opening, log["lambda"]], axis=1)
     error = log["m_flow"] - plant.output(0.0, x, np.stack([log["dp"], log["T_in"]], axis=1))[:, 0]
@@ -62,11 +47,11 @@ def test_the_noises_of_the_plant_are_those_of_the_log(shared_fixtures: Path) -> 
     assert found["step"] <= np.sqrt(plant.process_cov[0]) <= 2 * found["step"]
 
 
-def test_the_stuck_valve_is_isolated_and_the_drift_of_the_flow_sensor_removed(shared_fixtures: Path) -> None:
+def test_the_stuck_valve_is_isolated_and_the_drift_of_the_flow_sensor_removed(shared_fixtures: Path, root: Path) -> None:
     log = read(shared_fixtures)
     y = np.stack([log["m_flow"], log["cmd"]], axis=1)
     u = np.stack([log["dp"], log["T_in"]], axis=1)
-    plant = valve()
+    plant = valve(root)
     with pytest.warns(DiagnosisWarning, match="moved back in 2 of 121 samples"):  # nearly closed: the command is used
         diagnosis = diagnose(LeaveOneOutBank(plant, window=1), log["Time"] + 3.0, y, u)
     estimate = diagnosis.decisions.estimate

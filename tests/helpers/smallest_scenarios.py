@@ -15,6 +15,10 @@ from fusion_sfdia.scenarios import scenario
 PIPELINE = {"steps": 75}
 RECORDED = Path(__file__).resolve().parents[3] / "shared" / "fixtures" / "tep_braatz"  # next to the checkout
 SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings that differ from the default
+    "chemical/monitored": (
+        1,
+        {"data": str(RECORDED), "measurements": (7,), "kind": "factors", "false_alarm": 0.05},
+    ),
     "chemical/recorded": (1, {"data": str(RECORDED), "measurements": (7,), "sizes": (10.0,)}),
     "pipeline/accommodation": (1, PIPELINE),
     "pipeline/accuracy": (1, PIPELINE),

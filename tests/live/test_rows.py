@@ -53,9 +53,21 @@ def test_csv_by_a_map() -> None:
     assert isinstance(t, datetime) and t.isoformat() == "2026-07-01T14:00:00+02:00"
     np.testing.assert_allclose(y, [1.1005, np.nan, np.nan, np.nan], rtol=1e-15)
     np.testing.assert_allclose(u, [1e-3], rtol=1e-15)
-    for odd in ({"tag": "Tag", "value": "Value"}, {"mask": "l1 < 0.1"}):
-        with pytest.raises(ValueError, match="long format or a mask, which a watch cannot take"):
-            TextRows(tanks(), LogMap(**odd))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="long format, which a watch cannot take"):
+        TextRows(tanks(), LogMap(tag="Tag", value="Value"))
+
+
+def test_a_mask_takes_readings_as_missing() -> None:
+    """In the units of the rows, here m3/h; without a value it compares the one before."""
+    columns = {"feed": Column(input="inflow", unit="m3/h")}
+    rows = TextRows(tanks(), LogMap(columns=columns, mask=("feed < 1",)))
+    rows.row("time,l1,l2,q12,q2,feed")
+    feeds = [(2, False), (0.5, True), ("", True), (1, False), ("", False)]
+    found = [rows.row(f"{k},1,1,6e-4,6e-4,{feed}") for k, (feed, _) in enumerate(feeds)]
+    assert [bool(np.isnan(row[1]).all()) for row in found] == [masked for _, masked in feeds]
+    for mask, message in (("feed", "expected a comparison"), ("level < 1", "'level', which is no column")):
+        with pytest.raises(ValueError, match=message):
+            TextRows(tanks(), LogMap(columns=columns, mask=(mask,))).row("time,l1,l2,q12,q2,feed")
 
 
 def test_json_by_its_keys() -> None:

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import csv
+import html
+import re
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
+import pytest
+from matplotlib.dates import num2date
 from process_bank import SD, SIZE, ProcessBank
 from toy_plants import Array, readings, tanks
 
-from fusion_sfdia.evaluation.diagnose import Diagnosis
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.named import diagnose
-from fusion_sfdia.report.log_report import FILES, as_text, draw, write_diagnosis
+from fusion_sfdia.report.log_figures import MOST_POINTS, thinned, time_axis
+from fusion_sfdia.report.log_page import About
+from fusion_sfdia.report.log_report import FILES, as_text, draw, progress, write_diagnosis
 
 NEVER = 10**6
 PLANT = tanks()
@@ -94,3 +105,70 @@ def test_of_many_hypotheses_the_first_are_drawn() -> None:
     many = replace(BOTH, events=tuple(replace(BOTH.events[2], hypothesis=f"s{i}") for i in range(14)))
     line = draw(PLANT, BIASED, many).axes[0]
     assert [label.get_text() for label in line.get_yticklabels()] == [*(f"s{i}" for i in range(9)), "and 5 more"]
+
+
+WHEN = Clock(datetime(2026, 3, 1, 23, 58, tzinfo=timezone(timedelta(hours=1), "CET")))
+
+
+def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
+    y = BIASED.copy()
+    y[5, 0] = np.nan
+    kept = np.r_[0:30, 33:40]
+    wall = diagnose_run(LeaveOneOutBank(PLANT, false_alarm=1e-6), Log(T[kept], y[kept], U[kept, 0]), clock=WHEN)
+    write_diagnosis(tmp_path, PLANT, y[kept], U[kept, 0], wall, About("<unit> 4.csv", "loo"))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in page and not re.search(r'(src|xlink:href|href)="(?!#|data:)', page)  # nothing is fetched
+    text = html.unescape(re.sub(r"<svg.*?</svg>|<style.*?</style>|<[^>]*>", " ", page, flags=re.DOTALL))
+    for told in (
+        "Sensor diagnosis: <unit> 4.csv",
+        "Model not tested: 17 healthy samples are too few.",
+        "Verdict: sensor q12.",
+        "37 samples of 4 sensors from 2026-03-01 23:58:05+01:00 to 2026-03-02 00:01:20+01:00, by detector loo",
+        "gap from 2026-03-02 00:00:30+01:00 to 2026-03-02 00:00:50+01:00: predicted in 4 steps",
+        "q12: bias",
+        "All sensors",
+        "Time line",
+    ):
+        assert told in text, told
+    assert page.count("<svg") == 3  # the time line, all sensors, q12 from near
+
+    with (tmp_path / "scores.csv").open(encoding="utf-8", newline="") as file:
+        scores = list(csv.DictReader(file))
+    assert scores[0]["time"] == "2026-03-01 23:58:05+01:00" and scores[0]["time_s"] == "5.0" and len(scores) == 37
+    assert scores[5]["l1 residual [sd]"] == "" and abs(float(scores[-1]["q12 residual [sd]"])) > 15 > 5 > float(
+        scores[-1]["l1 residual [sd]"]
+    )
+    assert float(scores[20]["q12 score"]) > 1 > float(scores[10]["q12 score"])
+
+    with (tmp_path / "reconstructed.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [k for k, row in enumerate(rows) if "l1" in row["replaced"].split(";")] == [5]
+    assert [k for k, row in enumerate(rows) if "q12" in row["replaced"].split(";")] == list(range(20, 37))
+    again = read_log(tmp_path / "reconstructed.csv", PLANT, other_columns=True)
+    np.testing.assert_array_equal(again.y, wall.decisions.reconstruction)
+
+
+def test_the_axis_of_times_follows_the_clock_or_the_span() -> None:
+    assert time_axis(BOTH).label == "time (min)" and time_axis(BOTH)(120.0) == 2.0
+    assert (
+        time_axis(replace(BOTH, t=1000 * T)).label == "time (h)"
+        and time_axis(replace(BOTH, t=10_000 * T)).label == "time (days)"
+    )
+    wall = time_axis(replace(BOTH, clock=WHEN))
+    assert wall.label == "time (CET)"
+    assert num2date(wall(65.0), tz=WHEN.start.tzinfo).isoformat() == "2026-03-01T23:59:05+01:00"  # type: ignore[union-attr]
+
+
+def test_a_long_line_is_drawn_with_its_extremes() -> None:
+    values = np.random.default_rng(0).standard_normal(50_000)
+    values[[17, 31_234]] = [9.0, -9.0]
+    values[40_000:41_000] = np.nan
+    kept = thinned(values)
+    assert kept.size <= MOST_POINTS + 2 and {0, 17, 31_234, 49_999} <= set(kept.tolist())
+    assert thinned(values[:100]).tolist() == list(range(100))
+
+
+def test_progress_is_shown_on_a_terminal_alone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert list(progress(range(3))) == [0, 1, 2] and capsys.readouterr().err == ""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes any stream for a terminal
+    assert list(progress(range(3))) == [0, 1, 2] and "diagnosing" in capsys.readouterr().err

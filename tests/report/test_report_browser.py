@@ -5,14 +5,21 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from toy_plants import readings, tanks
 from toy_scenario import TOY
 
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.evaluation.diagnose import diagnose_run
 from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.report.content import Summary
+from fusion_sfdia.report.log_page import About, write_page
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs the optional package selenium")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -109,3 +116,21 @@ def relative_luminance(colour: str) -> float:
     channels = [int(v) / 255 for v in colour[4:-1].split(",")]
     linear = [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in channels]
     return sum(w * v for w, v in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def test_the_report_of_a_diagnosis_fits_a_phone_and_fetches_nothing(browser: Any, tmp_path: Path) -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 60, 1, seed=0)
+    y = y[:, 0] + 20 * plant.sensor_sigma * np.outer(t > 150, np.arange(4) == 2)
+    found = diagnose_run(LeaveOneOutBank(plant), Log(t, y, u[:, 0]))
+    write_page(
+        tmp_path / "report.html", plant, y, found, About("a-log-with-a-name-that-is-longer-than-a-phone-is-wide.csv", "loo")
+    )
+    phone = {"width": 360, "height": 740, "deviceScaleFactor": 2, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    browser.get((tmp_path / "report.html").as_uri())
+    assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
+    assert browser.execute_script("return performance.getEntriesByType('resource').length") == 0
+    near = browser.execute_script("return document.querySelector('.near svg').getBoundingClientRect().width")
+    assert 280 < near < 360  # as wide as the screen, not to be scrolled
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

@@ -1,0 +1,88 @@
+"""Events of sensors with what is known afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from process_bank import ProcessBank
+from scipy.special import ndtri
+from toy_plants import readings, tanks
+
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.evaluation.sensor_events import false_alarm_of, rivals_at
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.named import diagnose
+
+PLANT = tanks()
+BANK = LeaveOneOutBank(PLANT, false_alarm=1e-4)
+
+
+def found(fault: dict[int, np.ndarray], **settings: object) -> Diagnosis:
+    """The diagnosis of 120 samples with {sensor: fault (120,) in sigma}."""
+    t, _, y, u = readings(PLANT, 120, 1, seed=0)
+    y = y[:, 0].copy()
+    for i, shape in fault.items():
+        y[:, i] += PLANT.sensor_sigma[i] * shape
+    return diagnose_run(BANK, Log(t, y, u[:, 0]), **settings)
+
+
+def test_a_bias_is_an_event_with_size_interval_and_confidence() -> None:
+    clock = Clock(datetime(2026, 3, 1, 14, 20, tzinfo=UTC))
+    diagnosis = found({2: np.where(np.arange(120) >= 60, 9.0, 0.0)}, clock=clock)
+    (e,) = diagnosis.events
+    sigma = PLANT.sensor_sigma[2]
+    assert (e.hypothesis, e.fault, e.open, e.alternatives) == ("q12", "bias", True, ())
+    assert e.low < 9 * sigma < e.high and e.sigmas == pytest.approx(e.size / sigma) and e.confidence > 0.99
+    assert e.high - e.low == pytest.approx(2 * (e.high - e.size)) and e.high - e.size < 1.96 * sigma
+    assert str(diagnosis).splitlines()[1].startswith("  q12: 2026-03-01 14:25:05+00:00 to end of the log, bias ")
+    header, rows = diagnosis.table()
+    row = dict(zip(header, rows[0], strict=True))
+    assert row["start"] == "2026-03-01 14:25:05+00:00" and row["fault"] == "bias" and row["start_s"] == 305.0
+    assert diagnosis.health is not None and not diagnosis.health.suspect
+
+
+def test_events_close_together_are_judged_together() -> None:
+    shape = np.zeros(120)
+    shape[[50, 58, 66, 75]] = [12.0, -12.0, 12.0, -12.0]
+    events = found({1: shape}).events
+    assert len(events) > 2 and {(e.hypothesis, e.fault) for e in events} == {("l2", "spikes")}
+    assert [np.sign(e.size) for e in events] == [1, -1, 1, -1]
+
+
+def test_the_probability_is_that_of_the_likelihood_ratios() -> None:
+    scores = np.array([[1.0, 1.1, 0.2, 0.0]])
+    nothing = np.zeros((1, 4))
+    decisions = Decision(nothing, nothing, scores, np.ones((1, 4)), np.arange(4) == np.array([[1]]), *[nothing] * 4)
+    own, others = rivals_at(BANK, decisions, 1, 0)
+    q = ndtri(1e-4 / 4 / 2)
+    weight = np.exp((scores[0] * q) ** 2 / 2)
+    assert own == pytest.approx(weight[1] / weight.sum()) and others == ("l1",)
+    twice = replace(decisions, isolated=np.array([[True, True, False, False]]))
+    assert rivals_at(BANK, twice, 1, 0)[1] == ()  # isolated with it, not instead of it
+    large = replace(decisions, residual=1e300 * scores)
+    assert rivals_at(BANK, large, 1, 0)[0] == pytest.approx(1 / 3)  # of three that are too large for numbers
+
+
+def test_probabilities_of_the_detector_and_its_suspects_come_first() -> None:
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    y = y[:, 0].copy()
+    y[20:, 2] += 20 * PLANT.sensor_sigma[2]
+    bank = ProcessBank(PLANT, accept=(10**6, 10**6), doubt=(15, 21), between=(2, 5), false_alarm=1e-6)
+    events = diagnose(bank, t, y, u[:, 0]).events
+    (sensor,) = [e for e in events if e.kind == "sensor"]
+    assert sensor.alternatives == ("error of inflow",) and str(sensor).endswith("; not excluded: error of inflow")
+
+
+def test_the_rate_is_that_of_the_detector() -> None:
+    assert false_alarm_of(BANK) == 1e-4
+
+    class Plain:
+        plant = PLANT
+
+    assert false_alarm_of(Plain()) == 1e-3  # type: ignore[arg-type]

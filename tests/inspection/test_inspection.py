@@ -1,0 +1,202 @@
+"""An inspection names each mistake and each limit of a plant; theory and simulated runs agree on what is found."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_plants import Array, chain, tanks
+
+from fusion_sfdia import Numerics, Plant, Sensor, Signal, inspect_plant, linear_plant, simulate
+from fusion_sfdia.inspection.text import as_json, as_text
+
+INFLOW = Signal("inflow", "m/s", nominal=0.01)
+
+
+def levels(t: float, x: Array, u: Array, dt: float) -> Array:
+    """Two tanks in a row with a time constant of 100 s, by Euler's method."""
+    upper, lower = x[..., 0], x[..., 1]
+    return x + dt * np.stack([u[..., 0] - 0.01 * upper, 0.01 * upper - 0.01 * lower], axis=-1)
+
+
+def fast(t: float, x: Array, u: Array, dt: float) -> Array:
+    """The lower tank empties in 1 s: too fast for Euler's method with a step of 5 s."""
+    upper, lower = x[..., 0], x[..., 1]
+    return x + dt * np.stack([u[..., 0] - 0.01 * upper, 0.01 * upper - 1.0 * lower], axis=-1)
+
+
+def timeless(t: float, x: Array, u: Array, dt: float) -> Array:
+    return levels(t, x, u, 5.0)
+
+
+def overflowing(t: float, x: Array, u: Array, dt: float) -> Array:
+    """Above 3 m the upper tank overflows."""
+    over = np.where(x > 3.0, np.abs(x - 3.0), 0.0)
+    return levels(t, x, u, dt) - 0.01 * dt * over
+
+
+def by_table(t: float, x: Array, u: Array, dt: float) -> Array:
+    return levels(t, x, u, dt) - 1e-4 * dt * np.interp(x, [0.0, 1.0, 4.0], [0.0, 1.0, 2.0])
+
+
+def uncoupled(t: float, x: Array, u: Array, dt: float) -> Array:
+    return x + dt * np.stack([u[..., 0] - 0.01 * x[..., 0], -0.01 * (x[..., 1] - 1.0)], axis=-1)
+
+
+def accumulating(t: float, x: Array, u: Array, dt: float) -> Array:
+    """The lower tank has no outlet."""
+    return x + dt * np.stack([u[..., 0] - 0.01 * x[..., 0], 0.01 * (x[..., 0] - 1.0)], axis=-1)
+
+
+def readings(t: float, x: Array, u: Array) -> Array:
+    return np.asarray(x[..., [0, 0, 1, 1]])
+
+
+def of_upper(t: float, x: Array, u: Array) -> Array:
+    return np.asarray(x[..., [0, 0]])
+
+
+def plant(step: Any, output: Any = readings, count: int = 4, **changes: Any) -> Plant:
+    given: dict[str, Any] = {"dt": 5.0, "inputs": [INFLOW]}
+    return Plant(
+        "tanks in a row",
+        [Signal(name, "m", nominal=1.0, initial_sigma=0.05, process_sigma=1e-3) for name in ("upper", "lower")],
+        [Sensor(f"{name}_{k}", name, "m", sigma=0.01) for name in ("upper", "lower") for k in (1, 2)][:count],
+        step=step,
+        output=output,
+        **given | changes,
+    )
+
+
+def broadcast(t: float, x: Array, u: Array, dt: float) -> Array:
+    return np.asarray(x + dt * (u[..., :1] - 0.01 * x[..., :1]))
+
+
+def test_mistakes_come_first_and_nothing_else_is_examined() -> None:
+    found = inspect_plant(plant(broadcast, output=lambda t, x, u: readings(t, x, u)))
+    assert found.verdict == "tanks in a row: NOT READY, 2 mistakes to correct"
+    one, other = found.mistakes
+    assert "a single derivative was broadcast to all states; give one for each, np.stack([...], axis=-1)" in one.text
+    assert "use functions of a module, methods or partials, no closures or lambdas" in other.text
+    assert found.step is None and not found.detectors
+    assert str(found).splitlines()[0] == found.verdict and "Mistakes: correct them first" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("made", "about", "text"),
+    [
+        (plant(fast), "step", "a step of 5 s is unstable: an error grows by 4 in each, .* in 1 s; make dt shorter than 1 s"),
+        (plant(timeless), "step", r"it ignores dt: .* or state Numerics\(fixed_dt=True\)"),
+        (plant(overflowing), "step", r"abs \(test_inspection.py:\d+\): the complex step is wrong .* write np.where\(x < 0"),
+        (plant(overflowing), "step", r"where \(test_inspection.py:\d+\): its slope jumps"),
+        (plant(by_table), "step", r"interp \(test_inspection.py:\d+\): it takes no complex numbers.* fit a polynomial"),
+        (plant(levels, dt=60.0), "step", r"one step of 60 s and two of 30 s differ by .* times the process noise in"),
+        (plant(levels), "step", r"state Numerics\(max_dt=\d+\), and longer gaps are divided"),
+        (plant(uncoupled, of_upper, 2), "observability", "1 of 2 states are not determined by any reading: lower; "),
+        (plant(levels, of_upper, 2), "redundancy", "1 of 2 sensors may be isolated at once: half of the 2 sensors"),
+        (plant(accumulating, readings, 4), "redundancy", r"1 of 4 .*: lower keeps its error and is seen by 2 sensors"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)  # fmt: skip
+def test_what_limits_the_diagnosis_is_stated_with_its_cure(made: Plant, about: str, text: str) -> None:
+    found = [f for f in inspect_plant(made, simulated=False).findings if f.about == about]
+    assert any(re.search(text, f.text) for f in found), found
+
+
+def test_a_stated_limit_is_not_asked_for() -> None:
+    stated = plant(levels, numerics=Numerics(max_dt=60.0))
+    assert not any("max_dt" in f.text for f in inspect_plant(stated, simulated=False).findings)
+
+
+def counter(sensors: int) -> Plant:
+    """A sum of a flow, read by `sensors` sensors, and the flow with two."""
+    names = [*(f"sum_{k}" for k in range(1, sensors + 1)), "flow_1", "flow_2"]
+    return linear_plant(
+        "counter",
+        np.array([[1.0, 1.0], [0.0, 0.9]]),
+        np.array([[1.0, 0.0]] * sensors + [[0.0, 1.0]] * 2),
+        [Sensor(name, name[:-2], sigma=0.1) for name in names],
+        dt=1.0,
+        states=(
+            Signal("sum", initial_sigma=0.1, process_sigma=0.01),
+            Signal("flow", initial_sigma=0.1, process_sigma=0.05),
+        ),
+    )
+
+
+def test_a_sensor_that_is_never_used_again_on_its_own_is_listed() -> None:
+    found = inspect_plant(counter(1), detectors=["loo-glr"], sensors=["sum_1"])
+    assert found.kept_out == ("sum_1",)
+    assert "never on their own: sum_1" in str(found)
+    needed = [f for f in found.remarks if f.about == "sum_1" and "only this sensor determines sum" in f.text]
+    assert len(needed) == 1
+    assert inspect_plant(counter(2), simulated=False).kept_out == ()
+
+
+def test_a_detector_whose_alarms_latch_is_named_with_readmit() -> None:
+    found = inspect_plant(tanks(), detectors=["adaptive-threshold", "loo-glr"], sensors=["q2"])
+    latching, other = found.detectors
+    assert latching.kept_out == ("q2",) and other.kept_out == ()
+    assert any(f.about == "q2" and "state = detector.readmit(state, sensor)" in f.text for f in found.remarks)
+
+
+def test_theory_and_simulation_agree_on_the_tanks() -> None:
+    found = inspect_plant("two-tanks", detectors=["loo-glr", "robust-glr"])
+    assert not found.mistakes and found.verdict == "two-tanks: ready for diagnosis"
+    theory = found.theory
+    assert theory is not None
+    assert np.all(theory.bias < 3), "a bias of 3 sigma shows in 60 samples"
+    for of in found.detectors:
+        for sensor in theory.sensors:
+            bias, drift = of.best(sensor, "bias"), of.best(sensor, "drift")
+            assert bias is not None and drift is not None
+            assert bias.size == 3.0 and 1 <= bias.delay <= 30 and drift.delay <= 60
+        assert of.healthy < 0.05 and of.kept_out == ()
+    frozen = [of.best(s, "freeze") for of in found.detectors[1:] for s in theory.sensors]
+    assert all(trial is not None for trial in frozen), "robust-glr tests for readings that are too quiet"
+
+
+def test_what_a_detector_cannot_do_is_stated() -> None:
+    (found,) = inspect_plant(plant(levels), detectors=["structural-residuals"], sensors=["upper_1"]).detectors
+    assert "does not state its scalar equations" in found.left_out
+    text = as_text(inspect_plant(plant(levels), detectors=["structural-residuals"], sensors=["upper_1"]))
+    assert "simulated for" not in text and "structural-residuals: plant 'tanks in a row'" in " ".join(text.split())
+
+
+def test_the_pattern_of_the_equations_tells_what_sizes_cannot() -> None:
+    pytest.importorskip("faultdiagnosistoolbox")
+    pair = inspect_plant(plant(uncoupled, of_upper, 2), simulated=False).structure
+    assert pair is not None and pair.groups == ()
+    row = inspect_plant(plant(levels), simulated=False).structure
+    assert row is not None and row.undetectable == () and row.groups == ()
+
+
+def test_a_healthy_log_shows_noise_that_is_stated_wrongly() -> None:
+    made = plant(levels)
+    noisier = replace(made, sensors=tuple(replace(s, sigma=0.03 if s.name == "lower_2" else s.sigma) for s in made.sensors))
+    log = simulate(noisier, 300, seeds=[7], process_noise=True)
+    found = inspect_plant(made, log, simulated=False)
+    assert found.healthy is not None and found.healthy.samples == 300
+    assert any(f.about == "lower_2" and "differ from their predictions by" in f.text for f in found.remarks)
+    right = inspect_plant(made, simulate(made, 300, seeds=[7], process_noise=True), simulated=False)
+    assert not [f for f in right.remarks if "healthy" in f.text]
+
+
+def test_json_has_all_of_it_and_no_infinity() -> None:
+    found = inspect_plant(plant(levels), detectors=["loo-glr"], sensors=["upper_1"])
+    text = json.dumps(as_json(found), allow_nan=False)
+    back = json.loads(text)
+    assert back["ready"] is True and back["verdict"] == found.verdict
+    assert {t["kind"] for t in back["detectors"][0]["trials"]} == {"bias", "drift", "freeze"}
+    assert set(back["theory"]) == {"samples", *found.plant.sensor_names}
+
+
+def test_names_that_are_unknown_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown sensor 'x9' of plant 'chain'"):
+        inspect_plant(chain(3), sensors=["x9"])
+    with pytest.raises(ValueError, match="unknown detector 'loo-grl'"):
+        inspect_plant(chain(3), detectors=["loo-grl"])
