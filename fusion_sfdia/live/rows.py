@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import find_sources, require_columns_of
-from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
-from fusion_sfdia.logs.mask import COMPARISONS, MASK, mask_titles
+from fusion_sfdia.logs.log_map import MASK, PLAIN_MAP, LogMap
+from fusion_sfdia.logs.mask import COMPARISONS, mask_titles
 from fusion_sfdia.logs.numbers import Numbers
 from fusion_sfdia.logs.rows import RowReader
 
@@ -82,7 +82,7 @@ class TextRows:
     def _reader(self, titles: Sequence[str], units: Sequence[str] = ()) -> RowReader:
         given = units or [""] * len(titles)
         sources = find_sources("the first line", titles, given, self.plant, self.log_map, **self.allowed)
-        mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no comparison of a column
+        mask_titles("the first line", titles, sources, self.log_map)  # refuses what is no column
         return RowReader(self.plant, self.log_map, sources, Numbers.of(self.log_map))
 
     def _numbers(self, row: dict[str, Any]) -> tuple[float | datetime, Array, Array]:
