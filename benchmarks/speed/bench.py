@@ -10,12 +10,12 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.benchmarks.speed import bank, engine, lorenz, model, scaling
+from fusion_sfdia.benchmarks.speed import bank, engine, lorenz, model, scaling, stream
 from fusion_sfdia.core.files import require_free
 from fusion_sfdia.evaluation.results import Row, write_rows
 
 SECONDS = 2.0  # of each call
-PARTS = {"bank": bank, "model": model, "scaling": scaling, "lorenz": lorenz, "engine": engine}
+PARTS = {"bank": bank, "model": model, "scaling": scaling, "lorenz": lorenz, "engine": engine, "stream": stream}
 
 
 def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS, *, force: bool = False) -> list[Row]:
@@ -39,4 +39,4 @@ def as_text(row: Row) -> str:
     """A row as text: times in ms, memory in MB."""
     factor, unit = {"step_time": (1e3, " ms"), "peak_memory": (1e-6, " MB")}.get(row.metric, (1.0, ""))
     part, what = row.scenario.removeprefix("bench/"), ", ".join(filter(None, (row.quantity, row.condition)))
-    return f"{part:<8} {row.detector:<12} {what:<32} {row.metric:<12} {row.value * factor:10.4g}{unit}"
+    return f"{part:<8} {row.plant:<14} {row.detector:<12} {what:<32} {row.metric:<12} {row.value * factor:10.4g}{unit}"

@@ -114,7 +114,7 @@ class Offset:
 
 def with_offset(plant: Plant, offset: Offset) -> Plant:
     """The plant with constant corrections, at all values of its parameters."""
-    known, given = plant.uncertainty, plant.numerics
+    known, (of_step, of_output) = plant.uncertainty, plant.jacobians
     uncertainty = replace(
         known,
         step=known.step and partial(offset.step, known.step),
@@ -124,9 +124,9 @@ def with_offset(plant: Plant, offset: Offset) -> Plant:
         rebuild=known.rebuild and partial(_rebuilt, known.rebuild, offset),
     )
     numerics = replace(
-        given,
-        step_jacobian=given.step_jacobian and partial(offset.of_step, given.step_jacobian),
-        output_jacobian=given.output_jacobian and partial(offset.of_output, given.output_jacobian),
+        plant.numerics,
+        step_jacobian=of_step and partial(offset.of_step, of_step),
+        output_jacobian=of_output and partial(offset.of_output, of_output),
     )
     return replace(
         plant,

@@ -140,7 +140,9 @@ class BatchDetector(ABC):
             diverged, memory = diverged[None], mapped(_as_batch, memory)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             after, decision = self._judge(memory, now, y, u)
-        capped = np.broadcast_to(decision.capped, diverged.shape)
+        capped = decision.capped
+        if capped.shape != diverged.shape:
+            capped = np.broadcast_to(capped, diverged.shape)
         found = {**vars(decision), "capped": capped, "absurd": absurd, "absurd_input": absurd_input}
         diverged = diverged | decision.diverged
         if diverged.any():

@@ -18,19 +18,9 @@ def terms(plant: Plant) -> int:
     return len(plant.sensors) + len(plant.states)
 
 
-def largest_readings(plant: Plant) -> Array:
-    """The largest magnitude of a reading of each sensor (N,), in its unit: sigma / ((N + n) eps).
-
-    An update sums over N readings and n states; a term of size |y| rounds the sum by up to (N + n) eps |y|. Where that exceeds
-    the noise sigma, the information of all other sensors is lost. No instrument comes near: its noise would be below the last
-    digits of its reading.
-    """
-    return plant.sensor_sigma / (terms(plant) * EPS)
-
-
 def possible(plant: Plant, y: Array) -> Array:
-    """Return the readings y (..., N) with NaN for the absurd ones, whose magnitude exceeds `largest_readings`."""
-    absurd = np.abs(y) > largest_readings(plant)  # False where NaN
+    """Return the readings y (..., N) with NaN for the absurd ones, whose magnitude exceeds the plant's `largest_readings`."""
+    absurd = np.abs(y) > plant.largest_readings  # False where NaN
     return np.where(absurd, np.nan, y) if absurd.any() else y
 
 
@@ -40,8 +30,8 @@ class InputLimits:
     An input is suspect outside the limits of its signal, where the model is not stated to hold. Without stated limits it is
     suspect beyond 1 / ((N + n) eps) times its nominal value or, if that is 0, its unit. A suspect input is absurd if, with the
     usual values of the other inputs, a step takes the model from x0 out of the limits of its states, to a value that is not
-    finite, or to a state or reading that cannot resolve its own scale (see `largest_readings`). A step needs an input, so the
-    plant's usual input at that time replaces an absurd one.
+    finite, or to a state or reading that cannot resolve its own scale (see `Plant.largest_readings`). A step needs an input, so
+    the plant's usual input at that time replaces an absurd one.
     """
 
     def __init__(self, plant: Plant) -> None:
@@ -53,9 +43,9 @@ class InputLimits:
 
     def applied(self, t_start: float, dt: float, u: Array) -> Array:
         """Return the inputs u (..., m) over [t_start, t_start + dt] with the usual inputs in place of the absurd ones."""
-        suspect = (u < self.low) | (u > self.high)
-        if not suspect.any():
+        if ((u >= self.low) & (u <= self.high)).all():
             return u
+        suspect = (u < self.low) | (u > self.high)
         usual, found = self.plant.input_at(t_start), u.copy()
         for where in np.argwhere(suspect):
             if self._absurd(t_start, dt, np.where(np.arange(u.shape[-1]) == where[-1], u[tuple(where[:-1])], usual)):
@@ -71,5 +61,5 @@ class InputLimits:
                 _, left = plant.guard(x)
         except ArithmeticError:  # the model has no solution there
             return True
-        resolved = np.abs(x) <= plant.state_scale / (terms(plant) * EPS), np.abs(y) <= largest_readings(plant)
+        resolved = np.abs(x) <= plant.state_scale / (terms(plant) * EPS), np.abs(y) <= plant.largest_readings
         return bool(left) or not all(np.all(each) for each in resolved)

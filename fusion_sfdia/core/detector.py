@@ -142,11 +142,14 @@ def check_reading(plant: Plant, y: Array, u: Array, batch: tuple[int, ...]) -> t
         len(u.shape) > len(expected) or any(a not in (1, b) for a, b in zip(u.shape[-2::-1], batch[::-1], strict=False))
     ):
         raise ValueError(f"u has shape {u.shape}; it does not broadcast to {expected}: give ({m},) or one row for each run")
-    if np.isinf(y).any():
-        raise ValueError("y has infinite readings; pass NaN for a missing one")
     if not np.isfinite(u).all():
         raise ValueError("u has values that are not finite; an input must be known")
-    return possible(plant, y), u if u.shape == expected else np.broadcast_to(u, expected)
+    u = u if u.shape == expected else np.broadcast_to(u, expected)
+    if (np.abs(y) <= plant.largest_readings).all():
+        return y, u
+    if np.isinf(y).any():
+        raise ValueError("y has infinite readings; pass NaN for a missing one")
+    return possible(plant, y), u
 
 
 def run(detector: Detector, state: State, *data: Any, covariance: bool = False) -> tuple[State, Decision]:

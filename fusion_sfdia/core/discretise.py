@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core import straight_line_kernels
 from fusion_sfdia.core.arguments import floats, number
-from fusion_sfdia.core.equation import difference_jacobian
+from fusion_sfdia.core.equation import complex_step_jacobian, difference_jacobian
 from fusion_sfdia.core.linear import constant, picked
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import FROM_STATES, Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor
+from fusion_sfdia.core.straight_line import Program, record
+from fusion_sfdia.core.straight_line_kernels import ALGEBRAIC_TOLERANCE, MAX_SWEEPS
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 
 Array = NDArray[Any]
 
-MAX_SWEEPS = 200
-ALGEBRAIC_TOLERANCE = 1e-13  # relative change of a sweep at which the fixed point is taken as reached
 LARGEST_CHANGE = 0.1  # of a deviation within a step: the error of a step's noise variance, see `largest_step`
 
 
@@ -79,18 +81,49 @@ def solve_algebraic(physics: Physics, t: float, x: Array, u: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Integrated:
-    """The functions of a plant that integrates physics; picks (N,): positions among the states and algebraic variables."""
+class Integrated:
+    """The functions of a plant that integrates physics with N sensors and p parameters that are not known exactly.
+
+    picks (N,): positions among the states and algebraic variables. unknown (p,): names of the parameters. Real numbers take the
+    straight-line program of f and phi, where it can be recorded; others, such as complex ones, f and phi themselves.
+    """
 
     physics: Physics
     picks: Array
     substeps: int
     decay: Array | None
+    unknown: tuple[str, ...] = ()
+
+    @cached_property
+    def nominal(self) -> Array:
+        """Values of the parameters `unknown` (p,) in the physics."""
+        return np.array([getattr(self.physics.parameters, name) for name in self.unknown])
+
+    @cached_property
+    def program(self) -> Program | None:
+        """The program of f and phi; None where they cannot be recorded."""
+        physics = self.physics
+        f, phi = (partial(_by_theta, g, self.unknown, physics.parameters) for g in (physics.f, physics.phi))
+        usual = [np.array([s.nominal for s in group]) for group in (physics.states, physics.algebraic, physics.inputs)]
+        return record(f, None if physics.phi is None else phi, [*usual, self.nominal])
+
+    @cached_property
+    def _constants(self) -> tuple[Array, Array]:
+        """Rates of decay, empty for Runge-Kutta 4, and nominal values of the algebraic variables."""
+        return (
+            np.empty(0) if self.decay is None else np.array(self.decay, dtype=float),
+            np.array([s.nominal for s in self.physics.algebraic], dtype=float),
+        )
 
     def slope(self, t: float, x: Array, u: Array) -> Array:
         return self.physics.f(t, x, solve_algebraic(self.physics, t, x, u), u, self.physics.parameters)
 
-    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+    def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        if (found := self._advanced(t_start, x, u, dt, theta, 0)) is not None:
+            return found
+        return self._at(theta)._step(t_start, _of_batch(x, theta), u, dt)
+
+    def _step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         part = dt / self.substeps
         for i in range(self.substeps):
             if self.decay is None:
@@ -99,19 +132,121 @@ class _Integrated:
                 x = exponential_midpoint(lambda s, p: self.slope(s, p, u), t_start + i * part, x, part, self.decay)
         return x
 
-    def output(self, t: float, x: Array, u: Array) -> Array:
+    def output_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
+        if (found := self._read(t, x, u, theta, 0)) is not None:
+            return found
+        return self._at(theta)._output(t, _of_batch(x, theta), u)
+
+    def _output(self, t: float, x: Array, u: Array) -> Array:
         z = solve_algebraic(self.physics, t, x, u)
         return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], axis=-1)[..., self.picks]
 
-    def step_at(self, unknown: tuple[str, ...], t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self._at(unknown, theta).step(t_start, _of_batch(x, theta), u, dt)
+    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        """Derivatives (..., n, n + m + p) with respect to x, u and theta; of a program."""
+        return self._required(
+            self._advanced(t_start, x, u, dt, theta, x.shape[-1] + u.shape[-1] + theta.shape[-1]), t_start, x, u
+        )
 
-    def output_at(self, unknown: tuple[str, ...], t: float, x: Array, u: Array, theta: Array) -> Array:
-        return self._at(unknown, theta).output(t, _of_batch(x, theta), u)
+    def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
+        """The same of the readings (..., N, n + m + p)."""
+        return self._required(self._read(t, x, u, theta, x.shape[-1] + u.shape[-1] + theta.shape[-1]), t, x, u)
 
-    def _at(self, unknown: tuple[str, ...], theta: Array) -> _Integrated:
-        values = {name: theta[..., j] for j, name in enumerate(unknown)}
+    def _required(self, found: Array | None, t: float, x: Array, u: Array) -> Array:
+        """What has been found; otherwise the ArithmeticError of the algebraic variables that do not settle."""
+        if found is None:
+            complex_step_jacobian(lambda p: solve_algebraic(self.physics, t, p, np.expand_dims(u, -2)), x)
+            raise ArithmeticError(f"the algebraic variables of {self.physics.name!r} do not settle within a step")
+        return found
+
+    def _advanced(self, t: float, x: Array, u: Array, dt: float, theta: Array, width: int) -> Array | None:
+        """The step by the program, where width is 0, or its derivatives (..., n, width); None without one."""
+        if (program := self.program) is None or not all(map(_real, (x, u, theta))):
+            return None
+        batch, x, u, theta = _as_rows(x, u, theta)
+        decay, nominal = self._constants
+        ahead, tangent, settled = straight_line_kernels.advance(
+            float(t), x, u, theta, float(dt), self.substeps, decay, nominal, width, program
+        )
+        found: Array = tangent if width else ahead
+        return found.reshape(*batch, *found.shape[1:]) if settled else None
+
+    def _read(self, t: float, x: Array, u: Array, theta: Array, width: int) -> Array | None:
+        """The same of the readings (..., N)."""
+        if (program := self.program) is None or not all(map(_real, (x, u, theta))):
+            return None
+        batch, x, u, theta = _as_rows(x, u, theta)
+        y, by, settled = straight_line_kernels.read(float(t), x, u, theta, self.picks, self._constants[1], width, program)
+        found: Array = by if width else y
+        return found.reshape(*batch, *found.shape[1:]) if settled else None
+
+    def _at(self, theta: Array) -> Integrated:
+        if theta is self.nominal:
+            return self
+        values = {name: theta[..., j] for j, name in enumerate(self.unknown)}
         return replace(self, physics=replace(self.physics, parameters=self.physics.parameters._replace(**values)))
+
+
+@dataclass(frozen=True, eq=False)
+class IntegratedStep:
+    """The step of a plant, with its own Jacobian where it is a program."""
+
+    model: Integrated
+
+    def __call__(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        return self.model.step_at(t_start, x, u, dt, self.model.nominal)
+
+    @property
+    def jacobian(self) -> Callable[[float, Array, Array, float], Array] | None:
+        return None if self.model.program is None else self._jacobian
+
+    def _jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        model = self.model
+        return model._required(model._advanced(t_start, x, u, dt, model.nominal, x.shape[-1]), t_start, x, u)
+
+
+@dataclass(frozen=True, eq=False)
+class IntegratedOutput:
+    """The output of a plant, with its own Jacobian where it is a program."""
+
+    model: Integrated
+
+    def __call__(self, t: float, x: Array, u: Array) -> Array:
+        return self.model.output_at(t, x, u, self.model.nominal)
+
+    @property
+    def jacobian(self) -> Callable[[float, Array, Array], Array] | None:
+        return None if self.model.program is None else self._jacobian
+
+    def _jacobian(self, t: float, x: Array, u: Array) -> Array:
+        model = self.model
+        return model._required(model._read(t, x, u, model.nominal, x.shape[-1]), t, x, u)
+
+
+def _by_theta(function: Any, unknown: tuple[str, ...], c: Any, t: float, x: Array, z: Array, u: Array, theta: Array) -> Array:
+    """Evaluate f or phi with other values theta (..., p) of the parameters `unknown`."""
+    values = {name: theta[..., j][()] for j, name in enumerate(unknown)}
+    found: Array = function(t, x, z, u, c._replace(**values) if unknown else c)
+    return found
+
+
+def _real(a: Array) -> bool:
+    """Whether this is an array of real numbers, not one that records what is done with it."""
+    return type(a) is np.ndarray and a.dtype.kind != "c"
+
+
+def _as_rows(x: Array, u: Array, theta: Array) -> tuple[tuple[int, ...], Array, Array, Array]:
+    """The batch of arrays (..., n) and each as a matrix (B, n), or (1, n) where it is the same for the whole batch."""
+    shapes = {a.shape[:-1] for a in (x, u, theta) if a.ndim > 1}
+    batch = shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
+    return batch, _rows(x, batch), _rows(u, batch), _rows(theta, batch)
+
+
+def _rows(a: Array, batch: tuple[int, ...]) -> Array:
+    if a.shape[:-1] not in ((), batch):
+        a = np.broadcast_to(a, (*batch, a.shape[-1]))
+    rows = a.reshape(1 if a.ndim == 1 else math.prod(batch), a.shape[-1])
+    ready = rows.flags.c_contiguous and rows.flags.writeable and rows.dtype == np.float64
+    return rows if ready else np.array(rows, dtype=float)  # one type of arguments, so that nothing is compiled twice
 
 
 def _of_batch(x: Array, theta: Array) -> Array:
@@ -140,7 +275,7 @@ def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
             )
 
 
-def largest_step(model: _Integrated, dt: float, x0: Array, scale: Array, u: Array) -> float:
+def largest_step(model: Integrated, dt: float, x0: Array, scale: Array, u: Array) -> float:
     """Largest step (s) for which a step's noise is that of the process: max(dt, 0.1 / |D^-1 A D|), A = df/dx at x0.
 
     A step dt' adds Q dt' to the covariance; the physics adds the integral of exp(A s) Q exp(A' s) over the step. To first order
@@ -195,7 +330,7 @@ def discretise(
     n = len(physics.states)
     if decay is not None and not (np.shape(decay) == (n,) and np.all(np.isfinite(decay)) and np.all(decay > 0)):
         raise ValueError(f"decay of {physics.name!r} is {decay}; expected {n} positive rates in 1/s, one a state")
-    model = _Integrated(physics, picks, substeps, decay)
+    model = Integrated(physics, picks, substeps, decay, _names_of(physics, tuple(unknown)))
     x0 = floats(f"x0 of {physics.name!r}", [s.nominal for s in physics.states] if x0 is None else x0)
     u = np.array([s.nominal for s in physics.inputs]) if operation is None else floats("the input of operation", operation(0.0))
     fits = x0.shape == (n,) and u.shape == (len(physics.inputs),)  # Plant refuses what does not
@@ -208,8 +343,8 @@ def discretise(
         states=physics.states,
         inputs=physics.inputs,
         sensors=tuple(sensors),
-        step=model.step,
-        output=partial(picked, picks) if only_states else model.output,
+        step=IntegratedStep(model),
+        output=partial(picked, picks) if only_states else IntegratedOutput(model),
         dt=dt,
         x0=x0,
         initial_cov=initial_cov,
@@ -228,20 +363,33 @@ def discretise(
     return replace(plant, numerics=replace(plant.numerics, max_dt=longest))
 
 
-def _uncertainty(model: _Integrated, unknown: tuple[Parameter, ...], input_errors: Mapping[str, float]) -> Uncertainty:
-    """The model at other values of its physics' parameters."""
-    c, names = model.physics.parameters, tuple(p.name for p in unknown)
+def _names_of(physics: Physics, unknown: tuple[Parameter, ...]) -> tuple[str, ...]:
+    """The names of the parameters; ValueError for those that the physics does not have, or at another value."""
+    c = physics.parameters
     for p in unknown:
         fields = getattr(c, "_fields", ())
         if p.name not in fields:
             raise ValueError(
-                f"unknown has {p.name!r}, which the parameters of {model.physics.name!r} do not; they are "
+                f"unknown has {p.name!r}, which the parameters of {physics.name!r} do not; they are "
                 f"{', '.join(fields) or 'no NamedTuple'}"
             )
         if getattr(c, p.name) != p.nominal:
             raise ValueError(
                 f"parameter {p.name!r} is nominally {p.nominal}, but {getattr(c, p.name)} in the physics; give both alike"
             )
-    if not unknown:
-        return Uncertainty(inputs=input_errors)
-    return Uncertainty(unknown, partial(model.step_at, names), partial(model.output_at, names), inputs=input_errors)
+    return tuple(p.name for p in unknown)
+
+
+def _uncertainty(model: Integrated, unknown: tuple[Parameter, ...], input_errors: Mapping[str, float]) -> Uncertainty:
+    """The model at other values of its physics' parameters."""
+    if not (unknown or input_errors):
+        return Uncertainty()
+    recorded = model.program is not None
+    return Uncertainty(
+        unknown,
+        model.step_at if unknown else None,
+        model.output_at if unknown else None,
+        model.step_jacobian_at if recorded else None,
+        model.output_jacobian_at if recorded else None,
+        inputs=input_errors,
+    )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -51,9 +52,14 @@ def complex_step_jacobian(function: Callable[[Array], Array], x: Array) -> Array
     `function` maps (..., n) to (..., m) elementwise over the leading axes and must be analytic (no abs, no
     comparison of the values); x is (..., n). The result is (..., m, n).
     """
-    n = x.shape[-1]
-    perturbed = x[..., None, :] + 1j * COMPLEX_STEP * np.eye(n)
-    return np.swapaxes(function(perturbed).imag / COMPLEX_STEP, -1, -2)
+    found: Array = function(x[..., None, :] + _perturbation(x.shape[-1])).imag / COMPLEX_STEP
+    return found.swapaxes(-1, -2)
+
+
+@lru_cache
+def _perturbation(n: int) -> Array:
+    """A complex step of each of n variables, a row for each (n, n)."""
+    return 1j * COMPLEX_STEP * np.eye(n)
 
 
 def complex_step_holds(function: Callable[[Array], Array], x: Array, scale: Array) -> bool:

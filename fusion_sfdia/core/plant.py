@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -118,6 +119,16 @@ class Plant:
         return self.sensor_sigma**2
 
     @cached_property
+    def largest_readings(self) -> Array:
+        """The largest magnitude of a reading of each sensor (N,), in its unit: sigma / ((N + n) eps).
+
+        An update sums over N readings and n states; a term of size |y| rounds the sum by up to (N + n) eps |y|. Where that
+        exceeds the noise sigma, the information of all other sensors is lost. No instrument comes near: its noise would be
+        below the last digits of its reading.
+        """
+        return self.sensor_sigma / ((len(self.sensors) + len(self.states)) * np.finfo(float).eps)
+
+    @cached_property
     def sensor_scale(self) -> Array:
         """Reading of each sensor over what it measures in SI (N,)."""
         return np.array([s.scale for s in self.sensors])
@@ -155,9 +166,9 @@ class Plant:
 
     def check_dt(self, dt: float) -> None:
         """Raise ValueError where the model does not hold for a step of dt seconds."""
-        if not (np.isfinite(dt) and dt > 0):
+        if not (isfinite(dt) and dt > 0):
             raise ValueError(f"a step of {dt} s; times must be finite and increase")
-        if self.numerics.fixed_dt and not np.isclose(dt, self.dt, rtol=1e-9):
+        if self.numerics.fixed_dt and not abs(dt - self.dt) <= 1e-8 + 1e-9 * self.dt:
             raise ValueError(f"a step of {dt} s; plant {self.name!r} holds for {self.dt} s only")
         if dt > self.numerics.max_dt * (1 + 1e-9):
             raise ValueError(
@@ -171,26 +182,35 @@ class Plant:
 
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         """F = d step / d x, (..., n, n)."""
-        if (jacobian := self.numerics.step_jacobian) is not None:
+        if (jacobian := self.jacobians[0]) is not None:
             return self._of_shape("step_jacobian", jacobian(t_start, x, u, dt), len(self.states))
         if self._complex_step_holds[0]:
-            return complex_step_jacobian(lambda p: self.step(t_start, p, np.expand_dims(u, -2), dt), x)
-        return difference_jacobian(lambda p: self.step(t_start, p, np.expand_dims(u, -2), dt), x, self.state_scale)
+            return complex_step_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x)
+        return difference_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x, self.state_scale)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
         """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
-        if (jacobian := self.numerics.output_jacobian) is not None:
+        if (jacobian := self.jacobians[1]) is not None:
             return self._of_shape("output_jacobian", jacobian(t, x, u), len(self.sensors))
         if self._complex_step_holds[1]:
-            return complex_step_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x)
-        return difference_jacobian(lambda p: self.output(t, p, np.expand_dims(u, -2)), x, self.state_scale)
+            return complex_step_jacobian(lambda p: self.output(t, p, u[..., None, :]), x)
+        return difference_jacobian(lambda p: self.output(t, p, u[..., None, :]), x, self.state_scale)
+
+    @cached_property
+    def jacobians(self) -> tuple[StepFunction | None, OutputFunction | None]:
+        """The Jacobians of step and output that are stated, or that they have themselves; None for others."""
+        given = self.numerics
+        return (
+            getattr(self.step, "jacobian", None) if given.step_jacobian is None else given.step_jacobian,
+            getattr(self.output, "jacobian", None) if given.output_jacobian is None else given.output_jacobian,
+        )
 
     @cached_property
     def _complex_step_holds(self) -> tuple[bool, bool]:
         """Whether it agrees with differences for step and for output, at points about x0, where, for example, a valve acts,
         and neither depends on abs, sign or the like, perhaps elsewhere.
         """
-        given = self.numerics.step_jacobian, self.numerics.output_jacobian
+        given = self.jacobians
         x, u, scale = self._points, self.input_at(0.0), self.state_scale
         functions = (lambda p: self.step(0.0, p, u, self.dt)), (lambda p: self.output(0.0, p, u))
         step, output = (

@@ -36,7 +36,7 @@ def in_units(plant: Plant, units: Mapping[str, tuple[str, float]]) -> Plant:
         factor[i] = scale = number(f"scale of sensor {name!r}", scale)
         sigma, bound = s.sigma and s.sigma * abs(scale), s.bound and s.bound * abs(scale)
         sensors[i] = replace(s, unit=unit, sigma=sigma, bound=bound, scale=s.scale * scale)
-    jacobian, finer, feedback = plant.numerics.output_jacobian, plant.truth.finer, plant.truth.feedback
+    jacobian, finer, feedback = plant.jacobians[1], plant.truth.finer, plant.truth.feedback
     return replace(
         plant,
         sensors=tuple(sensors),

@@ -33,8 +33,13 @@ def add(P: Array, Q: Array) -> Array:
     if Q.ndim != 1:
         return P + Q
     total = P.copy()
-    np.einsum("...ii->...i", total)[...] += Q
+    on_diagonal(total)[...] += Q
     return total
+
+
+def on_diagonal(P: Array) -> Array:
+    """The diagonal (..., n) of a contiguous P (..., n, n), to be written to."""
+    return P.reshape(*P.shape[:-2], -1)[..., :: P.shape[-1] + 1]
 
 
 def cholesky(A: Array) -> Array:

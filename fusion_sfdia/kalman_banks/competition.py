@@ -21,6 +21,7 @@ AS_BIAS = 2 / 3  # a bias c looks like a ramp that ends at c (sum k / sum k^2) t
 ABSORBED = 2.0  # evidence by which an earlier onset is preferred to the present sample
 LEAST_WEIGHT = 0.1  # of an alternative to an accepted process hypothesis
 PRIOR = 1e-3  # probability of each hypothesis before any reading
+LOG_PRIOR = float(np.log(PRIOR))
 
 
 class Limits(NamedTuple):
@@ -71,7 +72,7 @@ class Evidence(NamedTuple):
     @property
     def probability(self) -> Array:
         """Probability of each hypothesis (..., N + P), if at most one is true."""
-        half = np.concatenate([self.of_sensors, self.process], axis=-1) / 2 + np.log(PRIOR)
+        half = np.concatenate([self.of_sensors, self.process], axis=-1) / 2 + LOG_PRIOR
         top = np.maximum(np.max(half, axis=-1, keepdims=True), 0.0)
         weight = np.exp(half - top)
         return np.asarray(weight / (np.sum(weight, axis=-1, keepdims=True) + np.exp(-top)))
@@ -89,13 +90,13 @@ def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: 
     """
     count, both = one_sample.shape[-1], slow.evidence.shape[-1]
     far = slow.evidence > recent.evidence[..., :both]
-    merged = [np.where(far, s, r[..., :both]) for s, r in zip(slow[:4], recent[:4], strict=True)]
-    whole = [np.concatenate([m, r[..., both:]], axis=-1) for m, r in zip(merged, recent[:4], strict=True)]
-    statistic, size, information, evidence = whole
+    merged = np.array(recent[:4])  # statistic, size, information and evidence of the window with more evidence
+    np.copyto(merged[..., :both], np.array(slow[:4]), where=far)
+    statistic, size, information, evidence = merged
     evidence[..., count:] -= handicap
-    length = np.where(far, np.take_along_axis(age, slow.slot, axis=-1) * AS_BIAS, 1.0)
     level = size.copy()
-    level[..., :both] *= length
+    if far.any():
+        level[..., :both] *= np.where(far, np.take_along_axis(age, slow.slot, axis=-1) * AS_BIAS, 1.0)
     return Evidence(
         level,
         far[..., :count], statistic[..., :count], size[..., :count], information[..., :count], evidence[..., :count],
@@ -149,6 +150,8 @@ def _beginning_now(found: LeaveOneOut, present: Present) -> Array:
 
 def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array:
     """Whether the isolated sensor (...) has more evidence by the windows than by the sample: the filter has absorbed it."""
+    if not isolated.any():
+        return np.zeros(sensor.shape, bool)
     with np.errstate(invalid="ignore"):  # -inf - -inf of a sensor that is not used
         more = value_at(evidence.sensor - evidence.one_sample, sensor) > ABSORBED
     return np.asarray(value_at(isolated, sensor) & more)
@@ -156,6 +159,8 @@ def absorbed_before(evidence: Evidence, isolated: Array, sensor: Array) -> Array
 
 def led_by(led: Array, leads: Array, fault: Array) -> Array:
     """Samples in a row in which a sensor leads (..., N), with the sign of its fault, so far `led`."""
+    if not leads.any():
+        return np.zeros(led.shape)
     sign = np.where(fault < 0, -1.0, 1.0)
     return np.where(leads, np.where(led * sign > 0, led + sign, sign), 0.0)
 
@@ -171,12 +176,14 @@ class Accepted(NamedTuple):
 
 def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
     """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
+    sensor, process = np.argmax(evidence.sensor, axis=-1), np.argmax(evidence.process, axis=-1)
+    if not ((evidence.statistic_s > limits.window).any() or (evidence.statistic_p > limits.process).any()):
+        none = np.zeros(sensor.shape, bool)
+        return Accepted(sensor, none, process, none)
     large, count = np.abs(evidence.level) >= limits.smallest, evidence.sensor.shape[-1]
-    sensor = np.argmax(evidence.sensor, axis=-1)
     of_sensor, statistic = (value_at(v, sensor) for v in (evidence.sensor, evidence.statistic_s))
     is_sensor = where & (statistic > limits.window) & (of_sensor - evidence.best_process > limits.sensor_margin)
     is_sensor = is_sensor & value_at(large, sensor)
-    process = np.argmax(evidence.process, axis=-1)
     of_process, statistic = (value_at(v, process) for v in (evidence.process, evidence.statistic_p))
     lead = of_process - np.max(evidence.of_sensors, axis=-1)
     is_process = where & (statistic > limits.process) & (lead > limits.process_margin)
@@ -186,6 +193,8 @@ def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
 
 def suspects(evidence: Evidence, undecided: Array, margin: float) -> Array:
     """The hypotheses (..., N + P) within the margin of the best, where an alarm is undecided (...)."""
+    if not undecided.any():
+        return np.zeros(evidence.level.shape, bool)
     every = np.concatenate([evidence.of_sensors, evidence.process], axis=-1)
     top = np.max(every, axis=-1, keepdims=True)
     return np.asarray(undecided[..., None] & (every > top - margin))

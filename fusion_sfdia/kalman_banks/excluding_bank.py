@@ -96,6 +96,20 @@ class ExcludingBank(BatchDetector):
         Return the exclusions and the Decision.
         """
         plant, (x, p, prior, joint, found) = self.model, update
+        common = {
+            "estimate": x, "diverged": prior.lost | broken(x, p), "guarded": prior.guarded,
+            "nis": normalised_innovation_squared(joint, found, y), "covariance": p, "capped": tested.capped,
+        }  # fmt: skip
+        if tested.usable.all() and not tested.isolated.any():  # no reading to replace, none to compare with the others
+            decision = Decision(
+                reconstruction=y.copy(),
+                residual=tested.residual,
+                threshold=tested.threshold,
+                isolated=tested.isolated,
+                fault_size=np.full(y.shape, np.nan),
+                **common,
+            )
+            return exclusion, decision
         expected = plant.output(now.t, x, u)
         h = plant.output_jacobian_at(now.t, x, u)
         variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
@@ -106,16 +120,11 @@ class ExcludingBank(BatchDetector):
         held = exclusion.out if self.accommodate else tested.isolated
         outside = np.isfinite(y) & ~tested.usable
         decision = Decision(
-            estimate=x,
             reconstruction=np.where(np.isfinite(y) & ~held, y, expected),
             residual=np.where(outside, error, np.where(tested.usable, tested.residual, np.nan)),
             threshold=np.where(outside, np.sqrt(tested.limit * variance), tested.threshold),
             isolated=held,
             fault_size=np.where(held, exclusion.size if self.accommodate else tested.size, np.nan),
-            diverged=prior.lost | broken(x, p),
-            guarded=prior.guarded,
-            nis=normalised_innovation_squared(joint, found, y),
-            covariance=p,
-            capped=tested.capped,
+            **common,
         )
         return exclusion, decision

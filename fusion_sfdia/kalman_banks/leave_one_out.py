@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse
+from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, on_diagonal
+from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
 
@@ -58,6 +59,15 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     """Return the leave-one-out statistics of the readings y (..., N) where `used` holds; NaN readings are not used."""
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
+    if joint.S.ndim > 2 and joint.S.shape[-1] < ONE_BY_ONE:
+        batch, N = d.shape[:-1], d.shape[-1]
+        half, s_inv, scores, whitened, weight = bank_kernels.inverted(
+            bank_kernels.common(joint.S, batch, 2), bank_kernels.runs(d, batch), bank_kernels.runs(used, batch)
+        )
+        if len(batch) > 1:
+            half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
+            scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
+        return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
     half = half_inverse(joint.S) if np.all(used) else half_inverse(joint.S, used)
     half_t = np.swapaxes(half, -1, -2)
     s_inv = half @ half_t
@@ -93,7 +103,7 @@ def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     w = joint.C @ (found.half if found.half is not None else half_inverse(joint.S, found.used))
     p = joint.P - w @ np.swapaxes(w, -1, -2)
     floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
-    np.einsum("...ii->...i", p)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
+    on_diagonal(p)[...] += floor * joint.P.diagonal(axis1=-2, axis2=-1)
     return consider(joint, x, p)
 
 
@@ -117,4 +127,5 @@ def one_hot(index: Array, count: int) -> Array:
 
 def value_at(v: Array, index: Array) -> Array:
     """The values (...) of v (..., q) at an index (...)."""
-    return np.asarray(np.take_along_axis(v, index[..., None], axis=-1)[..., 0])
+    rows = v.reshape(-1, v.shape[-1])
+    return np.asarray(rows[np.arange(len(rows)), index.ravel()].reshape(index.shape))

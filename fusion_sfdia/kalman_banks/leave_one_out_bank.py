@@ -16,6 +16,7 @@ the
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,7 +80,7 @@ class LeaveOneOutBank(ExcludingBank):
         super().__post_init__()
         whole("window, in samples,", self.window, least=1)
 
-    @property
+    @cached_property
     def limits(self) -> tuple[float, float]:
         """Thresholds on the one-sample statistic and on those of the window: chi-square quantiles with 1 degree of freedom."""
         count, scale = len(self.plant.sensors), self.threshold_scale
@@ -88,10 +89,15 @@ class LeaveOneOutBank(ExcludingBank):
         half = self.false_alarm / 2 / count
         return float((scale * ndtri(half / 2)) ** 2), float((scale * ndtri(half / (self.window - 1) / 2)) ** 2)
 
-    @property
+    @cached_property
     def _grid(self) -> Grid:
         """The onsets of the window: the present one, which is the one-sample test, and those before it."""
         return Grid(self.window if self.window > 1 else 0)
+
+    @cached_property
+    def _bias(self) -> Array:
+        """A bias changes the readings by the same in all steps since any onset."""
+        return np.ones(self.window)
 
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
@@ -107,29 +113,30 @@ class LeaveOneOutBank(ExcludingBank):
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
         found, isolated, capped = self._eliminate(everything, exclusion.out)
-        size, residual = everything.innovation, everything.innovation
+        size = residual = everything.innovation
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
             window = shifted(window, self._grid, now.k)
-            effect = Effect(np.ones(self.window))
+            effect = Effect(self._bias)
             H = joint.H if joint.H is not None else plant.output_jacobian_at(t, prior.core.x, u)
             onsets = weigh(window, tangent, H, everything, effect)
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
-            stronger = best.statistic / window_limit > everything.chi_square / one_limit
+            stronger = best.statistic / window_limit > everything.whitened * residual / one_limit
             residual = np.where(stronger, best.size, residual)
             threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
-            worst = np.argmax(best.statistic, axis=-1)
-            further = ~np.any(isolated, axis=-1) & (np.max(best.statistic, axis=-1) > window_limit)
-            room = np.sum(exclusion.out, axis=-1) < self.most_faults
-            capped = capped | (further & ~room)
-            chosen = (further & room)[..., None] & one_hot(worst, y.shape[-1])
-            size = np.where(chosen, best.size, size)
-            if np.any(chosen) and self.accommodate:
-                joint = est.joint(plant, prior := _without_fault(prior, onsets, best, worst, chosen), t, u)
-                found, isolated, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
-                capped = capped | again
-            isolated = isolated | chosen
+            further = (best.statistic > window_limit).any(axis=-1) & ~isolated.any(axis=-1)
+            if further.any():
+                worst = np.argmax(best.statistic, axis=-1)
+                room = np.sum(exclusion.out, axis=-1) < self.most_faults
+                capped = capped | (further & ~room)
+                chosen = (further & room)[..., None] & one_hot(worst, y.shape[-1])
+                size = np.where(chosen, best.size, size)
+                if np.any(chosen) and self.accommodate:
+                    joint = est.joint(plant, prior := _without_fault(prior, onsets, best, worst, chosen), t, u)
+                    found, isolated, again = self._eliminate(statistics(joint, y, usable & ~chosen), exclusion.out | chosen)
+                    capped = capped | again
+                isolated = isolated | chosen
         if not self.accommodate:
             found = everything
         x, p = posterior(joint, found)
@@ -151,8 +158,10 @@ class LeaveOneOutBank(ExcludingBank):
         limit, _ = self.limits
         while True:
             chi_square = found.chi_square
+            above = np.any(chi_square > limit, axis=-1)
+            if not above.any():
+                return found, isolated, above
             worst = np.argmax(chi_square, axis=-1)
-            above = np.max(chi_square, axis=-1) > limit
             where = above & (np.sum(out | isolated, axis=-1) < self.most_faults)
             if not np.any(where):
                 return found, isolated, above

@@ -20,6 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.filters.gaussian import ONE_BY_ONE
+from fusion_sfdia.kalman_banks import bank_kernels
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
 Array = NDArray[Any]
@@ -49,17 +51,17 @@ class Grid(NamedTuple):
         sizes = [self.finest * 2**level for level in range(self.levels)]
         return sorted({(step // size - i) * size for size in sizes for i in range(self.latest)}, reverse=True)
 
-    def moves(self, step: int) -> list[int] | None:
-        """For each slot but the first, the slot in which its onset was in the step before; None where all stay."""
+    def moves(self, step: int) -> Array | None:
+        """For each slot, that in which its onset was in the step before, -1 for the present onset; None where all stay."""
         return _moves(self, step % (self.finest * 2 ** (self.levels - 1)))
 
 
 @lru_cache(maxsize=4096)
-def _moves(grid: Grid, step: int) -> list[int] | None:
+def _moves(grid: Grid, step: int) -> Array | None:
     if step % grid.finest:
         return None
     before = {onset: slot for slot, onset in enumerate(grid.onsets(step - 1))}
-    return [before[onset] for onset in grid.onsets(step)[1:]]
+    return np.array([-1, *(before[onset] for onset in grid.onsets(step)[1:])])
 
 
 class Window(NamedTuple):
@@ -130,12 +132,16 @@ def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind
 def shifted(window: Window, grid: Grid, step: int) -> Window:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
     eta, a, b, age = window
-    places = grid.moves(step)
-    if places is not None:
-        eta, a, b, age = (np.asarray(np.take(v, [0, *places], axis)) for v, axis in zip(window, (-3, -2, -2, -1), strict=True))
-        for new in (eta[..., :1, :, :], a[..., :1, :], b[..., :1, :], age[..., :1]):
-            new[...] = 0.0
-    return Window(eta, a, b, age + 1)
+    if (places := grid.moves(step)) is None:
+        return Window(eta, a, b, age + 1)
+    batch = age.shape[:-1]
+    eta, a, b, age = (bank_kernels.runs(v, batch) for v in window)
+    return _window(batch, *bank_kernels.shift(eta, a, b, age, places))
+
+
+def _window(batch: tuple[int, ...], *arrays: Array) -> Window:
+    """The window of a batch from arrays (B, ..)."""
+    return Window(*arrays) if len(batch) == 1 else Window(*(v.reshape(*batch, *v.shape[1:]) for v in arrays))
 
 
 def weigh(
@@ -148,14 +154,33 @@ def weigh(
     """
     assert found.half is not None and found.scores is not None
     kind = window.eta.dtype
-    eta = _predicted(window, tangent.astype(kind, copy=False), effect, still)
-    readout = _read(output_jacobian)
+    readout = output_jacobian
     half = np.swapaxes(found.half, -1, -2).astype(kind)
+    if _written_out(window, readout):
+        batch, once = window.age.shape[:-1], 0 if effect.once is None else int(np.sum(effect.once))
+        eta, a, b = (np.array(bank_kernels.runs(v, batch)) for v in window[:3])
+        age = bank_kernels.runs(window.age, batch)
+        change = np.empty((1, tangent.shape[-1], 0), kind)
+        if effect.state is not None:
+            change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
+        bank_kernels.weighed(
+            eta, a, b, age, bank_kernels.common(tangent.astype(kind, copy=False), batch, 2), change, once,
+            bank_kernels.common(readout.astype(kind, copy=False), batch, 2), bank_kernels.runs(half, batch),
+            bank_kernels.runs(found.scores.astype(kind, copy=False), batch), bank_kernels.common(effect.readings, batch, 1),
+        )  # fmt: skip
+        return Weighed(_window(batch, eta, a, b, age), readout, effect.readings)
+    readout = _read(output_jacobian)
+    eta = _predicted(window, tangent.astype(kind, copy=False), effect, still)
     M = (half @ -readout).astype(kind)[..., None, :, :] @ eta[..., : readout.shape[-1], :]  # U' M
     M[..., : half.shape[-1]] += _direct(half, effect.readings)
     a = window.a + (found.scores.astype(kind)[..., None, None, :] @ M)[..., 0, :]
     b = window.b + np.einsum("...ij,...ij->...j", M, M)
     return Weighed(Window(eta, a, b, window.age), readout, effect.readings)
+
+
+def _written_out(window: Window, readout: Array) -> bool:
+    """Whether the products are so small that compiled loops take less time than calls of the library."""
+    return bool(readout.shape[-2] < ONE_BY_ONE and window.eta.shape[-2] < 2 * ONE_BY_ONE)
 
 
 def _direct(weights: Array, readings: Array) -> Array:
@@ -206,23 +231,14 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
     usable (..., q). size (q,) or (..., L, q): standard deviation of the hypothesis's size before any reading. The evidence of
     an onset is that of `averaged`.
     """
-    a, b = weighed.window.a[..., first:, :], weighed.window.b[..., first:, :]
-    spread = np.square(size) if np.ndim(size) == 1 else np.square(size[..., first:, :])
-    known = usable[..., None, :] & (b * spread > LEAST_INFORMATION)
-    slot = np.argmax(np.where(known, a, 0.0) ** 2 / np.where(known, b, 1.0), axis=-2)
-    a, b, expected, known = (_at(v, slot) for v in (a, b, b * spread, known))
-    information = np.where(known, b, 1.0)
-    size = np.where(known, a, 0.0) / information
-    statistic = size**2 * information
-    evidence = np.where(known, averaged(statistic, expected), -np.inf)
-    return Best(statistic, size, information, evidence, slot + first)
-
-
-def _at(v: Array, slot: Array) -> Array:
-    """The values of v (..., L, q) in a slot for each hypothesis (..., q)."""
-    rows = v.reshape(-1, *v.shape[-2:])
-    slots = slot.reshape(len(rows), -1)
-    return np.asarray(rows[np.arange(len(rows))[:, None], slots, np.arange(v.shape[-1])].reshape(slot.shape))
+    _, a, b, age = weighed.window
+    batch = age.shape[:-1]
+    spread = size[None, None] if size.ndim == 1 else bank_kernels.common(size, batch, 2)
+    found = bank_kernels.best(
+        bank_kernels.runs(a, batch), bank_kernels.runs(b, batch), bank_kernels.runs(usable, batch), spread, first,
+        LEAST_INFORMATION,
+    )  # fmt: skip
+    return Best(*found) if len(batch) == 1 else Best(*(v.reshape(*batch, -1) for v in found))
 
 
 def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:
@@ -242,11 +258,22 @@ def updated(weighed: Weighed, gain: Array, restart: Array) -> Window:
     """
     (before, a, b, age), readout, readings = weighed
     kind, read = before.dtype, readout.shape[-1]
+    if _written_out(weighed.window, readout):
+        batch = age.shape[:-1]
+        eta = np.array(bank_kernels.runs(before, batch))
+        K, H = (bank_kernels.common(v.astype(kind, copy=False), batch, 2) for v in (gain, readout))
+        bank_kernels.corrected(eta, K, H, bank_kernels.common(readings, batch, 1))
+        return _restarted(Window(eta.reshape(before.shape), a, b, age), restart)
     eta = (gain @ -readout).astype(kind)[..., None, :, :] @ before[..., :read, :]  # K M = K D - K H eta
     eta += before
     eta[..., : gain.shape[-1]] += _direct(gain.astype(kind, copy=False), readings)
-    if not np.any(restart):
-        return Window(eta, a, b, age)
+    return _restarted(Window(eta, a, b, age), restart)
+
+
+def _restarted(window: Window, restart: Array) -> Window:
+    """The window without what the runs `restart` (...) have summed so far."""
+    if not restart.any():
+        return window
     keep = ~restart[..., None]
     sums = keep[..., None]
-    return Window(eta * sums[..., None], a * sums, b * sums, age * keep)
+    return Window(window.eta * sums[..., None], window.a * sums, window.b * sums, window.age * keep)

@@ -143,8 +143,10 @@ class RobustBank(ExcludingBank):
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
         stands = np.any(standing.accepted, axis=-1)
         lately = stands & (standing.since <= LATELY)
-        limits = self._limits._replace(sensor_margin=np.where(stands, self.process_margin, self.sensor_margin))
-        handicap = np.where(stands[..., None], 0.0, of.handicap)
+        limits, handicap = self._limits, of.handicap
+        if stands.any():
+            limits = limits._replace(sensor_margin=np.where(stands, self.process_margin, self.sensor_margin))
+            handicap = np.where(stands[..., None], 0.0, handicap)
         prior = self._predict(estimate, standing, now, u)
         joint = est.joint(of.model, prior, now.t, u)
         usable = np.isfinite(y) & ~exclusion.out
@@ -153,20 +155,22 @@ class RobustBank(ExcludingBank):
         one = one_sample_evidence(everything, of.recent_sizes[:count])
         evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.window.age, one, handicap)
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
-        present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
         unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
         room = np.where(unexplained, 0, room)
-        isolated, capped = eliminated(everything, evidence, present, limits, room)
+        isolated, capped = np.zeros(y.shape, bool), np.zeros(y.shape[:-1], bool)
+        if (everything.chi_square > limits.one).any():
+            present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
+            isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
         capped = (capped | (by_windows.is_sensor & (room < 1))) & ~unexplained
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
         isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
         led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
         isolated = isolated & (np.abs(led) >= np.where(lately, PERSISTENT, 1)[..., None])
-        reopened = np.any(isolated, axis=-1) & lately & ~standing.reopened & self.accommodate
+        reopened = isolated.any(axis=-1) & lately & ~standing.reopened & self.accommodate
         isolated = isolated & ~reopened[..., None]
         freed = absorbed_before(evidence, isolated, by_windows.sensor)
-        if self.accommodate and np.any(freed | process | reopened):
+        if self.accommodate and (freed | process | reopened).any():
             rivals = alternatives(evidence, by_windows, self.process_margin)
             standing = self._stand(standing, by_windows, evidence, prior, rivals > 0)
             standing = standing._replace(reopened=standing.reopened | reopened)
@@ -175,19 +179,20 @@ class RobustBank(ExcludingBank):
             prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
             joint = est.joint(of.model, prior, now.t, u)
         found = everything
-        if self.accommodate and np.any(freed | process | reopened | np.any(isolated, axis=-1)):
+        if self.accommodate and (freed | process | reopened | isolated.any(axis=-1)).any():
             found = statistics(joint, y, usable & ~isolated)
         x, p = posterior(joint, found)
-        restart = (np.any(isolated, axis=-1) | process | reopened) & self.accommodate
+        restart = (isolated.any(axis=-1) | process | reopened) & self.accommodate
         K = gain(joint, found.inverse)
         recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)
         quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
-        held = exclusion.out | isolated
         quiet = quiet & ~unexplained[..., None]
-        fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
-        quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
+        if quiet.any():
+            held = exclusion.out | isolated
+            fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
+            quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
         if self.accommodate:
             exclusion = restored(exclusion, (process | unexplained)[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, found)
@@ -231,8 +236,9 @@ class RobustBank(ExcludingBank):
     def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
         """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
         one, window, *_ = self._limits
-        stronger = evidence.statistic_s / window > everything.chi_square / one
-        residual = np.where(stronger, evidence.size_s, everything.innovation)
+        innovation = everything.innovation
+        stronger = evidence.statistic_s / window > everything.whitened * innovation / one
+        residual = np.where(stronger, evidence.size_s, innovation)
         threshold = np.sqrt(np.where(stronger, window / evidence.information_s, one * everything.variance))
         return SensorTests(usable, isolated, residual, threshold, residual, capped, one)
 

@@ -90,6 +90,8 @@ def with_accepted(now: Standing, which: Array, rivals: Array, z: Array, size: Ar
 def followed(now: Standing, z: Array, variance: Array) -> Standing:
     """Release what no longer differs, accept rivals that do: augmented states z (..., p), their variances, after an update."""
     left = np.where(now.left * DECAY >= LEAST, now.left * DECAY, 0.0)
+    if not (now.accepted.any() or now.rival.any()):
+        return now._replace(left=left, since=now.since + 1)
     p, by = z.shape[-1], np.abs(z - now.before) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     own = now.accepted[..., :p] & (by > RELEASE) | now.rival & (by > CONFIRM)
     accepted = np.concatenate([own, now.accepted[..., p:] & (left > 0)], axis=-1)
@@ -99,6 +101,8 @@ def followed(now: Standing, z: Array, variance: Array) -> Standing:
 
 def sizes(now: Standing, above: Array, variance: Array) -> tuple[Array, Array]:
     """Size and standard deviation (..., P), NaN where not accepted; above: augmented states less their nominal values."""
+    if not now.accepted.any():
+        return np.full(now.accepted.shape, np.nan), np.full(now.accepted.shape, np.nan)
     size = np.concatenate([above, now.size], axis=-1)
     sd = np.concatenate([np.sqrt(variance), now.sd], axis=-1)
     return np.where(now.accepted, size, np.nan), np.where(now.accepted, sd, np.nan)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from toy_plants import Array, chain, readings, tanks
 
-from fusion_sfdia.core.border import InputLimits, largest_readings, possible
+from fusion_sfdia.core.border import InputLimits, possible
 from fusion_sfdia.core.detector import Decision, run
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.physics import Physics
@@ -27,7 +27,7 @@ FREE = replace(PLANT, inputs=(Signal("inflow", "m3/s", INFLOW),))  # without dec
 
 
 def test_a_possible_reading_resolves_its_noise_and_an_absurd_one_is_missing() -> None:
-    limit = largest_readings(PLANT)
+    limit = PLANT.largest_readings
     terms = len(PLANT.sensors) + len(PLANT.states)  # floats at y lie eps |y| / 2 to eps |y| apart
     assert np.all(terms * np.spacing(limit) <= PLANT.sensor_sigma)
     assert np.all(terms * np.spacing(2.001 * limit) >= PLANT.sensor_sigma)
@@ -35,7 +35,7 @@ def test_a_possible_reading_resolves_its_noise_and_an_absurd_one_is_missing() ->
     np.testing.assert_array_equal(possible(PLANT, y), np.where(np.abs(y) > limit, np.nan, y))
     factor = np.array([1e-5, 1e3, 1.0, 1.0])
     converted = PLANT.in_units({s.name: ("other", f) for s, f in zip(PLANT.sensors, factor, strict=True)})
-    np.testing.assert_allclose(largest_readings(converted), factor * limit, rtol=1e-14)
+    np.testing.assert_allclose(converted.largest_readings, factor * limit, rtol=1e-14)
 
 
 def test_a_large_possible_reading_does_not_affect_the_others() -> None:
@@ -44,7 +44,7 @@ def test_a_large_possible_reading_does_not_affect_the_others() -> None:
     t, _, y, u = readings(plant, 40, 4, seed=1)
     bank = LeaveOneOutBank(plant, window=1)
     y = y.copy()
-    y[20, :, 2] = 0.01 * largest_readings(plant)[2]
+    y[20, :, 2] = 0.01 * plant.largest_readings[2]
     _, d = run(bank, bank.init((4,)), t, y, u)
     gone = y.copy()
     gone[20, :, 2] = np.nan

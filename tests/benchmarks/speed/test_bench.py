@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.engine.support.campaign import truth
 from fusion_sfdia.benchmarks.speed import bank, bench, model, scaling
 from fusion_sfdia.benchmarks.speed.support import engine_modules, lorenz_96
@@ -83,6 +84,7 @@ def test_each_part_has_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(part, "gas_pipeline", small)
     monkeypatch.setattr(scaling, "NODES", (9, 13))
     monkeypatch.setattr(scaling, "BANK_NODES", (13,))
+    monkeypatch.setattr(registry, "plants", lambda: ("two-tanks",))
     rows = bench.run([], tmp_path, seconds=SHORT)
     assert {r.scenario for r in rows} == {f"bench/{part}" for part in bench.PARTS}
     assert all(np.isfinite(r.value) and r.value > 0 and r.n > 0 and r.published is None for r in rows)
@@ -91,6 +93,16 @@ def test_each_part_has_its_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     for kind in ("ekf", "ukf", "enkf"):
         for quantity, where in (("single", ""), ("filterpy", ""), ("filterpy", "compiled model")):
             assert ("bench/bank", f"fusing-{kind}", quantity, where, "speedup") in keys
+    for detector in ("loo-glr", "robust-glr"):
+        time = {
+            r.quantity: r.value
+            for r in rows
+            if r.scenario == "bench/stream" and r.metric == "step_time" and r.detector == "none"
+        }
+        ratio = {r.condition: r.value for r in rows if r.detector == detector and r.metric == "ratio"}
+        taken = [r.value for r in rows if r.detector == detector and r.quantity == "one stream" and r.metric == "step_time"]
+        assert taken == pytest.approx([ratio["model step"] * (time["step"] + time["Jacobian"])])
+        assert taken == pytest.approx([ratio["product of 256"] * time["product of 256"]])
     memory = {r.quantity: r.value for r in rows if r.metric == "peak_memory" and r.detector == "fusing-enkf"}
     # an ensemble of 40 members with 27 states is 8640 bytes: a handful of copies, never a thousand
     assert 8640 < memory["9 nodes"] < 100 * 8640
@@ -103,7 +115,7 @@ def test_the_command_prints_what_it_measured(capsys: pytest.CaptureFixture[str])
     assert {r["scenario"] for r in printed} == {"bench/model"} and all(r["value"] > 0 for r in printed)
     assert main(["bench", "model", "--seconds", "0.001"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == len(printed) and lines[0].split()[:3] == ["model", "none", "step"]
+    assert len(lines) == len(printed) and lines[0].split()[:3] == ["model", "gas-pipeline", "none"]
     assert main(["bench", "bnak"]) == 2 and "unknown part bnak" in capsys.readouterr().err
 
 

@@ -1,0 +1,84 @@
+"""Compiled loops of the banks give what the library gives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from toy_plants import Array, tanks
+
+from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.kalman_banks import leave_one_out, likelihood_window
+from fusion_sfdia.kalman_banks.leave_one_out import statistics
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.kalman_banks.robust_bank import RobustBank
+
+EPS = np.finfo(float).eps
+
+
+@pytest.fixture
+def library() -> Iterator[pytest.MonkeyPatch]:
+    """Within its context all products are left to the library."""
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+def _to_the_library(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(leave_one_out, "ONE_BY_ONE", 0)
+    patch.setattr(likelihood_window, "ONE_BY_ONE", 0)
+
+
+def test_statistics_are_those_of_the_inverse(library: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    root = rng.standard_normal((3, 2, 5, 5)) * [1e-3, 1.0, 1e2, 1e5, 1.0]
+    S = root.swapaxes(-1, -2) @ root
+    S[2, 1] = -np.eye(5)  # no covariance: NaN there alone
+    y, used = rng.standard_normal((3, 2, 5)), rng.random((3, 2, 5)) < 0.8
+    joint = Joint(np.zeros((3, 2, 1)), np.ones((3, 2, 1, 1)), np.zeros((3, 2, 5)), S, np.zeros((3, 2, 1, 5)))
+    found = statistics(joint, y, used)
+    _to_the_library(library)
+    expected = statistics(joint, y, used)
+    whole = np.ones((3, 2), bool)
+    whole[2, 1] = False
+    scale = np.sqrt(np.diagonal(S[whole], axis1=-2, axis2=-1))
+    unit = np.linalg.cond(S[whole] / (scale[..., :, None] * scale[..., None, :])).max()
+    for name, factor in (("whitened", scale), ("weight", scale**2), ("inverse", scale[..., None] * scale[..., None, :])):
+        a, b = getattr(found, name)[whole] * factor, getattr(expected, name)[whole] * factor
+        np.testing.assert_allclose(a, b, atol=50 * EPS * unit * np.abs(b).max())
+    assert found.half is not None
+    product = found.half @ found.half.swapaxes(-1, -2)
+    np.testing.assert_allclose(product[whole], found.inverse[whole], rtol=1e-12, atol=0)
+    assert not found.weight[whole][~used[whole]].any() and np.isnan(found.weight[2, 1][used[2, 1]]).all()
+
+
+def _faulty(plant: Plant) -> tuple[Array, Array, Array]:
+    healthy = simulate(plant, 60, [1, 2], truth="model")
+    y = healthy.y.copy()
+    y[20:40, 0, 1] += 6.0 * plant.sensor_sigma[1]
+    y[30:, 1, 3] += 3.0 * plant.sensor_sigma[3]
+    y[10:15, 1, 0] = np.nan
+    return healthy.t, y, healthy.u
+
+
+@pytest.mark.parametrize(("bank", "rounding"), [(LeaveOneOutBank, EPS), (RobustBank, np.finfo(np.float32).eps)])
+def test_a_bank_decides_as_by_the_library(
+    bank: type[LeaveOneOutBank] | type[RobustBank], rounding: float, library: pytest.MonkeyPatch
+) -> None:
+    plant = tanks()
+    data = _faulty(plant)
+
+    def decisions() -> Decision:
+        detector = bank(plant)
+        return run(detector, detector.init((2,), t=-plant.dt), *data)[1]
+
+    found = decisions()
+    _to_the_library(library)
+    expected = decisions()
+    assert expected.isolated[25, 0, 1] and expected.isolated[-1, 1, 3]
+    np.testing.assert_array_equal(found.isolated, expected.isolated)
+    scale = np.abs(expected.residual).max(axis=(0, 1))
+    np.testing.assert_allclose(found.residual / scale, expected.residual / scale, rtol=0, atol=1e3 * rounding)
