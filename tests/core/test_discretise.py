@@ -10,13 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from toy_plants import changed, tank_physics, tanks
 
-from fusion_sfdia.core.discretise import (
-    discretise,
-    exponential_midpoint,
-    runge_kutta_4,
-    solve_algebraic,
-)
+from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.integration import exponential_midpoint, runge_kutta_4, solve_algebraic
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal

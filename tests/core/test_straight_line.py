@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from toy_plants import Array
 
-from fusion_sfdia.core.discretise import Integrated, discretise
+from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.integration import Integrated
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal

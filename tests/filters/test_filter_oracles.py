@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import runge_kutta_4
+from fusion_sfdia.core.integration import runge_kutta_4
 from fusion_sfdia.filters import ekf, enkf, ukf
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.gaussian import condition

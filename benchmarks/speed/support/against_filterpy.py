@@ -14,8 +14,8 @@ import numpy as np
 from filterpy.kalman import EnsembleKalmanFilter, ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.discretise import runge_kutta_4
 from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.integration import runge_kutta_4
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.gaussian import dense
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters, pipeline_physics

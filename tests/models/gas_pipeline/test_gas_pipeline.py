@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 from rounding import rounding
 
-from fusion_sfdia.core.discretise import runge_kutta_4
 from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.integration import runge_kutta_4
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.gas_pipeline import equations
