@@ -60,7 +60,7 @@ def choices(rows: Sequence[comparison.Row]) -> str:
                 *(values(detector, "graded-10-sigma", "exact_isolation"), mismatch),
             )
         )
-    lines.insert(1, doubting())
+    lines.insert(0, doubting())
     header = (
         "situation",
         "detector",
