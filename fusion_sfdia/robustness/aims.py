@@ -31,7 +31,9 @@ EXACT_BIAS, EXACT_DRIFT = (f"exact isolation under mismatch, {kind} 10 sigma" fo
 NAME, PROCESS_VERDICT = "right name of the process fault", "process verdict, process faults"
 OF_SENSORS = "process verdict, sensor faults of 10 and 30 sigma"
 NOTHING_DECLARED = "From a log alone no cause is declared that the fault could have"
+SMALL_STEPS = "A step is short: many small operations for hypotheses of the process, which a single stream pays one by one."
 REASONS: dict[tuple[str, str], str] = {
+    **{(plant, "time of a step"): SMALL_STEPS for plant in ("two-tanks", "marine-engine", "power-network")},
     ("two-tanks", FALSE_UNSEEN): "Outlets that widen by 6 % in 2000 s change 500 times as fast as declared: the estimate lags, "
     "and a bias explains a slow difference of one level as well. From a log alone, outlets off to opposite sides do the same.",
     ("two-tanks", EXACT_BIAS): "The area of the tanks is not declared. Each swing of the inflow calls for a verdict on the "
