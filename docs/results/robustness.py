@@ -32,12 +32,12 @@ that is wrong, under faults of the process and under slow drifts, and what commi
 changes. In brackets 95 % intervals over seeds: 24 of them for `loo-glr` and `robust-glr`, 6 or 12 for their rivals."""
 
 GAINS = """**What knowing more gains.** Commissioned on a healthy log, `robust-glr` isolates a healthy sensor in at most a few
-percent of the samples, in any mismatch case and under any process fault of the four plants. Estimating what the plant declares (on
-augmented) cures its rivals of most of the mismatch: most of them in the median case, and `uio` in nearly all, at the price of small
-faults. Commissioning alone cures them where the log shows the mismatch, and not of what changes after it. Neither helps
-against faults of the process, which all but `robust-glr` and, where an input fails, `uio` attribute to sensors. From a log
-alone `robust-glr`, too, takes a process fault for a sensor fault where it shows in the readings at once: without a declared
-cause nothing tells it from a bias."""
+percent of the samples, in any mismatch case and under any process fault of the four plants. Estimating what the
+plant declares (on augmented) cures its rivals of most of the mismatch: most of them in the median case, and `uio`
+in nearly all, at the price of small faults. Commissioning alone cures them where the log shows the mismatch, and
+not of what changes after it. Neither helps against faults of the process, which all but `robust-glr` and, where an
+input fails, `uio` attribute to sensors. From a log alone `robust-glr`, too, takes a process fault for a sensor
+fault where it shows in the readings at once: without a declared cause nothing tells it from a bias."""
 
 
 def rounded(row: Row) -> Row:
