@@ -34,7 +34,7 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
         call(capsys, "simulate", *plant, "--steps", "250", "--seed", seed, "--process-noise", "--out", f"{name}.csv")
     tune = ("tune", *plant, "--healthy", "a.csv", "--healthy", "b.csv", "--false-alarm", "0.02")
     code, out, err = call(capsys, *tune)
-    assert code == 0 and out.startswith("loo-glr on chain, ") and out.endswith("in tuned.toml\n")
+    assert code == 0 and out.startswith("robust-glr on chain, ") and out.endswith("in tuned.toml\n")
     assert "learning from 500 samples" in err
     written = tomllib.loads(Path("tuned.toml").read_text())
     assert [row["file"] for row in written["healthy"]] == ["a.csv", "b.csv"]
