@@ -29,7 +29,8 @@ ABOUT = """# When the model is wrong
 
 `fusion-sfdia run robustness`: no plant is its model. The tables show what detectors do with a model that is right, with one
 that is wrong, under faults of the process and under slow drifts, and what commissioning on a healthy log of the real plant
-changes. In brackets 95 % intervals over seeds: 24 of them for `loo-glr` and `robust-glr`, 6 or 12 for their rivals."""
+changes. In brackets 95 % intervals over seeds: 24 of them for `loo-glr` and `robust-glr`, 6 or 12 for their rivals and
+for `loo-glr` on the augmented pipeline and network."""
 
 GAINS = """**What knowing more gains.** Commissioned on a healthy log, `robust-glr` isolates a healthy sensor in at most a few
 percent of the samples, in any mismatch case and under any process fault of the four plants. Estimating what the
