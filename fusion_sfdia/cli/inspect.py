@@ -7,13 +7,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.logs import WHICH
+from fusion_sfdia.cli.options import add_plant, names
 
 
 def add_inspect(commands: Any) -> None:
     """Add `inspect`."""
     one = commands.add_parser("inspect", help="check a plant, and state which faults can be found with it", allow_abbrev=False)
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    add_plant(one)
     one.add_argument("--data", type=Path, metavar="HEALTHY.csv", help="a log of the plant in order: are noise and model right?")
     one.add_argument("--detectors", metavar="NAME,...", help="those of the simulated runs (default: one of each school)")
     one.add_argument("--sensors", metavar="NAME,...", help="those with a fault in simulated runs (default: all of up to 16)")
@@ -37,8 +37,8 @@ def _inspect(chosen: argparse.Namespace) -> int:
     found = inspect_plant(
         model,
         None if chosen.data is None else read_log(chosen.data, model),
-        detectors=_names(chosen.detectors),
-        sensors=_names(chosen.sensors),
+        detectors=None if chosen.detectors is None else names(chosen.detectors),
+        sensors=None if chosen.sensors is None else names(chosen.sensors),
         simulated=not chosen.no_simulation,
     )
     text, data = as_text(found), json.dumps(as_json(found), indent=2)
@@ -48,7 +48,3 @@ def _inspect(chosen: argparse.Namespace) -> int:
             (new / "inspection.json").write_text(f"{data}\n", encoding="utf-8")
     print(data if chosen.json else text)
     return int(bool(found.mistakes))
-
-
-def _names(text: str | None) -> list[str] | None:
-    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]

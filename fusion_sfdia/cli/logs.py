@@ -5,21 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import warnings
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns, printed_warnings
 from fusion_sfdia.core.numerals import integer
-
-WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
 
 
 def add_simulate(commands: Any) -> None:
     """Add `simulate`."""
     one = commands.add_parser("simulate", help="write a log of simulated readings", allow_abbrev=False)
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    add_plant(one)
     one.add_argument("--steps", type=integer, default=360, metavar="N", help="readings (default: 360)")
     one.add_argument("--seed", type=integer, default=0, metavar="N", help="of noise and drawn faults (default: 0)")
     one.add_argument(
@@ -47,7 +45,7 @@ def add_diagnose(commands: Any) -> None:
     """Add `diagnose`."""
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     _add_log(one)
-    one.add_argument("--detector", help=f"{WHICH} (default: robust-glr)")
+    add_detector(one)
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument(
         "--healthy", metavar="FROM..TO", help="a stretch of the log (s) in which all is in order, to tune on first"
@@ -77,26 +75,15 @@ def _add_log(one: Any) -> None:
         "--data", type=Path, required=True, metavar="LOG", help="the log, CSV or Parquet: a column a sensor, empty for missing"
     )
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the log is written, and which column is which sensor")
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
-    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
-    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
-    one.add_argument(
-        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
-    )
+    add_plant(one)
+    add_columns(one)
 
 
 def _check_log(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.logs.check import check_log
     from fusion_sfdia.registry import plant
 
-    found = check_log(
-        chosen.data,
-        plant(chosen.plant),
-        chosen.map,
-        absent_sensors=chosen.absent_sensors,
-        other_columns=chosen.other_columns,
-        nominal_inputs=chosen.nominal_inputs,
-    )
+    found = check_log(chosen.data, plant(chosen.plant), chosen.map, **columns(chosen))
     print(json.dumps([asdict(f) for f in found.findings], indent=2) if chosen.json else found)
     return 0
 
@@ -150,22 +137,11 @@ def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
-    with warnings.catch_warnings(record=True) as issued:
-        warnings.simplefilter("always", UserWarning)
+    with printed_warnings():
         name, built = diagnosing_detector(chosen)
         found = diagnose_log(
-            chosen.data,
-            built,
-            out,
-            log_map=chosen.map,
-            absent_sensors=chosen.absent_sensors,
-            other_columns=chosen.other_columns,
-            nominal_inputs=chosen.nominal_inputs,
-            force=chosen.force,
-            detector_name=name,
+            chosen.data, built, out, log_map=chosen.map, force=chosen.force, detector_name=name, **columns(chosen)
         )
-    for warning in issued:
-        print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
     code = int(found.decisions.diverged.any())
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]

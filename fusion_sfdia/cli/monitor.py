@@ -6,11 +6,11 @@ import argparse
 import csv
 import json
 import sys
-import warnings
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fusion_sfdia.cli.options import names, printed_warnings, warn_of
 from fusion_sfdia.core.numerals import decimal
 
 OWN_FILES = ("monitor.txt", "methods.csv")
@@ -47,20 +47,16 @@ def _monitor(chosen: argparse.Namespace) -> int:
     require_free(out, force=chosen.force)
     say = partial(print, file=sys.stderr if chosen.json else sys.stdout, flush=True)
     log_map = load_map(chosen.map) if chosen.map else PLAIN_MAP
-    sensors, inputs = signals_of(chosen.healthy[0], _names(chosen.inputs), _names(chosen.ignore), log_map)
+    sensors, inputs = signals_of(chosen.healthy[0], names(chosen.inputs), names(chosen.ignore), log_map)
     loaded = {path: load(path, sensors, inputs, log_map) for path in (*chosen.healthy, chosen.data)}
     for path, one in loaded.items():
-        for remark in one.remarks:
-            print(f"fusion-sfdia: warning: {path}: {remark}", file=sys.stderr)
+        warn_of(path, one.remarks)
     healthy, data = [loaded[path].log for path in chosen.healthy], loaded[chosen.data]
     count = sum(len(h.t) for h in healthy)
     say(f"learning from {count} healthy samples of {len(sensors)} sensors and {len(inputs)} inputs ...")
     monitor = learn_monitor(sensors, healthy, inputs=inputs, false_alarm=chosen.false_alarm)
-    with warnings.catch_warnings(record=True) as issued:
-        warnings.simplefilter("always", UserWarning)
+    with printed_warnings():
         found = monitor.diagnose(data.log, data.clock)
-    for warning in issued:
-        print(f"fusion-sfdia: warning: {warning.message}", file=sys.stderr)
     header, rows = found.table()
     about = About(chosen.data.name, "the bank on the identified model")
     with all_or_none(out) as new:
@@ -76,7 +72,3 @@ def _monitor(chosen: argparse.Namespace) -> int:
         entries = [dict(zip(header, row, strict=True)) for row in rows]
         print(json.dumps([{k: None if v != v else v for k, v in e.items()} for e in entries], indent=2))
     return int(found.diagnosis.decisions.diverged.any())
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]

@@ -9,8 +9,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
-DEFAULT = "robust-glr"
+from fusion_sfdia.cli.options import DETECTOR, add_columns, add_detector, add_plant, columns, warn, warn_of
 
 
 def add_tune(commands: Any) -> None:
@@ -21,18 +20,14 @@ def add_tune(commands: Any) -> None:
         epilog="A rate counts samples in alarm: 1/day, 2/hour, 0.5/week, or 1e-3 for one in a thousand.",
         allow_abbrev=False,
     )
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    add_plant(one)
     one.add_argument(
         "--healthy", type=Path, action="append", required=True, metavar="LOG", help="a healthy log, CSV or Parquet; repeatable"
     )
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which column is which sensor")
     one.add_argument("--false-alarm", default="1/day", metavar="RATE", help="stated rate of false alarms (default: 1/day)")
-    one.add_argument("--detector", default=DEFAULT, help=f"{WHICH} (default: {DEFAULT})")
-    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
-    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
-    one.add_argument(
-        "--nominal-inputs", action="store_true", help="assume the plant's usual inputs where the log has no column"
-    )
+    add_detector(one)
+    add_columns(one)
     one.add_argument("--out", type=Path, default=Path("tuned.toml"), metavar="TUNED.toml", help="(default: tuned.toml)")
     one.add_argument("--force", action="store_true", help="replace a file that is there")
     one.add_argument("--json", action="store_true", help="print the figures as JSON")
@@ -40,12 +35,12 @@ def add_tune(commands: Any) -> None:
 
 
 def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:
-    """Name and object of a detector on a plant: of a tuned file, or as registered (DEFAULT where none is named)."""
+    """Name and object of a detector on a plant: of a tuned file, or as registered (DETECTOR where none is named)."""
     from fusion_sfdia import registry
     from fusion_sfdia.tuning.tuned import Tuned
 
     if tuned is None:
-        name = detector or DEFAULT
+        name = detector or DETECTOR
         return name, registry.detector(name, registry.plant(plant))
     found = Tuned.read(tuned)
     if detector not in (None, found.detector_name):
@@ -68,11 +63,11 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any]:
         return bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     if chosen.tuned:
         raise ValueError("--tuned and --healthy both state what is healthy; give one")
-    plant, name = registry.plant(chosen.plant), chosen.detector or DEFAULT
+    plant, name = registry.plant(chosen.plant), chosen.detector or DETECTOR
     loaded = _loaded(chosen, chosen.data, plant)
     tuned = on_stretch(plant, loaded.log, chosen.healthy, name, loaded.clock)
     for remark in tuned.quality["remarks"]:
-        print(f"fusion-sfdia: warning: --healthy {chosen.healthy}: {remark}", file=sys.stderr)
+        warn(f"--healthy {chosen.healthy}: {remark}")
     return name, tuned.detector(plant)
 
 
@@ -80,8 +75,7 @@ def _loaded(chosen: argparse.Namespace, path: Path, plant: Any) -> Any:
     """A log as it is diagnosed."""
     from fusion_sfdia.logs.check import check_log, without_suspects
 
-    options = {what: getattr(chosen, what) for what in ("absent_sensors", "other_columns", "nominal_inputs")}
-    return without_suspects(plant, check_log(path, plant, chosen.map, **options))
+    return without_suspects(plant, check_log(path, plant, chosen.map, **columns(chosen)))
 
 
 def _tune(chosen: argparse.Namespace) -> int:
@@ -94,15 +88,14 @@ def _tune(chosen: argparse.Namespace) -> int:
     model = plant(chosen.plant)
     logs = [_loaded(chosen, path, model) for path in chosen.healthy]
     for path, one in zip(chosen.healthy, logs, strict=True):
-        for remark in one.remarks:
-            print(f"fusion-sfdia: warning: {path}: {remark}", file=sys.stderr)
+        warn_of(path, one.remarks)
     count = sum(len(one.log.t) for one in logs)
     print(f"fusion-sfdia: learning from {count} samples; this may take minutes", file=sys.stderr)
     tuned = tune(
         model,
         *(one.log for one in logs),
         false_alarm=chosen.false_alarm,
-        detector=chosen.detector,
+        detector=chosen.detector or DETECTOR,
         sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
         made=date.today().isoformat(),
     )

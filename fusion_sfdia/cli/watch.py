@@ -8,13 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns
 from fusion_sfdia.core.numerals import decimal, integer
 
 if TYPE_CHECKING:
     from fusion_sfdia.live.saving import SavedWatch
     from fusion_sfdia.logs.log_map import LogMap
-
-WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
 
 LONGEST_LINE = 1_000_000  # bytes; more is no row
 
@@ -29,8 +28,8 @@ def add_watch(commands: Any) -> None:
         "give the rows since then again, or all; events that it had written come again as the same lines.",
         allow_abbrev=False,
     )
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
-    one.add_argument("--detector", help=f"{WHICH} (default: robust-glr)")
+    add_plant(one)
+    add_detector(one)
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
     one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")
@@ -47,10 +46,8 @@ def add_watch(commands: Any) -> None:
         metavar="S",
         help="pause after which the detector starts anew (default: 10 000 steps of the plant)",
     )
-    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
-    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
-    one.add_argument("--nominal-inputs", action="store_true", help="assume the plant's usual inputs where they are missing")
-    one.set_defaults(work=_watch, healthy=None)  # a stretch of a log, which `diagnose` has
+    add_columns(one, "where they are missing")
+    one.set_defaults(work=_watch)
 
 
 def _watch(chosen: argparse.Namespace) -> int:
@@ -96,13 +93,7 @@ def _watch(chosen: argparse.Namespace) -> int:
 def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> None:
     from fusion_sfdia.live.rows import TextRows
 
-    rows = TextRows(
-        saved.watch.detector.plant,
-        log_map,
-        absent_sensors=chosen.absent_sensors,
-        other_columns=chosen.other_columns,
-        nominal_inputs=chosen.nominal_inputs,
-    )
+    rows = TextRows(saved.watch.detector.plant, log_map, **columns(chosen))
     for number, line in enumerate(iter(partial(sys.stdin.buffer.readline, LONGEST_LINE), b""), start=1):
         try:
             row = rows.row(line.decode(log_map.encoding, errors="replace"))

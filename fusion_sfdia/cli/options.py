@@ -1,0 +1,63 @@
+"""Options that several commands have, and the warnings that they print."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
+DETECTOR = "robust-glr"  # where none is named
+OF_COLUMNS = ("absent_sensors", "other_columns", "nominal_inputs")
+
+
+def add_plant(one: Any) -> None:
+    """Add --plant."""
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+
+
+def add_detector(one: Any) -> None:
+    """Add --detector; None where it is not given, so that a tuned file may name it."""
+    one.add_argument("--detector", help=f"{WHICH} (default: {DETECTOR})")
+
+
+def add_columns(one: Any, inputs: str = "where the log has no column") -> None:
+    """Add what may be lacking in a log, or too much; see `columns`. inputs: where the plant's usual ones are assumed."""
+    one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")
+    one.add_argument("--other-columns", action="store_true", help="ignore columns that are no sensors or inputs")
+    one.add_argument("--nominal-inputs", action="store_true", help=f"assume the plant's usual inputs {inputs}")
+
+
+def columns(chosen: argparse.Namespace) -> dict[str, bool]:
+    """What `add_columns` has added, as arguments of `load_log`."""
+    return {what: getattr(chosen, what) for what in OF_COLUMNS}
+
+
+def names(text: str) -> list[str]:
+    """The names in A,B."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def warn(text: object) -> None:
+    """Print a warning."""
+    print(f"fusion-sfdia: warning: {text}", file=sys.stderr)
+
+
+def warn_of(path: Path, remarks: tuple[str, ...]) -> None:
+    """Print what reading a log has found."""
+    for remark in remarks:
+        warn(f"{path}: {remark}")
+
+
+@contextmanager
+def printed_warnings() -> Iterator[None]:
+    """Print the warnings for users that are issued meanwhile, unless it fails."""
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in issued:
+        warn(warning.message)
