@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,11 @@ class SinceStart(BatchDetector):
         if not isinstance(self.detector, BatchDetector) or self.detector.plant is not self.plant:
             raise ValueError(f"detector is {shown(self.detector)}; expected a BatchDetector of the same plant, that of changes")
 
+    @cached_property
+    def _of_changes(self) -> Any:
+        """The detector of changes with the thresholds of both."""
+        return replace(self.detector, threshold_scale=self.detector.threshold_scale * self.threshold_scale)
+
     def _start(self, batch: tuple[int, ...], seed: int) -> SinceStartMemory:
         n, m = len(self.plant.sensors), len(self.plant.inputs)
         zero = np.zeros((*batch, n))
@@ -57,8 +63,7 @@ class SinceStart(BatchDetector):
         sum_u, count = sum_u + np.where(starting[..., None], u, 0.0), count + starting
         with np.errstate(invalid="ignore", divide="ignore"):
             start_y, start_u = sum_y / count_y, sum_u / count[..., None]
-        changes = replace(self.detector, threshold_scale=self.detector.threshold_scale * self.threshold_scale)
-        inner, found = changes._judge(inner, now, np.where(starting[..., None], np.nan, y - start_y), u - start_u)
+        inner, found = self._of_changes._judge(inner, now, np.where(starting[..., None], np.nan, y - start_y), u - start_u)
         used = np.isfinite(y) & ~found.isolated
         expected = found.reconstruction + np.where(np.isfinite(start_y), start_y, 0.0)
         memory = SinceStartMemory(sum_y, count_y, sum_u, count, inner)
