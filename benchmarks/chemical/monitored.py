@@ -13,13 +13,13 @@ from fusion_sfdia.benchmarks.chemical.support.monitoring import (
     BEFORE,
     LENGTHS,
     METHODS,
-    SIGMAS,
     cases,
     monitored,
 )
-from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS, digest
+from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS
+from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, once, require_measurements, task_for_each
 from fusion_sfdia.evaluation.isolation_metrics import exact_isolation
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, rate_over_runs
+from fusion_sfdia.evaluation.metrics import rate_over_runs
 from fusion_sfdia.evaluation.results import Row, row_of
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.report.content import Figure, Summary, Table
@@ -35,24 +35,16 @@ row = partial(row_of, "tennessee-eastman", NAME)
 
 def monitored_tasks(settings: Settings, seeds: int) -> list[Task]:
     """One task a method: there is one recording, and nothing is random."""
-    if unknown := [n for n in settings["measurements"] if n > len(MEASUREMENTS)]:
-        raise ValueError(f"setting measurements has {unknown[0]}; expected numbers from 1 to {len(MEASUREMENTS)}, of XMEAS")
-    common = {name: list(v) if isinstance(v, tuple) else v for name, v in settings.items()}
-    files = digest(settings["data"])
-    return [common | {"detector": name, "files": files} for name in METHODS]
-
-
-def share(value: float, samples: int) -> Estimate:
-    """A share of the samples of one recording, which has no interval."""
-    return NOTHING._replace(value=float(value), n=int(samples > 0))
+    require_measurements(settings)
+    return task_for_each(settings, METHODS)
 
 
 def method_rows(task: Task, arrays: Arrays) -> list[Row]:
     """False alarms as counted in d00 and in d00_te, and exact isolation of biases and drifts of the sensors that are told."""
     by, alarm, told = task["detector"], arrays["healthy alarm"], arrays["told"]
     found = [
-        row(by, "none", "all", "alarm_probability", share(arrays["held-out"][0], 1), condition="d00, held out"),
-        row(by, "none", "all", "alarm_probability", share(alarm.mean(), alarm.size), condition="d00_te"),
+        row(by, "none", "all", "alarm_probability", once(arrays["held-out"][0], 1), condition="d00, held out"),
+        row(by, "none", "all", "alarm_probability", once(alarm.mean(), alarm.size), condition="d00_te"),
     ]
     size = f"{task['size']:g}-sigma"
     for kind in LENGTHS:

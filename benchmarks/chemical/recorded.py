@@ -16,13 +16,13 @@ from fusion_sfdia.benchmarks.chemical.support.recordings import (
     MEASUREMENTS,
     ONSET,
     channels,
-    digest,
     identified,
     recording,
 )
-from fusion_sfdia.benchmarks.chemical.support.trials import JUDGED, LEARNT_RATE, ONSETS, SIGMAS, WARM_UP, cases, trial
+from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, once, require_measurements, task_for_each
+from fusion_sfdia.benchmarks.chemical.support.trials import JUDGED, LEARNT_RATE, ONSETS, WARM_UP, cases, trial
 from fusion_sfdia.evaluation.isolation_metrics import exact_isolation
-from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, rate_over_runs
+from fusion_sfdia.evaluation.metrics import rate_over_runs
 from fusion_sfdia.evaluation.results import Row, row_of
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
 from fusion_sfdia.identification.whiteness import whiteness
@@ -43,20 +43,12 @@ row = partial(row_of, "tennessee-eastman", NAME)
 
 def recorded_tasks(settings: Settings, seeds: int) -> list[Task]:
     """One task a detector: there is one recording of each case, and nothing is random."""
-    if unknown := [n for n in settings["measurements"] if n > len(MEASUREMENTS)]:
-        raise ValueError(f"setting measurements has {unknown[0]}; expected numbers from 1 to {len(MEASUREMENTS)}, of XMEAS")
+    require_measurements(settings)
     if settings["length"] > (most := JUDGED - ONSETS[-1]):
         raise ValueError(
             f"setting length is {settings['length']}; expected at most {most} samples, to the end of the recording"
         )
-    common = {name: list(v) if isinstance(v, tuple) else v for name, v in settings.items()}
-    files = digest(settings["data"])
-    return [common | {"detector": name, "files": files} for name in DETECTORS]
-
-
-def once(share: float, samples: int) -> Estimate:
-    """A share of the samples of one recording, which has no interval."""
-    return NOTHING._replace(value=float(share), n=int(samples > 0))
+    return task_for_each(settings, DETECTORS)
 
 
 def model_rows(folder: str) -> Iterator[Row]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.chemical.support.recordings import MEASUREMENTS, VALVES, recording
+from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, sigmas
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
@@ -30,7 +31,6 @@ REPEATED = ("limits", "pca", "dynamic-pca", "one-class")  # take the repeated an
 FOLDS = 4
 SENSORS = tuple(Signal(*one) for one in MEASUREMENTS)
 INPUTS = tuple(Signal(one, "%") for one in VALVES)
-SIGMAS = ("reading", "noise")
 LENGTHS = {"bias": 80, "drift": 100}  # samples
 BEFORE = 60  # samples of a run before its fault
 ONSETS = (150, 400, 650)  # samples of d00_te
@@ -74,7 +74,7 @@ def monitored(task: Task) -> Arrays:
     alarm = run(detector, detector.init((), -dt), log)[1].alarm[BEFORE:]
 
     report = identifiability(choice.plant)
-    of = {"reading": np.nanstd(recording(folder, "d00").y, axis=0), "noise": choice.plant.sensor_sigma}
+    of = sigmas(folder, choice.plant)
     told_size = np.stack([report.told_apart * report.sigma / of[sigma] for sigma in SIGMAS])
     arrays = {
         "healthy alarm": alarm,

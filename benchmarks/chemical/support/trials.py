@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.chemical.support.recordings import FAULTS, MEASUREMENTS, identified, recording
+from fusion_sfdia.benchmarks.chemical.support.tasks import SIGMAS, sigmas
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
@@ -22,7 +23,6 @@ WARM_UP = 40  # samples before the judged ones, in which a filter forgets its in
 ONSETS = (60, 200, 340)  # samples of the judged half at which biases begin
 SIGNS = (1.0, -1.0, 1.0)  # of the biases, by onset
 LEARNT_RATE = 0.01  # of false alarms per step of detectors that learn: their data are too few for less
-SIGMAS = ("reading", "noise")
 
 
 def chosen(task: Task) -> tuple[Detector, bool]:
@@ -34,11 +34,6 @@ def chosen(task: Task) -> tuple[Detector, bool]:
     train, test = (recording(folder, name, repeated=True) for name in ("d00", "d00_te"))
     healthy = np.stack([train.y[-JUDGED:], test.y[:JUDGED]], axis=1)
     return named.build(plant, healthy=healthy, false_alarm=LEARNT_RATE), True
-
-
-def sigmas(folder: str, plant: Plant) -> dict[str, Array]:
-    """Two meanings of sigma (41,): of the reading about its mean in d00, and of the noise that the plant states."""
-    return {"reading": np.nanstd(recording(folder, "d00").y, axis=0), "noise": plant.sensor_sigma}
 
 
 def cases(task: Task) -> list[tuple[int, str, float, int]]:
