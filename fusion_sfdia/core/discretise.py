@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, number
-from fusion_sfdia.core.equation import difference_jacobian
+from fusion_sfdia.core.equation import difference_jacobian, step_of_change
 from fusion_sfdia.core.integration import (
     Integrated,
     IntegratedOutput,
@@ -25,8 +25,6 @@ from fusion_sfdia.core.signals import Sensor
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 
 Array = NDArray[Any]
-
-LARGEST_CHANGE = 0.1  # of a deviation within a step: the error of a step's noise variance, see `largest_step`
 
 
 def _require_rates(physics: Physics, x0: Array, u: Array) -> None:
@@ -61,13 +59,10 @@ def largest_step(model: Integrated, dt: float, x0: Array, scale: Array, u: Array
     """
     with np.errstate(all="ignore"):
         try:
-            a = difference_jacobian(lambda p: model.slope(0.0, p, u), x0, scale)
+            rates = difference_jacobian(lambda p: model.slope(0.0, p, u), x0, scale)
         except ArithmeticError:
             return dt
-        change = a / scale[:, None] * scale
-        if not np.all(np.isfinite(change)):
-            return dt
-        return float(np.maximum(dt, LARGEST_CHANGE / np.linalg.norm(change, 2)))
+    return step_of_change(rates, scale, dt)
 
 
 def discretise(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 F = TypeVar("F", bound=Callable[..., Any])
 Array = NDArray[Any]
 
+LARGEST_CHANGE = 0.1  # of a deviation within a step
 COMPLEX_STEP = 1e-30  # no subtraction takes place, so any size free of underflow gives the derivative to rounding
 
 
@@ -97,3 +98,15 @@ def difference_jacobian(function: Callable[[Array], Array], x: Array, scale: Arr
     ahead = function(x[..., None, :] + np.diag(width))
     behind = function(x[..., None, :] - np.diag(width))
     return np.swapaxes((ahead - behind) / (2 * width[:, None]), -1, -2)
+
+
+def step_of_change(rates: Array, scale: Array, dt: float) -> float:
+    """The longest step (s) in which a deviation changes by a tenth, max(dt, 0.1 / |D^-1 A D|); dt where A is not finite.
+
+    rates: A = df/dx (n, n) in 1/s; scale: diagonal of D (n,), of the states.
+    """
+    with np.errstate(all="ignore"):
+        change = rates / scale[:, None] * scale
+        if not np.all(np.isfinite(change)):
+            return dt
+        return float(np.maximum(dt, LARGEST_CHANGE / np.linalg.norm(change, 2)))

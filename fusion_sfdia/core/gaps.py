@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.equation import step_of_change
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
 
-LARGEST_CHANGE = 0.1  # of a deviation within a step, as of `discretise`: a step's noise variance errs by a tenth
 MOST_BRIDGES = 10_000  # steps in a gap: a day's outage in steps of 10 s; and in all gaps, in addition to ten for each reading
 REPORTED = 2.0  # times the median distance of readings: a shorter gap is uneven sampling
 
@@ -58,10 +58,36 @@ def longest_step(plant: Plant) -> float:
             f = plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), plant.dt)
         except ArithmeticError:
             return plant.dt
-        change = (f - np.eye(plant.x0.size)) / plant.dt / plant.state_scale[:, None] * plant.state_scale
-        if not np.all(np.isfinite(change)):
-            return plant.dt
-        return float(np.maximum(plant.dt, LARGEST_CHANGE / np.linalg.norm(change, 2)))
+        return step_of_change((f - np.eye(plant.x0.size)) / plant.dt, plant.state_scale, plant.dt)
+
+
+def lead_in(plant: Plant, ahead: float = np.inf) -> float:
+    """How long (s) before the first reading a detector starts; ahead: from that to the second one."""
+    return plant.dt if plant.numerics.fixed_dt else min(plant.dt, ahead)
+
+
+def steps_in(gap: Any, dt: float) -> Any:
+    """The number of equal steps, of dt or just below, in gaps (s)."""
+    return np.ceil(gap / dt * (1 - 1e-9))
+
+
+def between(before: Array, now: Array, share: Any) -> Array:
+    """The input in a gap, that share of it before its end, interpolated between those before and at its end."""
+    return np.asarray(now * (1 - share) + before * share)
+
+
+def steps_over(
+    plant: Plant, longest: float, before: tuple[float, Array], now: tuple[float, Array]
+) -> list[tuple[float, Array]]:
+    """Times and inputs of the steps strictly between two rows, given by times and inputs (m,), as `bridged` has them; none up
+    to `longest` s.
+    """
+    (t_before, u_before), (t, u) = before, now
+    gap = t - t_before
+    if gap <= longest * (1 + 1e-9):
+        return []
+    parts = int(steps_in(gap, plant.dt))
+    return [(t - ahead * (gap / parts), between(u_before, u, ahead / parts)) for ahead in range(parts - 1, 0, -1)]
 
 
 def bridged(plant: Plant, log: Log) -> tuple[Track, tuple[Gap, ...]]:
@@ -73,13 +99,11 @@ def bridged(plant: Plant, log: Log) -> tuple[Track, tuple[Gap, ...]]:
     gaps take more than MOST_BRIDGES steps and ten for each reading.
     """
     t, y, u = log
-    first = float(t[0]) - (
-        plant.dt if len(t) < 2 or plant.numerics.fixed_dt else min(plant.dt, float(t[1] - t[0]))
-    )  # the first step of a log
+    first = float(t[0]) - lead_in(plant, float(t[1] - t[0]) if len(t) > 1 else np.inf)
     gaps = np.diff(t, prepend=first)
     with np.errstate(invalid="ignore"):
         long = (gaps > longest_step(plant) * (1 + 1e-9)) & np.isfinite(gaps)
-        parts = np.where(long, np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
+        parts = np.where(long, steps_in(gaps, plant.dt), 1)
     fresh = parts > MOST_BRIDGES
     usual = float(np.median(gaps[1:])) if t.size > 1 else plant.dt
     reported = tuple(
@@ -101,8 +125,8 @@ def bridged(plant: Plant, log: Log) -> tuple[Track, tuple[Gap, ...]]:
     last, which = np.cumsum(parts.astype(int)) - 1, np.repeat(np.arange(t.size), parts.astype(int))
     ahead = last[which] - np.arange(which.size)  # steps of the gap that are still to come
     times = t[which] - ahead * (gaps / parts)[which]
-    between = (ahead / parts[which])[:, None]  # 0 at a reading
-    inputs = u[which] * (1 - between) + np.concatenate([u[:1], u[:-1]])[which] * between
+    share = (ahead / parts[which])[:, None]  # 0 at a reading
+    inputs = between(np.concatenate([u[:1], u[:-1]])[which], u[which], share)
     begins = np.full(which.size, np.nan)
     begins[last[fresh]] = (t - gaps)[fresh]
-    return Track(times, np.where(between == 0, y[which], np.nan), inputs, ahead == 0, begins), reported
+    return Track(times, np.where(share == 0, y[which], np.nan), inputs, ahead == 0, begins), reported

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.arguments import floats, number, whole
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector
-from fusion_sfdia.core.gaps import MOST_BRIDGES, longest_step
+from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
 from fusion_sfdia.live.changes import KEPT, Change, Changes
-from fusion_sfdia.live.gaps import steps_over
 
 Array = NDArray[Any]
 
@@ -176,8 +175,7 @@ class Watch:
             given, known_at = self._inputs(row)
             u = self.given if self.at_sample and self.t is not None else given
             if state is None or too_long:
-                since = min(pause, ahead)
-                state = self.detector.init((), row.t - (plant.dt if plant.numerics.fixed_dt else min(plant.dt, since)))
+                state = self.detector.init((), row.t - lead_in(plant, min(pause, ahead)))
             elif self.t is not None:
                 for t, between in steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u)):
                     state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)

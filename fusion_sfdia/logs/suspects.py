@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.gaps import steps_in
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.conversion import conversion
@@ -102,7 +103,7 @@ def _predicted(plant: Plant, log: Log) -> Array:
     rows = min(ROWS, log.t.size)
     nominal = np.asarray(plant.output(float(log.t[0]), plant.x0, plant.input_at(float(log.t[0]))), dtype=float)
     gaps = np.diff(log.t[:rows], prepend=log.t[0] - plant.dt)
-    parts = np.maximum(np.ceil(gaps / plant.dt * (1 - 1e-9)), 1)
+    parts = np.maximum(steps_in(gaps, plant.dt), 1)
     rows = int(np.searchsorted(np.cumsum(parts), STEPS, side="right"))
     predicted, x = [], plant.x0
     with np.errstate(all="ignore"):
