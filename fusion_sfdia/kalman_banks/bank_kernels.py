@@ -108,6 +108,20 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 
 @compiled
+def changed(H: Array, eta: Array, reading: float, M: Array) -> None:
+    """Write the change of the innovation by each hypothesis to M (N, q): D - H eta, with H (N, d) and eta (n, q)."""
+    for i in range(M.shape[0]):
+        for j in range(M.shape[1]):
+            M[i, j] = 0.0
+        for s in range(H.shape[1]):
+            factor = H[i, s]
+            if factor != 0:
+                for j in range(M.shape[1]):
+                    M[i, j] -= factor * eta[s, j]
+        M[i, i] += reading
+
+
+@compiled
 def weighed(
     eta: Array,
     a: Array,
@@ -126,7 +140,7 @@ def weighed(
     change (B, n, r): effects on the state, the first `once` at the onset only. half (B, N, N): U'. readings (B, L): D.
     """  # fmt: skip
     B, L, n, q = eta.shape
-    N, r, d = half.shape[1], change.shape[2], H.shape[2]
+    N, r = half.shape[1], change.shape[2]
     ahead = np.empty((n, q), eta.dtype)
     M, row = np.empty((N, q), eta.dtype), np.empty(q, eta.dtype)
     zero = eta.dtype.type(0)
@@ -148,15 +162,7 @@ def weighed(
             for i in range(n):
                 for j in range(q):
                     eta[k, l, i, j] = ahead[i, j]
-            for i in range(N):  # M = D - H eta
-                for j in range(q):
-                    M[i, j] = zero
-                for s in range(d):
-                    factor = H[h, i, s]
-                    if factor != 0:
-                        for j in range(q):
-                            M[i, j] -= factor * ahead[s, j]
-                M[i, i] += readings[k % readings.shape[0], l]
+            changed(H[h], ahead, readings[k % readings.shape[0], l], M)
             for i in range(N):
                 for j in range(q):
                     row[j] = zero
@@ -174,20 +180,12 @@ def weighed(
 def corrected(eta: Array, K: Array, H: Array, readings: Array) -> None:
     """Add K M to eta (B, L, n, q), in place, with the gain K (B, n, N) and M = D - H eta."""
     B, L, n, q = eta.shape
-    N, d = H.shape[1], H.shape[2]
+    N = H.shape[1]
     M = np.empty((N, q), eta.dtype)
     for k in range(B):
         h = k % H.shape[0]
         for l in range(L):  # noqa: E741
-            for i in range(N):
-                for j in range(q):
-                    M[i, j] = 0.0
-                for s in range(d):
-                    factor = H[h, i, s]
-                    if factor != 0:
-                        for j in range(q):
-                            M[i, j] -= factor * eta[k, l, s, j]
-                M[i, i] += readings[k % readings.shape[0], l]
+            changed(H[h], eta[k, l], readings[k % readings.shape[0], l], M)
             for i in range(n):
                 for s in range(N):
                     factor = K[k, i, s]
