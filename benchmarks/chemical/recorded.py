@@ -113,7 +113,8 @@ def recorded_summary(settings: Settings, results: Results) -> Summary:
         + " ".join(f"{f}: {listed(pick(rows, metric='false_isolation_probability', fault=f))}." for f in FAULTS),
         f"At most {AIM:g} is the aim, with a verdict on the process. robust-glr misses it where a disturbance varies at random "
         "(d11): no hypothesis has a larger noise, and noise of one measurement explains its readings as well. In d04 and d05 a "
-        "sensor of the cooling water is isolated beside the right verdict.",
+        "sensor of the cooling water is isolated beside the right verdict. That it isolates none while a verdict on the "
+        "process leaves readings unexplained was found with d01 in view: d01 does not judge that.",
         "Samples with a process verdict: "
         + " ".join(f"{f}: {listed(pick(rows, metric='process_verdict_probability', fault=f))}." for f in FAULTS),
         "Samples with a sensor isolated and no process verdict beside it: "
