@@ -80,6 +80,8 @@ class NamedDetector(NamedTuple):
         return package_of(self.source)
 
 
+DEFAULT_DETECTOR = "robust-glr"  # where none is named
+
 _PLANTS: dict[str, NamedPlant] = {}
 _DETECTORS: dict[str, NamedDetector] = {}
 
