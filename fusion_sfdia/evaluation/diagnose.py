@@ -20,7 +20,7 @@ from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
 from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
 from fusion_sfdia.evaluation.model_health import Health, health_of
-from fusion_sfdia.evaluation.sensor_events import explained, false_alarm_of
+from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, explained
 
 Array = NDArray[Any]
 
@@ -156,7 +156,7 @@ def diagnose_run(
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
-    names, rate = detector.plant.sensor_names, false_alarm_of(detector)
+    names, rate = detector.plant.sensor_names, alarm_rate_of(detector)
     health = health_of(names, after, starts, rate, _against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
     return Diagnosis(events, decisions, t, tested, clock, gaps, health, after)
