@@ -10,12 +10,20 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.benchmarks.speed import bank, engine, lorenz, model, scaling, stream
+from fusion_sfdia.benchmarks.speed import bank, engine, growth, lorenz, model, scaling, stream
 from fusion_sfdia.core.files import require_free
 from fusion_sfdia.evaluation.results import Row, write_rows
 
 SECONDS = 2.0  # of each call
-PARTS = {"bank": bank, "model": model, "scaling": scaling, "lorenz": lorenz, "engine": engine, "stream": stream}
+PARTS = {
+    "bank": bank,
+    "model": model,
+    "scaling": scaling,
+    "lorenz": lorenz,
+    "engine": engine,
+    "stream": stream,
+    "growth": growth,
+}
 
 
 def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS, *, force: bool = False) -> list[Row]:

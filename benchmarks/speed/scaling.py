@@ -52,18 +52,18 @@ def timed_with_memory(
     return [*rows, time_row("scaling", plant, detector, where, "peak_memory", memory)]
 
 
-def ensemble_calls(plant: Plant) -> tuple[Call, Call]:
+def ensemble_calls(plant: Plant, members: int = enkf.EnKFSettings().size) -> tuple[Call, Call]:
     """Predict and update of an ensemble without any matrix of all states, and the model's step of it alone."""
-    settings, rng = enkf.EnKFSettings(), np.random.default_rng(0)
+    settings, rng = enkf.EnKFSettings(members), np.random.default_rng(0)
     u = plant.input_at(0.0)
-    members = plant.x0 + sample(plant.initial_cov, rng, (settings.size,))
+    ensemble = plant.x0 + sample(plant.initial_cov, rng, (settings.size,))
     y = plant.output(0.0, plant.x0, u) + sample(plant.sensor_cov, rng)
 
     def advance(states: Array) -> Array:
         return plant.step(0.0, states, u, plant.dt)
 
     def step() -> Array:
-        ahead = enkf.predict(members, advance, plant.process_cov, rng)
+        ahead = enkf.predict(ensemble, advance, plant.process_cov, rng)
         return enkf.update(settings, ahead, lambda s: plant.output(0.0, s, u), y, plant.sensor_cov, rng)
 
-    return step, lambda: advance(members)
+    return step, lambda: advance(ensemble)

@@ -12,7 +12,7 @@ from fusion_sfdia.core.numerals import decimal
 def add_bench(commands: Any) -> None:
     """Add `bench`."""
     one = commands.add_parser("bench", help="measure the speed on this machine, on one thread", allow_abbrev=False)
-    one.add_argument("part", nargs="*", help="bank, model, scaling, lorenz, engine, stream (default: all)")
+    one.add_argument("part", nargs="*", help="bank, model, scaling, lorenz, engine, stream, growth (default: all)")
     one.add_argument("--seconds", type=decimal, default=2.0, metavar="S", help="for each thing that is timed (default: 2)")
     one.add_argument("--out", type=Path, metavar="DIR", help="folder for metrics.csv")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")
