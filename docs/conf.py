@@ -18,6 +18,7 @@ ROOT = HERE.parent
 # pages run commands and copy files of docs/examples
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ["DOCS_EXAMPLES"] = str(HERE / "examples")
+os.environ["DOCS_RESULTS"] = str(HERE / "results")
 os.environ["COLUMNS"] = "100"
 os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
 
