@@ -46,6 +46,13 @@ def add_watch(commands: Any) -> None:
         metavar="S",
         help="pause after which the detector starts anew (default: 10 000 steps of the plant)",
     )
+    one.add_argument(
+        "--reorder",
+        type=decimal,
+        default=0.0,
+        metavar="S",
+        help="seconds for which rows are held to put them in order; all are diagnosed that much later (default: 0)",
+    )
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
 
@@ -70,6 +77,7 @@ def _watch(chosen: argparse.Namespace) -> int:
         "nominal_inputs": chosen.nominal_inputs,
         "at_sample": log_map.inputs == AT_THE_SAMPLE or chosen.opcua is not None,
         "longest_gap": chosen.longest_gap,
+        "reorder": chosen.reorder,
         "refused": refused,
     }
     if chosen.state is not None and chosen.state.exists():
@@ -104,6 +112,7 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
             continue
         if row is not None:
             saved.take(*row)
+    saved.rest()
 
 
 def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
