@@ -46,7 +46,8 @@ def from_fmu(
 
     Noise, which no FMU states, by the names of variables in their units, or as one number, a share of each variable's nominal
     value (where the FMU states none, of its value at the start): sensors: standard deviation of each reading, {variable: sigma}
-    or {sensor: {"measures": variable, "sigma": sigma, ...}} with fields of `Sensor`; a share makes every output a sensor.
+    or {sensor: {"measures": variable, "sigma": sigma, ...}} with fields of `Sensor`; a share makes each output a sensor that
+    changes continuously.
     initial_sigma, process_sigma: of each state, as in `Signal`.
 
     dt: seconds between readings, that of the FMU's default experiment unless given. inputs: those of the plant, all of the FMU
@@ -200,15 +201,17 @@ def _require_no_memory(model: CoSimulation, x0: Array, u0: Array, inputs: Sequen
     """
     u = np.clip(u0 + 0.1 * np.where(u0 != 0, np.abs(u0), 1.0), [s.low for s in inputs], [s.high for s in inputs])
     fmu, tolerance = model.fmu, model.fmu.interface.tolerance
-    through = fmu.each("twice", x0.shape, x0, u, model.nominal, 0.0, dt)
-    apart = model.step(dt, model.step(0.0, x0, u, dt), u, dt)
-    allowed = MEMORY * np.abs(through - x0) + 10 * tolerance * np.maximum(np.abs(x0), np.abs(through))
+    through = fmu.each("twice", (x0.size + len(fmu.outputs),), x0, u, model.nominal, 0.0, dt)
+    x = model.step(dt, model.step(0.0, x0, u, dt), u, dt)
+    apart, before = (np.concatenate([x, model.output(t, x, u)]) for t, x in ((2 * dt, x), (0.0, x0)))
+    allowed = MEMORY * np.abs(through - before) + 10 * tolerance * np.maximum(np.abs(before), np.abs(through))
     if np.any(wrong := ~(np.abs(through - apart) <= allowed)):
         k = int(np.argmax(wrong))
+        which = f"state {k + 1}" if k < x0.size else f"sensor {k - x0.size + 1}"
         raise ValueError(
-            f"{fmu.interface} has a memory beyond its states: two steps in a row and the same steps from set states differ by "
-            f"{abs(through[k] - apart[k]):.2g} in state {k + 1} of {x0.size}; expected none: name all its states, states=[...], "
-            "or export it as model exchange"
+            f"{fmu.interface} has a memory beyond its states: two steps in a row and the same from set states differ by "
+            f"{abs(through[k] - apart[k]):.2g} in {which}; expected none: name the others (states=[...]) or export it as model "
+            "exchange"
         )
 
 

@@ -237,11 +237,11 @@ class Instance:
         return self._get("outputs")
 
     def twice(self, t: float, dt: float, x: Array, u: Array, theta: Array) -> Array:
-        """The states (n,) after two steps in a row."""
+        """The states and outputs (n + N,) after two steps in a row."""
         self._start(theta, t, x, u)
         self._do_step(t, dt)
         self._do_step(t + dt, dt)
-        return self._get("states")
+        return np.concatenate([self._get("states"), self._get("outputs")])
 
     def initial(self, of: str, theta: Array) -> Array:
         """The values of states, inputs or outputs after initialisation."""

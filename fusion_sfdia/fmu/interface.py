@@ -89,7 +89,7 @@ class Interface:
         if wrong := [v for v in found if not v.continuous]:
             raise ValueError(
                 f"{self}: the {what} {wrong[0].name!r} is a discrete variable or one of type {wrong[0].kind}; expected scalar "
-                f"real numbers that change continuously: name the others with {what}s=[...], and it keeps its start value"
+                f"real numbers that change continuously: leave it out and name the others, {what}s=..."
             )
         return found
 

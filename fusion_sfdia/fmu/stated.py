@@ -40,7 +40,8 @@ def fields_of_sensors(interface: Interface, stated: Stated) -> dict[str, dict[st
     """The fields of each sensor by its name; those of a share have none but "measures" and "share"."""
     if not isinstance(stated, Mapping):
         share = number("sensors", stated)
-        return {name: {"measures": name, "share": share} for name in interface.outputs}
+        outputs = [v.name for v in interface.of("sensor", interface.outputs) if v.continuous]
+        return {name: {"measures": name, "share": share} for name in outputs}
     return {name: {"measures": name, **_table("sensor", name, value, "sigma", Sensor)} for name, value in stated.items()}
 
 
