@@ -62,7 +62,7 @@ def test_co_simulation_with_a_memory(fmu: MakeFmu) -> None:
     path = fmu(2, "CoSimulation", STEPPED)
     with pytest.raises(ValueError, match=r"memory beyond its states: .* in state 1; expected none"):
         from_fmu(path, **NOISE, start_values={"lag": 10.0})
-    with pytest.raises(ValueError, match="memory beyond its states: .* in sensor 2; expected none: name the others"):
+    with pytest.raises(ValueError, match=r"memory beyond its states: .* in sensor 2; expected none: name the others"):
         from_fmu(path, **NOISE, states=["level_1"])  # level_1 does without level_2, which is a sensor
 
 
