@@ -15,6 +15,7 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, MissingPackageError, ProcessHypothesis, stack
 from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
@@ -154,7 +155,8 @@ def diagnose_run(
     if decisions.absurd_input.shape == u.shape:
         usual = np.array([detector.plant.input_at(float(time)) for time in t], dtype=float).reshape(u.shape)
         taken.u[track.own] = np.where(decisions.absurd_input, usual, u)
-    after = hindsight(getattr(detector, "model", detector.plant), taken, out, each)
+    model = getattr(detector, "model", None)  # of principal components it is no plant
+    after = hindsight(model if isinstance(model, Plant) else detector.plant, taken, out, each)
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps)
