@@ -147,7 +147,7 @@ def test_a_detector_whose_model_is_no_plant_diagnoses_a_log(name: str) -> None:
     t, _, y, u = readings(plant, 60, 1, seed=0)
     biased = y[:, 0] + np.array([0.0, 20.0, 0.0, 0.0]) * plant.sensor_sigma * (t > 150)[:, None]
     times, _, healthy, inputs = readings(plant, 200, 2, seed=1)
-    found = diagnose(fit(name, plant, (times, healthy, inputs), 0.01), t, biased, u[:, 0])
+    found = diagnose(fit(name, plant, (times, healthy, inputs), 0.02), t, biased, u[:, 0])
     assert "l2" in {e.hypothesis for e in found.events} and found.health is not None
 
 
