@@ -60,10 +60,8 @@ def repeats(y: Array, healthy: Sequence[int] | None = None) -> list[list[tuple[i
     found: list[list[tuple[int, int]]] = []
     for i, column in enumerate(y.T):
         at, starts, lengths = equal_readings(column)
-        if healthy is not None:
-            least = max(REPEATED, TWICE * healthy[i])
-        else:
-            least = max(REPEATED, LONGER * float(np.median(lengths)) if lengths.size > 1 else 0.0)
+        usual = LONGER * float(np.median(lengths)) if lengths.size > 1 else 0.0
+        least = max(REPEATED, usual if healthy is None else TWICE * healthy[i])
         ends = starts + lengths - 1
         found.append([(int(at[a]), int(at[b])) for a, b, n in zip(starts, ends, lengths, strict=True) if n >= least])
     return found
