@@ -14,6 +14,7 @@ from fusion_sfdia.commissioning.commission import as_runs
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 from fusion_sfdia.tuning.drift import REFUSED, require_no_drift, trends
+from fusion_sfdia.tuning.tune import tune
 
 STEPS, SETTLE = 260, 20
 NAMES = ("a", "b", "c")
@@ -119,3 +120,12 @@ def test_a_log_too_short_for_a_slope_is_left_to_the_other_tests() -> None:
     short = Log(*(part[: SETTLE + 59] for part in log_of(5, {"b": 60.0})))
     assert trends(PLANT, short, SETTLE, PLANT.sensor_sigma).freedom == 0
     judge(short)
+
+
+@pytest.mark.slow
+def test_tune_refuses_what_it_could_learn_as_a_parameter() -> None:
+    plant = with_zero(0.1)
+    drifting = log_of(5, {"c": 5.0})
+    with pytest.raises(ValueError, match=r"sensor 'c' drifts from .* zero of c would explain it about as well"):
+        tune(plant, drifting, false_alarm=0.05, detector="loo-glr")
+    assert tune(plant, log_of(5), false_alarm=0.05, detector="loo-glr").quality["samples"] > 200
