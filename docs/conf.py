@@ -19,6 +19,7 @@ ROOT = HERE.parent
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ["DOCS_EXAMPLES"] = str(HERE / "examples")
 os.environ["DOCS_RESULTS"] = str(HERE / "results")
+os.environ["DOCS_HELPERS"] = str(ROOT / "tests" / "helpers")
 os.environ["COLUMNS"] = "100"
 os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
 
@@ -102,6 +103,7 @@ def skipped(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: An
 
 
 def setup(app: Sphinx) -> None:
+    """Connect what changes pages before they are built."""
     app.connect("source-read", links_outside)
     app.connect("autodoc-process-docstring", as_restructured_text)
     app.connect("autodoc-skip-member", skipped)
