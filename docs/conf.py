@@ -20,6 +20,7 @@ ROOT = HERE.parent
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ["DOCS_EXAMPLES"] = str(HERE / "examples")
 os.environ["DOCS_RESULTS"] = str(HERE / "results")
+os.environ["DOCS_HELPERS"] = str(ROOT / "tests" / "helpers")
 os.environ["COLUMNS"] = "100"
 os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
 

@@ -13,7 +13,8 @@ Its description is the first line of its docstring, unless its file registers it
 "my_package.tank:my_tank" can be registered, too; its module is imported when the plant or detector is built, so that listing
 names stays fast.
 
-Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is accepted as well.
+Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is accepted as well; for a
+plant also the path of a Functional Mock-up Unit, model.fmu, with model.toml beside it (see `fmu.settings`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
@@ -170,13 +172,15 @@ def detectors() -> dict[str, NamedDetector]:
 
 
 def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPlant:
-    """Return the plant of a registered name, a reference, a Plant, or a function without arguments that returns one.
+    """Return the plant of a registered name, a reference, an FMU, a Plant, or a function without arguments that returns one.
 
     The name of one that is not registered is the reference, or that of the object. ValueError for an unknown name, a reference
     without an object, and anything that is no plant.
     """
     from fusion_sfdia.core.plant import Plant
 
+    if isinstance(what, str) and what.endswith(".fmu"):
+        return NamedPlant(what, "a Functional Mock-up Unit", partial(_of_fmu, str(Path(what).resolve())))
     found = _meant("plant", what, _own_plants, plants)
     if isinstance(found, NamedPlant):
         return found
@@ -185,6 +189,12 @@ def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPla
     require_call(f"plant {name_of(what)}", found, "a Plant, or a function without arguments that returns one", 0)
     registered = (entry for entry in _PLANTS.values() if entry.make is found)
     return next(registered, NamedPlant(name_of(what), first_line(found), found, source=source_of(found)))
+
+
+def _of_fmu(path: str) -> Plant:
+    from fusion_sfdia.fmu.settings import fmu_plant
+
+    return fmu_plant(path)
 
 
 def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> NamedDetector:

@@ -22,7 +22,7 @@ OF_COLUMNS = ("absent_sensors", "other_columns", "nominal_inputs")
 
 def add_plant(one: Any) -> None:
     """Add --plant."""
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH}, or a model.fmu (default: gas-pipeline)")
 
 
 def add_detector(one: Any) -> None:
