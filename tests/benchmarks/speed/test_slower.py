@@ -61,16 +61,20 @@ def test_runs_that_differ_by_noise_alone_are_not_slower(history: int) -> None:
 
 
 def test_a_slowdown_beyond_the_noise_is_found() -> None:
-    """One row of 50, 30 % slower with a noise of 3 %, or 15 % with one of 1 %: in all of 50 trials, measured twice."""
-    rng = np.random.default_rng(2)
+    """One row of 50, measured twice, 30 % slower with a noise of 3 %, or 15 % with one of 1 %: at least 95 % of them.
+
+    In both cases the limit is about half of it: 4 standard deviations; the noise is learnt from 20 differences.
+    """
+    rng, trials = np.random.default_rng(2), 50
+    middle = KEYS[ROWS // 2]
     for increase, noise in ((1.3, 0.03), (1.15, 0.01)):
-        for _ in range(50):
+        found = []
+        for _ in range(trials):
             *before, now, again = runs_of(rng, 22, noise)
-            middle = KEYS[ROWS // 2]
             for run in (now, again):
                 run[middle] = Ratio(run[middle].value * increase, WITHIN)
-            changes = confirmed(compared(before, now), compared(before, again))
-            assert [c.key for c in changes if c.slower] == [middle]
+            found += [c.key for c in confirmed(compared(before, now), compared(before, again)) if c.slower]
+        assert {*found} == {middle} and len(found) >= 0.95 * trials - 3 * math.sqrt(trials * 0.95 * 0.05)
 
 
 def test_a_lasting_change_becomes_the_base() -> None:
