@@ -42,8 +42,8 @@ A ratio is slower where it exceeds the median of its last five runs by more than
 differences of successive runs of the same machine, moderated by that of all rows, and is at least the spread within the run;
 before there are three runs it is taken as 5 %. The limit is Student's quantile for one false alarm in 100 comparisons of all
 rows. What looks slower is measured again, and reported if it is slower both times. On synthetic timings of 50 rows a slowdown
-of 30 % is found in 99 % of the runs at a noise of 3 %, and one of 15 % in all at a noise of 1 %. In 200 comparisons of runs that
-differ by noise alone, normal or with heavier tails, nothing is reported.
+of 30 % is found in 99 % of the runs at a noise of 3 %, and one of 15 % in all at a noise of 1 %. In 200 comparisons of runs
+that differ by noise alone, normal or with heavier tails, nothing is reported.
 """
 GROWTH = """## Growth, counted
 
