@@ -126,7 +126,7 @@ def numpy_by_hand(kind: str) -> Call | None:
             cross = (weight * apart.T) @ apart
             gain = np.linalg.solve(cross + R, cross).T
             x, p = x + gain @ (Y - predicted), p - gain @ cross
-            return x
+            return np.asarray(x)
 
         return unscented
     if kind == "enkf":
