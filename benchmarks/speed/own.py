@@ -28,7 +28,7 @@ MODEL = "model step"
 
 
 def step(t_start: float, x: Array, u: Array, dt: float) -> Array:
-    """The heated tank of docs/usage.md: level (m) and temperature (K) dt seconds later."""
+    """The heated tank of docs/guide/your-plant.md: level (m) and temperature (K) dt seconds later."""
     level, temperature = x[..., 0], x[..., 1]
     inflow, power = u[..., 0], u[..., 1]
     level_rate = inflow - 1e-3 * np.sqrt(level)
