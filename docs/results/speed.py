@@ -111,8 +111,7 @@ def times(rows: Sequence[Row]) -> str:
                 r
                 for r in ratios
                 if (r.plant, r.detector, r.quantity) == (row.plant, row.detector, row.quantity)
-                and (r.condition == row.condition or r.condition.startswith(f"{row.condition}, ") or not row.condition)
-                and r.condition.count(",") == (f"{row.condition}, " if row.condition else "").count(",")
+                and row.condition == r.condition.rpartition(", ")[0]
             ]
             shown = "; ".join(f"{r.value:.{DIGITS}g} [{r.low:.{DIGITS}g}, {r.high:.{DIGITS}g}] {last(r)}" for r in same)
             what = ", ".join(filter(None, (row.quantity, row.condition)))
