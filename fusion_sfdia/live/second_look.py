@@ -216,7 +216,8 @@ class SecondLook:
             arrays["faults"].tolist(),
             strict=True,
         ):
-            event = None if np.isnan(told[0]) else Event(name, *told[:3], "", bool(told[3]), fault=fault)
+            start, end, magnitude, is_open = told
+            event = None if np.isnan(start) else Event(name, start, end, magnitude, "", bool(is_open), fault=fault)
             found.named.append(NamedEvent(int(row[0]), name, row[1], row[2], event, bool(row[3])))
         return found
 
