@@ -18,7 +18,7 @@ from fusion_sfdia.evaluation.diagnose import against_the_model
 from fusion_sfdia.evaluation.events import Event, events_of
 from fusion_sfdia.evaluation.hindsight import LEAD, Hindsight, begun, looked
 from fusion_sfdia.evaluation.model_health import Health, health_of
-from fusion_sfdia.evaluation.sensor_events import TOGETHER, explained, false_alarm_of
+from fusion_sfdia.evaluation.sensor_events import TOGETHER, explained, alarm_rate_of
 from fusion_sfdia.filters.estimators import GaussianState
 
 Array = NDArray[Any]
@@ -242,7 +242,7 @@ class SecondLook:
         events = [e for e in found if e.kind != "sensor" or self.read[names.index(e.hypothesis)]]
         starts = np.flatnonzero(np.isfinite([s.begins for s in rows]))
         remarks = against_the_model(events, decisions, t, clock)
-        return events, health_of(names, after, starts, false_alarm_of(self.detector), remarks)
+        return events, health_of(names, after, starts, alarm_rate_of(self.detector), remarks)
 
     def _news(self, events: Sequence[Event], next_id: int) -> list[tuple[int, Event]]:
         """Of the events of sensors those that are not as reported before."""
