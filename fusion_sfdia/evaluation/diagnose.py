@@ -162,7 +162,7 @@ def diagnose_run(
     _warn(detector, log, decisions, gaps)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     names, rate = detector.plant.sensor_names, alarm_rate_of(detector)
-    health = health_of(names, after, starts, rate, _against_the_model(events, decisions, t, clock))
+    health = health_of(names, after, starts, rate, against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
     return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
 
@@ -192,7 +192,7 @@ def decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], It
     return stack(found)
 
 
-def _against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
+def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
     """What else than innovations speaks against the model."""
     found = [e.difference for e in events if isinstance(e, ProcessEvent) and e.open]
     if np.any(decisions.diverged):

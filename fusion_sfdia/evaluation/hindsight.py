@@ -50,31 +50,56 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
     variance is 1 / w_i; of one that is not, y - h(x) after the others were used, with the variance R + H P H'. Where the
     filter has no finite value any more, everything after is NaN.
     """
-    filter_, rng, cov = Extended(), step_stream(0, 0), model.sensor_cov  # this filter draws nothing
     count, n = out.shape
-    error, sd, normal = (np.full((count, n), np.nan) for _ in range(3))
-    found = Hindsight(error, sd, normal, np.full(count, np.nan), np.zeros(count, int))
-    core = filter_.start(model, (), rng)
-    before, k = np.nan, -1
-    with np.errstate(all="ignore"):
-        for s in each(range(track.t.size)):
-            if np.isfinite(track.begins[s]):
-                core, before = filter_.start(model, (), rng), float(track.begins[s])
-            now, y, u = float(track.t[s]), track.y[s], track.u[s]
-            prior = filter_.predict(model, core, before, u, now - before, rng)
-            joint = filter_.joint(model, prior, now, u)
-            k += bool(track.own[s])
-            use = np.isfinite(y) & ~out[k] if track.own[s] else np.zeros(n, bool)
-            after = condition(joint, y, use)
-            if np.any(prior.lost) or not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
-                break
-            if track.own[s]:
-                w = np.where(use, np.diagonal(after.inverse), np.nan)
-                h = model.output_jacobian_at(now, after.x, u)
-                d = np.where(use, after.innovation, 0.0)
-                found.error[k] = np.where(use, after.inverse @ d / w, y - model.output(now, after.x, u))
-                found.sd[k] = np.sqrt(np.where(use, 1 / w, np.sum((h @ after.P) * h, axis=-1) + cov))
-                found.normal[k] = np.where(use, d / np.sqrt(np.diagonal(joint.S)), np.nan)
-                found.nis[k], found.used[k] = after.nis, np.sum(use)
-            core, before = GaussianState(after.x, after.P), now
+    found = unknown(count, n)
+    core, before, k = begun(model), np.nan, -1
+    for s in each(range(track.t.size)):
+        if np.isfinite(track.begins[s]):
+            core, before = begun(model), float(track.begins[s])
+        own, now = bool(track.own[s]), float(track.t[s])
+        k += own
+        use = np.isfinite(track.y[s]) & ~out[k] if own else np.zeros(n, bool)
+        after, row = looked(model, core, (before, now), (track.y[s], track.u[s]), use)
+        if after is None:
+            break
+        if own:
+            for values, value in zip(found, row, strict=True):
+                values[k] = value
+        core, before = after, now
     return found
+
+
+def unknown(count: int, n: int) -> Hindsight:
+    """Of `count` samples of n sensors nothing is known."""
+    error, sd, normal = (np.full((count, n), np.nan) for _ in range(3))
+    return Hindsight(error, sd, normal, np.full(count, np.nan), np.zeros(count, int))
+
+
+def begun(model: Plant) -> GaussianState:
+    """The filter at its start."""
+    found: GaussianState = Extended().start(model, (), step_stream(0, 0))
+    return found
+
+
+def looked(
+    model: Plant, core: GaussianState, times: tuple[float, float], values: tuple[Array, Array], use: Array
+) -> tuple[GaussianState | None, Hindsight]:
+    """One step of `hindsight` over `times` with readings y (N,), of which those to `use` (N,), and inputs u (m,): the filter
+    after it, None where it has no finite value, and of this sample what is known.
+    """
+    filter_, rng, cov = Extended(), step_stream(0, 0), model.sensor_cov  # this filter draws nothing
+    (before, now), (y, u) = times, values
+    with np.errstate(all="ignore"):
+        prior = filter_.predict(model, core, before, u, now - before, rng)
+        joint = filter_.joint(model, prior, now, u)
+        after = condition(joint, y, use)
+        if np.any(prior.lost) or not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
+            nothing = unknown(1, len(y))
+            return None, Hindsight(*(v[0] for v in nothing))
+        w = np.where(use, np.diagonal(after.inverse), np.nan)
+        h = model.output_jacobian_at(now, after.x, u)
+        d = np.where(use, after.innovation, 0.0)
+        error = np.where(use, after.inverse @ d / w, y - model.output(now, after.x, u))
+        sd = np.sqrt(np.where(use, 1 / w, np.sum((h @ after.P) * h, axis=-1) + cov))
+        normal = np.where(use, d / np.sqrt(np.diagonal(joint.S)), np.nan)
+    return GaussianState(after.x, after.P), Hindsight(error, sd, normal, after.nis, np.sum(use))
