@@ -18,7 +18,7 @@ from fusion_sfdia.core.plant_groups import Numerics
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 from fusion_sfdia.fmu.functions import CoSimulation, ModelExchange
-from fusion_sfdia.fmu.instance import Fmu, digest_of
+from fusion_sfdia.fmu.handle import Fmu, digest_of
 from fusion_sfdia.fmu.interface import MODEL_EXCHANGE, Interface, Variable, read_interface
 from fusion_sfdia.fmu.stated import Stated, fields_of_sensors, parameters_of, sensor_of, start_of, states_of
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.augment import joined
 from fusion_sfdia.core.equation import difference_jacobian
-from fusion_sfdia.fmu.instance import Fmu
+from fusion_sfdia.fmu.handle import Fmu
 
 Array = NDArray[Any]
 

@@ -135,14 +135,19 @@ def test_decisions_are_those_of_the_plant(fmu: MakeFmu, faulty: Recording, case:
         assert np.array_equal(getattr(ours, what), getattr(theirs, what))
 
 
-def test_a_copy_and_another_process_open_their_own(exchanged: Plant) -> None:
+def test_a_copy_and_another_process_open_their_own(exchanged: Plant, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     expected = exchanged.step(0.0, X, U, 5.0)
-    for made in (copy.deepcopy(exchanged), pickle.loads(pickle.dumps(exchanged))):
-        assert np.array_equal(made.step(0.0, X, U, 5.0), expected)
+    for copied in (copy.deepcopy(exchanged), pickle.loads(pickle.dumps(exchanged))):
+        assert np.array_equal(copied.step(0.0, X, U, 5.0), expected)
+    del copied
     for method in ("fork", "spawn"):  # a forked process has a copy of the memory of an open FMU
         with ProcessPoolExecutor(1, get_context(method)) as pool:
             assert np.array_equal(pool.submit(exchanged.step, 0.0, X, U, 5.0).result(), expected)
     assert np.array_equal(exchanged.step(0.0, X, U, 5.0), expected)  # not closed by the processes that ended
+    gc.collect()
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith("fusion-sfdia-fmu")]
 
 
 def test_folders_go_with_the_plant(fmu: MakeFmu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
