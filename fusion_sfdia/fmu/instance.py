@@ -142,8 +142,7 @@ class Instance:
 
     def ahead(self, t: float, dt: float, x: Array, u: Array, theta: Array) -> Array:
         """The states (n,) dt seconds later."""
-        self._start(theta, t, x, u)
-        self.model.doStep(t, dt)
+        self.model.doStep(self._start(theta, t, x, u), dt)
         return self.states.read()
 
     def outputs_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
@@ -153,9 +152,9 @@ class Instance:
 
     def twice(self, t: float, dt: float, x: Array, u: Array, theta: Array) -> Array:
         """The states and outputs (n + N,) after two steps in a row."""
-        self._start(theta, t, x, u)
-        self.model.doStep(t, dt)
-        self.model.doStep(t + dt, dt)
+        first = self._start(theta, t, x, u)
+        self.model.doStep(first, dt)
+        self.model.doStep(first + dt, dt)
         return np.concatenate([self.states.read(), self.outputs.read()])
 
     def initial(self, of: str, theta: Array) -> Array:
@@ -166,9 +165,12 @@ class Instance:
 
     # calls of FMI
 
-    def _start(self, theta: Array, t: float, x: Array | None = None, u: Array | None = None) -> None:
-        """Initialise the FMU at t with these parameters, and states and inputs where they are given."""
-        model, version = self.model, self.interface.version
+    def _start(self, theta: Array, t: float, x: Array | None = None, u: Array | None = None) -> float:
+        """Initialise the FMU at t with these parameters, and states and inputs where they are given; return that time.
+
+        A time before the start of the FMU's default experiment is taken as its start.
+        """
+        model, version, t = self.model, self.interface.version, max(float(t), self.interface.start_time)
         if self.snapshots:
             model.setFMUState(self.snapshots[0])
         else:
@@ -181,15 +183,16 @@ class Instance:
         if u is not None:
             self.inputs.write(u)
         if version == 2:
-            model.setupExperiment(startTime=float(t), tolerance=self.interface.tolerance)
+            model.setupExperiment(startTime=t, tolerance=self.interface.tolerance)
             model.enterInitializationMode()
         else:
-            model.enterInitializationMode(startTime=float(t), tolerance=self.interface.tolerance)
+            model.enterInitializationMode(startTime=t, tolerance=self.interface.tolerance)
         model.exitInitializationMode()
         if self.interface.kind == MODEL_EXCHANGE:
             self._settle(model.newDiscreteStates if version == 2 else model.updateDiscreteStates)
             model.enterContinuousTimeMode()
             self.theta = np.array(theta)
+        return t
 
     def _settle(self, update: Callable[[], Any]) -> None:
         """Update discrete states until they stay; ValueError for an event in the future."""
@@ -201,7 +204,7 @@ class Instance:
                 return
 
     def _set_point(self, t: float, x: Array, u: Array, theta: Array) -> None:
-        """Time, states, inputs and parameters; a time before the start of the FMU is taken as its start."""
+        """Set time, states, inputs and parameters, of model exchange."""
         first = self.interface.start_time
         if self.theta is None or (theta.size and not np.array_equal(theta, self.theta)):
             self._start(theta, first)

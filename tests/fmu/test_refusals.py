@@ -80,6 +80,26 @@ def edited(path: Path, library: Path, *changes: tuple[str, str], folder: str | N
     return write_fmu(path / "edited.fmu", 2, xml, library, folder)
 
 
+@pytest.mark.parametrize("version", [2, 3])
+def test_events_in_time(fmu: MakeFmu, version: int) -> None:
+    with pytest.raises(ValueError, match=r"has an event at 7 s; expected none: .* export it without events"):
+        from_fmu(fmu(version, "ModelExchange"), **NOISE, start_values={"lag": -7.0})
+
+
+def test_variables_that_are_no_real_numbers(library: Path, tmp_path: Path) -> None:
+    """A Boolean parameter can be set before the start (here by a function that the FMU lacks), an input cannot be used."""
+    added = '<ScalarVariable name="on" valueReference="20" causality="{}" {}><Boolean start="true"/></ScalarVariable>'
+    parameter = added.format("parameter", 'variability="fixed" initial="exact"')
+    path = edited(tmp_path, library, ("</ModelVariables>", f"{parameter}</ModelVariables>"))
+    with pytest.raises(ValueError, match=r"fmi2SetBoolean failed with status 3"):
+        from_fmu(path, **NOISE, start_values={"on": False})
+    added = added.format("input", 'variability="discrete"')
+    path = edited(tmp_path, library, ("</ModelVariables>", f"{added}</ModelVariables>"))
+    with pytest.raises(ValueError, match=r"the input 'on' is a discrete variable or one of type Boolean; expected scalar"):
+        from_fmu(path, **NOISE)
+    assert len(from_fmu(path, **NOISE, inputs=["inflow"]).inputs) == 1
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
