@@ -17,7 +17,7 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test test-long test-kernels check lint format notebooks bench wheel clean
+.PHONY: env demo test test-long test-kernels check lint format notebooks docs bench wheel clean
 
 env: $(DEV)
 
@@ -59,6 +59,10 @@ format: $(DEV)
 
 notebooks: $(DEV)
 	$(BIN)/python notebooks/run.py
+
+# the site, in docs/_build/html: its pages run; what has not changed comes from a cache
+docs: $(DEV)
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs docs/_build/html
 
 bench: $(RUN)
 	$(BIN)/fusion-sfdia bench $(BENCH_ARGS)

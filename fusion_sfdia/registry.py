@@ -65,7 +65,8 @@ class NamedDetector(NamedTuple):
     build: takes a Plant and returns the Detector. memory: "none" (present readings only), "state estimate only", or the time
     over which evidence of a fault accumulates; "" where it is not stated. source: "module:name" of what builds it. learns:
     whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `named.fit` does.
-    tests_process: whether it also tells faults of the process or errors of the model from those of sensors.
+    tests_process: whether it also tells faults of the process or errors of the model from those of sensors. most_faults: how
+    many sensors it isolates at once at most on any plant; None where only the plant limits it.
     """
 
     name: str
@@ -75,12 +76,15 @@ class NamedDetector(NamedTuple):
     source: str = ""
     learns: bool = False
     tests_process: bool = False
+    most_faults: int | None = None
 
     @property
     def package(self) -> str:
         """The package it comes from."""
         return package_of(self.source)
 
+
+DEFAULT_DETECTOR = "robust-glr"  # where none is named
 
 _PLANTS: dict[str, NamedPlant] = {}
 _DETECTORS: dict[str, NamedDetector] = {}
@@ -105,11 +109,26 @@ def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None
 
 @overload
 def register_detector(
-    name: str, about: str, *, memory: str = "", learns: bool = False, tests_process: bool = False, **settings: Any
+    name: str,
+    about: str,
+    *,
+    memory: str = "",
+    learns: bool = False,
+    tests_process: bool = False,
+    most_faults: int | None = None,
+    **settings: Any,
 ) -> Callable[[M], M]: ...
 @overload
 def register_detector(
-    name: str, about: str, build: M, *, memory: str = "", learns: bool = False, tests_process: bool = False, **settings: Any
+    name: str,
+    about: str,
+    build: M,
+    *,
+    memory: str = "",
+    learns: bool = False,
+    tests_process: bool = False,
+    most_faults: int | None = None,
+    **settings: Any,
 ) -> M: ...
 def register_detector(
     name: str,
@@ -119,18 +138,21 @@ def register_detector(
     memory: str = "",
     learns: bool = False,
     tests_process: bool = False,
+    most_faults: int | None = None,
     **settings: Any,
 ) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
-    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`. ValueError for a
-    name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
+    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`, `most_faults`.
+    ValueError for a name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
     """
     if build is None:
-        return partial(register_detector, name, about, memory=memory, learns=learns, tests_process=tests_process, **settings)
+        given: dict[str, Any] = {"memory": memory, "learns": learns, "tests_process": tests_process, "most_faults": most_faults}
+        return partial(register_detector, name, about, **given, **settings)
     made = partial(deferred(build), **settings) if settings else deferred(build)
-    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build), learns, tests_process))
+    entry = NamedDetector(name, about, made, memory, source_of(build), learns, tests_process, most_faults)
+    enter(_DETECTORS, "detector", entry)
     return build
 
 

@@ -70,8 +70,8 @@ def test_files_that_do_not_fit(path: Path, text: str, message: str) -> None:
 
 
 def test_the_example_of_the_documentation_runs(path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    section = (root / "docs" / "usage.md").read_text(encoding="utf-8").partition("## A model you already have")[2]
-    code = section.partition("```python\n")[2].partition("```")[0]
+    page = (root / "docs" / "guide" / "model-you-have.md").read_text(encoding="utf-8")
+    code = page.partition("```python\n")[2].partition("```")[0]
     assert 'from_fmu(\n    "tanks.fmu",' in code
     monkeypatch.chdir(path.parent)
     example: dict[str, Any] = {}
