@@ -41,12 +41,6 @@ X = np.array([[[1.0, 1.0]], [[1.2, 0.8]], [[0.5, 0.6]]])  # (3, 1, 2)
 U = np.array([[6e-4], [5e-4]])  # (2, 1)
 
 
-def native() -> Plant:
-    """The plant of this package, of which the FMUs know all but what is at rest."""
-    plant = two_tanks()
-    return replace(plant, uncertainty=replace(plant.uncertainty, at_rest=False))
-
-
 def stated() -> dict[str, Any]:
     """What two_tanks states beside its equations."""
     plant = two_tanks()
@@ -64,7 +58,8 @@ def stated() -> dict[str, Any]:
 
 @pytest.fixture(scope="module", params=CASES)
 def plant(request: pytest.FixtureRequest, fmu: MakeFmu) -> Plant:
-    return from_fmu(fmu(*CASES[request.param]), **stated())
+    made = from_fmu(fmu(*CASES[request.param]), **stated())
+    return replace(made, uncertainty=replace(made.uncertainty, at_rest=True))  # as two_tanks
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +70,7 @@ def exchanged(fmu: MakeFmu) -> Plant:
 @pytest.fixture(scope="module")
 def faulty() -> Recording:
     """A run of 120 readings; level_1 reads 6 cm too much from the 41st on."""
-    recording = simulate(native(), 120, seeds=[3])
+    recording = simulate(two_tanks(), 120, seeds=[3])
     recording.y[40:, 0, 0] += 0.06
     return recording
 
@@ -93,9 +88,9 @@ def test_signals_are_those_of_the_description(exchanged: Plant) -> None:
 
 def test_step_and_output_of_batches_are_those_of_the_plant(plant: Plant) -> None:
     """Both sum the same few terms, in double precision."""
-    for ours, theirs in ((plant, native()),):
-        assert np.allclose(ours.step(0.0, X, U, 5.0), theirs.step(0.0, X, U, 5.0), rtol=1e-14, atol=0)
-        assert np.allclose(ours.output(5.0, X, U), theirs.output(5.0, X, U), rtol=1e-14, atol=0)
+    own = two_tanks()
+    assert np.allclose(plant.step(0.0, X, U, 5.0), own.step(0.0, X, U, 5.0), rtol=1e-14, atol=0)
+    assert np.allclose(plant.output(5.0, X, U), own.output(5.0, X, U), rtol=1e-14, atol=0)
     check_plant(plant)
 
 
@@ -104,7 +99,7 @@ def test_jacobians_are_those_of_the_plant(plant: Plant, request: pytest.FixtureR
     co-simulation, as wide as a tolerance of 1e-6 asks for, by 1e-4 sigma^2 of them: 1e-8.
     """
     exact = "model exchange" in request.node.callspec.params["plant"]
-    own, theta = native(), 1.05 * native().uncertainty.nominal
+    own, theta = two_tanks(), 1.05 * two_tanks().uncertainty.nominal
     tolerance = 1e-14 if exact else 1e-8
     for ours, theirs in (
         (plant.step_jacobian_at(0.0, X, U, 5.0), own.step_jacobian_at(0.0, X, U, 5.0)),
@@ -131,7 +126,7 @@ def decided(name: str, plant: Plant, recording: Recording) -> Decision:
 
 @pytest.fixture(scope="module", params=["loo-glr", "robust-glr"])
 def by_the_plant(request: pytest.FixtureRequest, faulty: Recording) -> tuple[str, Decision]:
-    return request.param, decided(request.param, native(), faulty)
+    return request.param, decided(request.param, two_tanks(), faulty)
 
 
 @pytest.mark.slow
@@ -185,7 +180,7 @@ def test_rows_without_a_result_are_nan(exchanged: Plant) -> None:
     assert np.array_equal(np.isnan(exchanged.step(0.0, x, U[0], 5.0)).all(axis=1), [False, True, True])
     with pytest.raises(ArithmeticError, match=r"TwoTanks.* fails: fmi2GetDerivatives failed with status 3 \(error\)"):
         exchanged.step(0.0, np.array([-2.0, 1.0]), U[0], 5.0)
-    assert np.array_equal(exchanged.step(0.0, X, U, 5.0), native().step(0.0, X, U, 5.0))
+    assert np.array_equal(exchanged.step(0.0, X, U, 5.0), two_tanks().step(0.0, X, U, 5.0))
 
 
 def test_times_before_the_start_of_the_fmu_are_its_start(plant: Plant) -> None:
@@ -244,7 +239,7 @@ def test_shares_are_of_the_nominal_value(fmu: MakeFmu) -> None:
 
 
 def test_co_simulation_is_a_truth_and_carries_ensembles(fmu: MakeFmu) -> None:
-    plant, own = from_fmu(fmu(*CASES["co-simulation 2.0"]), **stated()), native()
+    plant, own = from_fmu(fmu(*CASES["co-simulation 2.0"]), **stated()), two_tanks()
     by_fmu = simulate(own, 20, seeds=[1, 2], truth=replace(plant, uncertainty=own.uncertainty))
     assert np.allclose(by_fmu.y, simulate(own, 20, seeds=[1, 2], truth="model").y, rtol=1e-12)
     for detector in (ParticleFilter(plant, size=20), CentralFilter(plant, estimator=Ensemble())):
