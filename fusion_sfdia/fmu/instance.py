@@ -45,7 +45,7 @@ class Instance:
         self.of, self.lock = fmu, RLock()
         self.interface = interface = fmu.interface
         self.messages = messages = deque[str](maxlen=3)  # of the logger, which must not hold this instance
-        self.theta: Array | None = None  # for which the FMU is initialised
+        self.initialised: bytes | None = None  # the parameters for which the FMU is, of model exchange
         self.snapshots: list[Any] = []  # of the FMU as it is instantiated, of co-simulation
         library, folder = fmpy(), tempfile.mkdtemp(prefix="fusion-sfdia-fmu-")
         self.failed = library.fmi1.FMICallException
@@ -88,7 +88,7 @@ class Instance:
         try:
             return call(*arguments)
         except self.failed as error:
-            self.theta = None  # begin again with a reset
+            self.initialised = None  # begin again with a reset
             if error.status == DISCARD:
                 return np.nan
             raise ArithmeticError(f"{self.interface} fails: {error}{self._said()}") from error
@@ -191,7 +191,7 @@ class Instance:
         if self.interface.kind == MODEL_EXCHANGE:
             self._settle(model.newDiscreteStates if version == 2 else model.updateDiscreteStates)
             model.enterContinuousTimeMode()
-            self.theta = np.array(theta)
+            self.initialised = theta.tobytes()
         return t
 
     def _settle(self, update: Callable[[], Any]) -> None:
@@ -206,7 +206,7 @@ class Instance:
     def _set_point(self, t: float, x: Array, u: Array, theta: Array) -> None:
         """Set time, states, inputs and parameters, of model exchange."""
         first = self.interface.start_time
-        if self.theta is None or (theta.size and not np.array_equal(theta, self.theta)):
+        if self.initialised != theta.tobytes():
             self._start(theta, first)
         self.model.setTime(max(float(t), first))
         self.states.array[:] = x

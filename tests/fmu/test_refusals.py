@@ -86,6 +86,17 @@ def test_events_in_time(fmu: MakeFmu, version: int) -> None:
         from_fmu(fmu(version, "ModelExchange"), **NOISE, start_values={"lag": -7.0})
 
 
+def test_an_fmu_of_both_kinds(library: Path, tmp_path: Path) -> None:
+    """Model exchange comes first; where it has events, the error names the other kind."""
+    both = ("<UnitDefinitions>", f'<CoSimulation modelIdentifier="two_tanks" {STEPPED}/><UnitDefinitions>')
+    path = edited(tmp_path, library, both)
+    assert read_interface(path).kind == "model exchange"
+    path = edited(tmp_path, library, both, ('numberOfEventIndicators="0"', 'numberOfEventIndicators="2"'))
+    with pytest.raises(ValueError, match=r"has 2 event indicators; .* pass kind='co-simulation'"):
+        from_fmu(path, **NOISE)
+    assert from_fmu(path, **NOISE, kind="co-simulation").sensor_names == ("level_1", "level_2", "flow_12", "flow_out")
+
+
 def test_variables_that_are_no_real_numbers(library: Path, tmp_path: Path) -> None:
     """A Boolean parameter can be set before the start (here by a function that the FMU lacks), an input cannot be used."""
     added = '<ScalarVariable name="on" valueReference="20" causality="{}" {}><Boolean start="true"/></ScalarVariable>'
