@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ project = "fusion-sfdia"
 author = "fusion-sfdia authors"
 version = release = fusion_sfdia.__version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "sphinx_design"]
-exclude_patterns = ["_build", "README.md", "examples", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "README.md", "results/README.md", "examples", "**.ipynb_checkpoints"]
+suppress_warnings = ["myst.header"]  # a generated page goes from its title to the third level
 
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 4
@@ -37,7 +39,7 @@ nb_execution_mode = "cache"
 nb_execution_cache_path = str(HERE / "_build" / "cache")
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 300  # s a cell, also on a busy machine
 nb_execution_excludepatterns = ["notebooks/*"]  # they carry their outputs, which a test compares with a fresh run
 nb_merge_streams = True
 nb_ipywidgets_js: dict[str, dict[str, str]] = {}
@@ -71,6 +73,7 @@ linkcheck_ignore = ["https?://.*"]  # `make docs` has no network; links within t
 
 OUTSIDE = re.compile(r"\[([^\]\n]+)\]\(((?:\.\./)+[^)#\s]*)(#[^)\s]*)?\)")
 CODE = re.compile(r"(`[^`]*`)")
+MARKUP = re.compile(r"([*|]|(?<=\w)_(?!\w))")
 
 
 def links_outside(app: Sphinx, page: str, source: list[str]) -> None:
@@ -87,12 +90,20 @@ def links_outside(app: Sphinx, page: str, source: list[str]) -> None:
 
 
 def as_restructured_text(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Docstrings are plain text: an indented block after a colon is shown as it is, and stars and bars are no markup."""
+    """Docstrings are plain text: an indented block after a colon is shown as it is, stars and bars are no markup, and the
+    names of parameters before a colon are code.
+    """
+    try:
+        names = "|".join(map(re.escape, signature(obj).parameters))
+    except (TypeError, ValueError):
+        names = ""
+    described = re.compile(rf"(?<![\w`.])((?:{names})(?:, (?:{names}))*):(?=\s|$)") if names else None
     for k, line in enumerate(lines):
         indented = line.startswith("    ")
         if not indented:
             parts = CODE.split(line)
-            lines[k] = "".join(p if p.startswith("`") else re.sub(r"([*|]|(?<=\w)_(?!\w))", r"\\\1", p) for p in parts)
+            line = "".join(p if p.startswith("`") else MARKUP.sub(r"\\\1", p) for p in parts)
+            lines[k] = described.sub(r"``\1``:", line) if described else line
         if line.endswith(":") and not indented and [x[:4] for x in lines[k + 1 : k + 3]] == ["", "    "]:
             lines[k] += ":"
 
@@ -103,7 +114,7 @@ def skipped(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: An
 
 
 def setup(app: Sphinx) -> None:
-    """Connect what changes pages before they are built."""
+    """Connect the functions above to the events of a build."""
     app.connect("source-read", links_outside)
     app.connect("autodoc-process-docstring", as_restructured_text)
     app.connect("autodoc-skip-member", skipped)

@@ -44,9 +44,11 @@ def test_rows_are_watched_and_taken_up_again(root: Path, folder: Path) -> None:
     assert output_of(root, folder, "live.py") == ""  # all rows were in the state
 
 
-def test_the_nodes_are_those_of_the_tank(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nodes_and_topics_are_those_of_the_tank(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from fusion_sfdia.live.nodes import load_nodes
+    from fusion_sfdia.live.topics import load_topics
     from fusion_sfdia.registry import plant
 
     monkeypatch.chdir(folder)
     assert load_nodes("nodes.toml", plant("tank.py:make")).write["level_1"]["sigma"] == "ns=2;s=T1.LT1.sigma"
+    assert load_topics("topics.toml", plant("tank.py:make")).sources["level_2"].value == "lt2.pv"
