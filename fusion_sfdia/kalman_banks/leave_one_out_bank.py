@@ -47,6 +47,8 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
 
 Array = NDArray[Any]
 
+NUMBERS: type = np.float32  # of the window: its rounding is far below the noise, and its products take half the time
+
 
 class LeaveOneOutMemory(NamedTuple):
     """The filter's estimate, the sensors that are left out, and the likelihood ratios of the window."""
@@ -102,7 +104,7 @@ class LeaveOneOutBank(ExcludingBank):
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
         estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self._grid, n, count))
+        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self._grid, n, count, count, NUMBERS))
 
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
         estimate, exclusion, window = memory
@@ -117,10 +119,8 @@ class LeaveOneOutBank(ExcludingBank):
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
-            window = shifted(window, self._grid, now.k)
-            effect = Effect(self._bias)
             H = joint.H if joint.H is not None else plant.output_jacobian_at(t, prior.core.x, u)
-            onsets = weigh(window, tangent, H, everything, effect)
+            onsets = weigh(shifted(window, self._grid, now.k), tangent, H, everything, Effect(self._bias))
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
             stronger = best.statistic / window_limit > everything.whitened * residual / one_limit
             residual = np.where(stronger, best.size, residual)

@@ -153,7 +153,7 @@ class RobustBank(ExcludingBank):
         everything = statistics(joint, y, usable)
         tested = self._test(windows, prior, joint, now.k, everything)
         one = one_sample_evidence(everything, of.recent_sizes[:count])
-        evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.window.age, one, handicap)
+        evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.age, one, handicap)
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
         unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
         room = np.where(unexplained, 0, room)
@@ -221,8 +221,8 @@ class RobustBank(ExcludingBank):
         of, F, H = self._hypotheses, prior.tangent, joint.H
         assert F is not None and H is not None
         recent, slow = (shifted(w, grid, step) for w, grid in zip(windows, self._grids, strict=True))
-        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]), of.still)
-        slowly = weigh(slow, F, H, found, of.slow(F, slow.age), of.still)
+        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]), of.leading)
+        slowly = weigh(slow, F, H, found, of.slow(F, slow.age), of.leading)
         every = np.concatenate([found.used, np.ones((*found.used.shape[:-1], len(of.process)), bool)], axis=-1)
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
