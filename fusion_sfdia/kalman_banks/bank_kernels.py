@@ -120,7 +120,7 @@ def carried(
 ) -> None:
     """Complete eta (B, n, L, q) from what stood in the slots `places` (L,) of `old`: see `weigh`.
 
-    eta has the products of A (B, n, n) with the leading states; those with the others, F K D and -C are added. readings (B, L):
+    It has the products of A (B, n, n) with the leading states; those with the others, F K D and -C are added. readings (B, L):
     D of `old`. change (B, n, r): C, the first `once` at the onset only. age (B, L).
     """
     B, n, L, q = eta.shape
@@ -156,7 +156,7 @@ def carried(
 def summed(M: Array, half: Array, scores: Array, readings: Array, a: Array, b: Array) -> None:
     """Add the present innovations to a and b (B, L, q), in place: see `weigh`.
 
-    M (B, K, N, q): -U' H eta of the last K slots, 0 in those before. half (B, N, N): U'. scores (B, N): U' d. readings (B, L): D.
+    M (B, K, N, q): -U' H eta of the last K slots, 0 in those before. half U' (B, N, N), scores U' d (B, N), readings D (B, L).
     """
     B, L, q = a.shape
     N, known = M.shape[2], L - M.shape[1]

@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.kalman_banks import bank_kernels
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, value_at
+from fusion_sfdia.kalman_banks import bank_kernels, window_step
+from fusion_sfdia.kalman_banks.leave_one_out import value_at
+from fusion_sfdia.kalman_banks.window_step import WindowStep
 
 Array = NDArray[Any]
 
@@ -64,16 +65,13 @@ def _moves(grid: Grid, step: int) -> Array | None:
 
 
 class Window(NamedTuple):
-    """Sums over the steps since each of L onsets, for q hypotheses, of N readings and n states.
+    """Sums over the steps since each of L onsets, for q hypotheses, with the last readings.
 
-    eta (..., n, L, q): of the last prediction. gain K (..., n, N), readout H (..., N, n), readings D (..., L): of the update
-    after it, which is taken together with the next prediction. a, b (..., L, q). age (..., L): samples since the onset, its own
-    included.
+    eta (..., n, L, q): of the last prediction, before the update. readings (..., L): D of the last readings. a, b (..., L, q).
+    age (..., L): samples since the onset, its own included.
     """
 
     eta: Array
-    gain: Array
-    readout: Array
     readings: Array
     a: Array
     b: Array
@@ -103,14 +101,14 @@ class Shifted(NamedTuple):
 
 
 class Weighed(NamedTuple):
-    """The window with the present readings, before the update: as `Window`, all of the present step."""
+    """The window of the present step, and H (..., N, n)."""
 
     eta: Array
-    readout: Array
     readings: Array
     a: Array
     b: Array
     age: Array
+    readout: Array
 
     @property
     def M(self) -> Array:  # noqa: N802, the symbol of the equations
@@ -135,12 +133,11 @@ class Best(NamedTuple):
     slot: Array
 
 
-def empty(batch: tuple[int, ...], grid: Grid, states: int, sensors: int, hypotheses: int, kind: type = np.float64) -> Window:
-    """Return the window before the first readings; kind: of the numbers in which eta and M are computed."""
-    slots, sums = grid.slots, (*batch, grid.slots, hypotheses)
-    update = (states, sensors) if slots else (0, 0)
-    eta, K, H = (np.zeros((*batch, *shape), kind) for shape in ((states, slots, hypotheses), update, update[::-1]))
-    return Window(eta, K, H, np.zeros((*batch, slots)), np.zeros(sums), np.zeros(sums), np.zeros((*batch, slots)))
+def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type | None = None) -> Window:
+    """Return the window before the first readings; kind: of the numbers of eta, `window_step.NUMBERS` by default."""
+    slots, sums = (*batch, grid.slots), (*batch, grid.slots, hypotheses)
+    eta: Array = np.zeros((*batch, states, grid.slots, hypotheses), kind or window_step.NUMBERS)
+    return Window(eta, np.zeros(slots), np.zeros(sums), np.zeros(sums), np.zeros(slots))
 
 
 def shifted(window: Window, grid: Grid, step: int) -> Shifted:
@@ -151,47 +148,27 @@ def shifted(window: Window, grid: Grid, step: int) -> Shifted:
     return Shifted(window, places, *(_of_batch(v, batch) for v in found))
 
 
-def weigh(
-    now: Shifted, tangent: Array, output_jacobian: Array, found: LeaveOneOut, effect: Effect, leading: int | None = None
-) -> Weighed:
-    """Add the present innovations; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use.
-
-    The update of the step before and the prediction are one product, and with S^-1 = U U'
-
-        eta <- (F - F K H) eta + F K D - C,    a = sum (U' M)' U' d,    b = sum diag((U' M)' U' M)
-
-    leading: the other states are those of which few others depend, and no reading: products with them are left out where a
-    factor is 0 (None: none). a and b of `now` are written to.
-    """
-    assert found.half is not None and found.scores is not None
+def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
+    """Take the window over a step and add its innovations; a and b of `now` are written to."""
     before, places, a, b, age = now
-    kind, batch = before.eta.dtype, age.shape[:-1]
-    old, K, H, D = (bank_kernels.runs(v, batch) for v in before[:4])
-    runs, n = old.shape[:2]
-    F = bank_kernels.common(tangent.astype(kind, copy=False), batch, 2)
-    d = n if leading is None else leading
-    FK = F @ K
-    A = F - FK @ H
+    kind, batch, d = before.eta.dtype, age.shape[:-1], step.leading
+    old, n = bank_kernels.runs(before.eta, batch), step.A.shape[-1]
     eta = np.empty_like(old)
     for into, out_of in _blocks(tuple(places.tolist())):
-        np.matmul(A[:, None, :, :d], _by_slot(old[:, :d, out_of]), out=_by_slot(eta[:, :, into]))
-    change = np.empty((1, n, 0), kind)
+        np.matmul(step.A[:, None, :, :d], _by_slot(old[:, :d, out_of]), out=_by_slot(eta[:, :, into]))
+    change, once = np.empty((1, n, 0), kind), 0
     if effect.state is not None:
         change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
-    once = 0 if effect.once is None else int(np.sum(effect.once))
-    ages = bank_kernels.runs(age, batch)
-    bank_kernels.carried(eta, old, A, d, places, FK, D, change, once, ages)
-
-    H = bank_kernels.common(output_jacobian.astype(kind, copy=False), batch, 2)
-    D = bank_kernels.common(effect.readings, batch, 1)
-    half = bank_kernels.runs(np.swapaxes(found.half, -1, -2).astype(kind), batch)
-    read = n if d < n and H[..., d:].any() else d
-    known = int(places[:1].min(initial=0) < 0 and effect.state is None)  # eta is 0 there
-    M = -(half @ H[..., :read])[:, None] @ _by_slot(eta[:, :read, known:])
-    scores = bank_kernels.runs(found.scores.astype(kind, copy=False), batch)
+        once = 0 if effect.once is None else int(np.sum(effect.once))
+    readings = bank_kernels.runs(before.readings, batch)
+    bank_kernels.carried(eta, old, step.A, d, places, step.FK, readings, change, once, bank_kernels.runs(age, batch))
+    known = int(effect.state is None and places[:1].min(initial=0) < 0)  # the present onset, of which eta is 0
+    M = -step.seen[:, None] @ _by_slot(eta[:, : step.seen.shape[-1], known:])
+    D = bank_kernels.runs(np.broadcast_to(effect.readings, age.shape), batch)
     sums = (bank_kernels.runs(v, batch) for v in (a, b))
-    bank_kernels.summed(M, half, scores, D, *sums)
-    return Weighed(*(_of_batch(v, batch) for v in (eta, *(_each(v, runs) for v in (H, D)))), a, b, age)
+    bank_kernels.summed(M, step.half, step.scores, D, *sums)
+    H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
+    return Weighed(_of_batch(eta, batch), _of_batch(D, batch), a, b, age, H)
 
 
 @lru_cache(maxsize=4096)
@@ -207,18 +184,13 @@ def _blocks(places: tuple[int, ...]) -> list[tuple[slice, slice]]:
 
 
 def _by_slot(eta: Array) -> Array:
-    """eta (B, n, L, q) as a matrix (B, L, n, q) of each onset: onsets that are the same have the same bits."""
+    """A matrix (B, L, n, q) for each onset of eta (B, n, L, q): onsets that are the same have the same bits."""
     return eta.swapaxes(1, 2)
 
 
 def _of_batch(a: Array, batch: tuple[int, ...]) -> Array:
     """An array (B, ..) as (*batch, ..)."""
     return a if len(batch) == 1 else a.reshape(*batch, *a.shape[1:])
-
-
-def _each(a: Array, runs: int) -> Array:
-    """An array (1, ..) or (B, ..) as (B, ..)."""
-    return a if len(a) == runs else np.repeat(a, runs, axis=0)
 
 
 def averaged(statistic: Array, expected: Array) -> Array:
@@ -254,13 +226,12 @@ def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:
     return np.asarray(found.reshape(*which.shape, -1))
 
 
-def updated(weighed: Weighed, gain: Array, restart: Array) -> Window:
-    """Return the window after the update with gain K (..., n, N).
+def updated(weighed: Weighed, restart: Array) -> Window:
+    """Return the window after the update, which the next step takes; see `last_update`.
 
     restart (...): runs whose window restarts, because the readings in use, or the model, have changed.
     """
-    eta, H, D, a, b, age = weighed
-    window = Window(eta, np.ascontiguousarray(gain, eta.dtype), H, D, a, b, age)
+    window = Window(*weighed[:5])
     if not restart.any():
         return window
     return Window(*(np.where(restart.reshape(restart.shape + (1,) * (v.ndim - restart.ndim)), 0, v) for v in window))

@@ -28,7 +28,7 @@ CLOSE = rounding(1.0, 10) * 100  # sums of products of numbers of order one to t
 def weighed(hypotheses: int) -> Weighed:
     sums = RNG.normal(size=(2, RUNS, SLOTS, hypotheses))
     eta = RNG.normal(size=(RUNS, STATES, SLOTS, hypotheses))
-    return Weighed(eta, np.zeros((RUNS, SENSORS, STATES)), np.zeros((RUNS, SLOTS)), *sums, np.ones((RUNS, SLOTS)))
+    return Weighed(eta, np.zeros((RUNS, SLOTS)), *sums, np.ones((RUNS, SLOTS)), np.zeros((RUNS, SENSORS, STATES)))
 
 
 def best(hypotheses: int) -> Best:

@@ -17,7 +17,7 @@ from toy_plants import chain, declared, readings
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.estimators import Extended, GaussianState
 from fusion_sfdia.filters.gaussian import gain
-from fusion_sfdia.kalman_banks import leave_one_out_bank
+from fusion_sfdia.kalman_banks import window_step
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -34,6 +34,8 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     updated,
     weigh,
 )
+from fusion_sfdia.kalman_banks.window_step import last_update, no_update
+from fusion_sfdia.kalman_banks.window_step import window_step as step_in_common
 
 Array = NDArray[Any]
 
@@ -41,7 +43,7 @@ Array = NDArray[Any]
 @pytest.fixture(autouse=True)
 def _double(monkeypatch: pytest.MonkeyPatch) -> None:
     """The window in double precision, so that its definition is checked to rounding."""
-    monkeypatch.setattr(leave_one_out_bank, "NUMBERS", np.float64)
+    monkeypatch.setattr(window_step, "NUMBERS", np.float64)
 
 
 PLANT = chain(3, sensors=5)
@@ -251,7 +253,7 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
     """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
     a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
     b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
-    onsets = Weighed(np.zeros((1, 2, 3)), np.zeros((3, 1)), np.ones(2), a, b, np.ones(2))
+    onsets = Weighed(np.zeros((1, 2, 3)), np.ones(2), a, b, np.ones(2), np.zeros((3, 1)))
     found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
     np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
     np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)
@@ -268,7 +270,7 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
 def test_the_evidence_is_twice_the_logarithm_of_the_likelihood_ratio_averaged_over_sizes() -> None:
     """int N(s; 0, size^2) exp(a s - b s^2 / 2) ds, by quadrature."""
     a, b, size = 3.0, 0.7, 2.5
-    onsets = Weighed(np.zeros((1, 1, 1)), np.zeros((1, 1)), np.ones(1), np.full((1, 1), a), np.full((1, 1), b), np.ones(1))
+    onsets = Weighed(np.zeros((1, 1, 1)), np.ones(1), np.full((1, 1), a), np.full((1, 1), b), np.ones(1), np.zeros((1, 1)))
     found = best_onset(onsets, np.ones(1, bool), np.array([size]))
     ratio, error = quad(lambda s: norm.pdf(s, 0.0, size) * np.exp(a * s - b * s * s / 2), -np.inf, np.inf)
     assert found.evidence[0] == pytest.approx(2 * np.log(ratio), rel=0, abs=4 * error / ratio)
@@ -317,7 +319,8 @@ def stepped(
     """The window along the filter of MODEL on readings y (K, B, N), by step; after the steps `restart` it starts again."""
     filtering, batch, draws = Extended(), y.shape[1:2], np.random.default_rng(0)
     core = filtering.start(MODEL, batch, draws)
-    window = empty(batch, grid, len(MODEL.states), SENSORS, len(SLOW if slow else RECENT))
+    window = empty(batch, grid, len(MODEL.states), len(SLOW if slow else RECENT))
+    last = no_update(batch, len(MODEL.states), SENSORS)
     found = []
     for step, reading in enumerate(y, start=1):
         u = np.zeros((*batch, 1))
@@ -328,11 +331,13 @@ def stepped(
         F = prior.tangent
         assert F is not None
         effect = DECLARED.slow(F, shift.age) if slow else DECLARED.recent(F, grid.slots)
-        weighed = weigh(shift, F, AUGMENTED.H, now, effect, leading)
+        common = step_in_common(last, F, AUGMENTED.H, now, leading)
+        weighed = weigh(shift, common, effect)
         sizes = DECLARED.slow_sizes(shift.age) if slow else DECLARED.recent_sizes
         best = best_onset(weighed, np.ones((*batch, weighed.M.shape[-1]), bool), sizes)
         core = GaussianState(*posterior(joint, now))
-        window = updated(weighed, gain(joint, now.inverse), np.full(batch, step in restart))
+        again = np.full(batch, step in restart)
+        window, last = updated(weighed, again), last_update(common, gain(joint, now.inverse), again)
         found.append((weighed, window, best))
     return found
 
@@ -388,7 +393,7 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
 def test_a_run_whose_window_starts_again_changes_no_other() -> None:
     y = np.random.default_rng(21).standard_normal((20, 2, SENSORS))
     weighed, found, _ = stepped(y, Grid(4), False)[-1]
-    one = updated(weighed, found.gain, np.array([True, False]))
+    one = updated(weighed, np.array([True, False]))
     for after, before in zip(one, found, strict=True):
         assert not np.any(after[0]) and np.any(before[0])
         np.testing.assert_array_equal(after[1], before[1])
@@ -399,7 +404,7 @@ def test_the_change_of_the_innovation() -> None:
     eta = np.random.default_rng(22).standard_normal((2, 5, 3, 6))
     H = np.random.default_rng(23).standard_normal((2, 4, 5))
     readings = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.0]])
-    whole = Weighed(eta, H, readings, *np.zeros((2, 2, 3, 6)), np.ones((2, 3)))
+    whole = Weighed(eta, readings, *np.zeros((2, 2, 3, 6)), np.ones((2, 3)), H)
     direct = np.zeros((2, 3, 4, 6))
     direct[..., :4] = readings[..., None, None] * np.eye(4)
     by_slot = eta.swapaxes(1, 2)
