@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import compiled, equation
+from fusion_sfdia.core.equation import COMPLEX_STEP, compiled, equation
 from fusion_sfdia.models.gas_pipeline.natural_gas import Gas
 
 Array = NDArray[Any]
@@ -273,49 +273,60 @@ def advance(states: Any, inputs: Any, dt: float, substeps: int, c: PipelineParam
 def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameters, stencil: Array, k: Any, dk: Any) -> None:
     """Write to k dx/dt (3n,) as `slope`, and to dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M).
 
-    Each node depends on its own p, m, T and their gradients: nine complex steps at most give its small Jacobian, which is
-    exact to rounding; the stencil does the rest.
+    Each node depends on its own p, m, T and their gradients: nine complex steps at most give its small Jacobian J, which is
+    exact to rounding; the stencil does the rest. Between the ends only what depends on the variable of a step is complex: the
+    polynomials of the gas, most of the work, for T alone.
     """
     n = x.shape[0] // 3
     columns = dx.shape[1]
-    tiny = 1e-30
+    tiny = COMPLEX_STEP
     local = np.empty(9, np.complex128)
+    at, J = np.empty(9), np.zeros((3, 9))
     gradient = np.empty((3, columns))
     for i in range(n):
         first = min(max(i - 2, 0), n - 5)
         row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
         gradient[:] = 0.0
         for v in range(3):
-            local[v] = x[v * n + i]
+            at[v] = x[v * n + i]
             s = 0.0
             for near in range(5):
                 d = stencil[row, near]
                 s += d * x[v * n + first + near]
                 for j in range(columns):
                     gradient[v, j] += d * dx[v * n + first + near, j]
-            local[3 + v] = s
-            local[6 + v] = given[v]
+            at[3 + v] = s
+            at[6 + v] = given[v]
             dk[v * n + i] = 0.0
-        last = 9 if i == 0 or i == n - 1 else 6
-        still = friction_factor(local[1], c)
+        ends = i == 0 or i == n - 1
+        last = 9 if ends else 6
+        p, m, T, p_s, m_s, T_s = at[0], at[1], at[2], at[3], at[4], at[5]
+        still = friction_factor(m, c)
+        for a in range(9):
+            local[a] = at[a]
         for a in range(last):
             local[a] += 1j * tiny
-            f = friction_factor(local[1], c) if a == 1 else still
+            f = friction_factor(local[1], c) if a == 1 else still + 0j
             if i == 0:
                 r0, r1, r2 = inlet_rates(local[0], local[1], local[2], local[3], local[4], local[5], f, local[6], local[7], c)
             elif i == n - 1:
                 r0, r1, r2 = outlet_rates(local[0], local[1], local[2], local[3], local[4], local[5], f, local[8], c)
+            elif a < 2:
+                r0, r1, r2, _, _, _, _, _, _, _ = rates(local[0], local[1], T, p_s, m_s, T_s, f, c)
+            elif a == 2:
+                r0, r1, r2, _, _, _, _, _, _, _ = rates(p, m, local[2], p_s, m_s, T_s, still, c)
             else:
-                r0, r1, r2, _, _, _, _, _, _, _ = rates(local[0], local[1], local[2], local[3], local[4], local[5], f, c)
-            local[a] = local[a].real
+                r0, r1, r2, _, _, _, _, _, _, _ = rates(p, m, T, local[3], local[4], local[5], still, c)
+            local[a] = at[a]
             if a == 0:
                 k[i], k[n + i], k[2 * n + i] = r0.real, r1.real, r2.real
-            j0, j1, j2 = r0.imag / tiny, r1.imag / tiny, r2.imag / tiny
-            for j in range(columns):
-                along = dx[a * n + i, j] if a < 3 else (gradient[a - 3, j] if a < 6 else dgiven[a - 6, j])
-                dk[i, j] += j0 * along
-                dk[n + i, j] += j1 * along
-                dk[2 * n + i, j] += j2 * along
+            J[0, a], J[1, a], J[2, a] = r0.imag / tiny, r1.imag / tiny, r2.imag / tiny
+        for v in range(3):
+            for a in range(last):
+                factor = J[v, a]
+                for j in range(columns):
+                    along = dx[a * n + i, j] if a < 3 else (gradient[a - 3, j] if a < 6 else dgiven[a - 6, j])
+                    dk[v * n + i, j] += factor * along
 
 
 @compiled
