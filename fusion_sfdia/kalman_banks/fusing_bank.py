@@ -133,6 +133,11 @@ class FusingBank(BatchDetector):
             thresholds[members] = order_statistic(largest, share)
         return replace(self, thresholds=tuple(thresholds.tolist()), threshold_scale=1.0)
 
+    @property
+    def most_faults(self) -> int:
+        """One sensor: that whose filter is farthest from the others."""
+        return 1
+
     def _start(self, batch: tuple[int, ...], seed: int) -> Core:
         """The core of the filter, with an axis N after the batch when literal."""
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))

@@ -18,20 +18,13 @@ from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_ov
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
 from fusion_sfdia.live.changes import KEPT, Change, Changes
+from fusion_sfdia.live.order import InOrder, Row
 
 Array = NDArray[Any]
 
 
 class WatchWarning(UserWarning):
     """A row that a Watch did not take."""
-
-
-class Row(NamedTuple):
-    """Readings y (N,) at t (s), NaN where missing, and the inputs u (m,) as they came."""
-
-    t: float
-    y: Array
-    u: Array
 
 
 class Sample(NamedTuple):
@@ -54,17 +47,18 @@ class Watch:
     gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
     limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
     whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap:
-    seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. refused: called with a line
-    for each row or run of rows that is not taken; by default a WatchWarning.
+    seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. reorder: seconds for which
+    rows are held, so that those that come in another order are put in order; every row is diagnosed that much later. refused:
+    called with a line for each row or run of rows that is not taken; by default a WatchWarning.
 
     Rows that are not as expected never end a watch:
 
     - A row whose numbers do not fit, or without an input, is not taken.
-    - A row not later than the one before, late, out of order or after a clock was set back, is not taken, one line for the
-      first and one for the number of them. Directly after `load` such rows are in the state already: no line.
+    - A row not later than the last one diagnosed, late, out of order or after a clock was set back, is not taken, one line for
+      the first and one for the number of them. Directly after `load` such rows are in the state already: no line.
     - The first row, and one later by more than longest_gap, wait for the next row. If that is later still, the time is right:
-      after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier, the waiting row is not
-      taken: its clock was wrong.
+      after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier by more than `reorder`,
+      the waiting row is not taken: its clock was wrong.
     - Where the estimate diverges, the detector starts anew with the next row, a "reset".
     """
 
@@ -77,6 +71,7 @@ class Watch:
         nominal_inputs: bool = False,
         at_sample: bool = False,
         longest_gap: float | None = None,
+        reorder: float = 0.0,
         refused: Callable[[str], None] = _warn,
     ) -> None:
         require_detector(detector)
@@ -84,7 +79,7 @@ class Watch:
         self.hold, self.nominal_inputs, self.at_sample = number("hold", hold), nominal_inputs, at_sample
         self.longest_step = longest_step(detector.plant)
         self.longest_gap = MOST_BRIDGES * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
-        for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap)):
+        for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap), ("reorder", reorder)):
             if not 0 <= seconds < np.inf:
                 raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
         self.changes = Changes(detector, whole("gap", gap, least=1))
@@ -96,10 +91,8 @@ class Watch:
         self.u = self.given = np.empty(0)  # the inputs that acted until then, and those of its row
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
-        self.waiting: Row | None = None
-        self.late = 0  # rows since the last one that was not
         self.lost = False  # whether the estimate of the last row had diverged
-        self.resumed = False  # whether no row was taken since load
+        self.order = InOrder(number("reorder", reorder), self.longest_gap, refused)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
         """What rows (t, y, u), see `take`, decide, each as soon as its row is taken."""
@@ -111,27 +104,21 @@ class Watch:
         """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,), see `at_sample`.
 
         t: in seconds, or all rows as time stamps, which become seconds since the first. Returns the rows diagnosed: this one,
-        none where it is not taken or waits, two after one that waited.
+        none where it is not taken or waits, more where others waited for it.
         """
         try:
             row = self._row(t, y, u)
         except (TypeError, ValueError) as error:
             self.refused(f"row at {t}: {error}; it is not taken")
             return ()
-        if self._is_late(row.t):
-            return ()
-        found: tuple[Sample, ...] = ()
-        if (waited := self.waiting) is not None:
-            self.waiting = None
-            if row.t > waited.t:
-                found = self._diagnosed(waited, row.t - waited.t)
-            else:
-                where = self.clock.at(waited.t)
-                self.refused(f"row at {where}: it is later than the row after it, at {self.clock.at(row.t)}; it is not taken")
-        if self.t is None or row.t - self.t > self.longest_gap:
-            self.waiting = row
-            return found
-        return found + self._diagnosed(row)
+        return self._in_turn(self.order.push(row, self.t, self.clock))
+
+    def rest(self) -> tuple[Sample, ...]:
+        """Diagnose the rows that are held for their order, at the end of the input; what comes later is late."""
+        return self._in_turn(self.order.rest())
+
+    def _in_turn(self, rows: list[tuple[Row, float]]) -> tuple[Sample, ...]:
+        return tuple(sample for row, ahead in rows for sample in self._diagnosed(row, ahead))
 
     def _row(self, t: float | datetime, y: Any, u: Any) -> Row:
         """The row as numbers; ValueError or TypeError where they do not fit."""
@@ -140,7 +127,7 @@ class Watch:
         for what, values, count in (("readings", y, len(plant.sensors)), ("inputs", u, len(plant.inputs))):
             if values.shape != (count,):
                 raise ValueError(f"{what} of shape {values.shape}; expected ({count},), NaN where missing")
-        begun = self.t is not None or self.waiting is not None
+        begun = self.t is not None or self.order.waiting is not None or bool(self.order.held)
         if begun and isinstance(t, datetime) != (start is not None):
             raise ValueError("give the time as in the rows before, in seconds or as a time stamp")
         if isinstance(t, datetime):
@@ -149,22 +136,6 @@ class Watch:
         elif not np.isfinite(seconds := number("t", t)):
             raise ValueError("its time is not finite")
         return Row(seconds, np.where(np.isinf(y), np.nan, y), u)
-
-    def _is_late(self, t: float) -> bool:
-        """Whether a row at t is not later than the last one, and a line for a run of such rows."""
-        last = self.waiting.t if self.waiting is not None and t == self.waiting.t else self.t
-        if last is None or t > last:
-            if self.late and not self.resumed:
-                self.refused(f"{self.late} rows until {self.clock.at(t)} were not taken")
-            self.late, self.resumed = 0, False
-            return False
-        if not self.late and not self.resumed:
-            self.refused(
-                f"row at {self.clock.at(t)}: it is not later than the last one, at {self.clock.at(last)}; it is not taken, nor "
-                "is another until then; start with a new state if the clock was set back"
-            )
-        self.late += 1
-        return True
 
     def _diagnosed(self, row: Row, ahead: float = np.inf) -> tuple[Sample, ...]:
         """Step to a row; ahead: seconds from it to the next one, where that is known."""
@@ -213,7 +184,7 @@ class Watch:
     def save(self, path: str | Path) -> None:
         """Write the state of this watch to a file, whole or not at all, from which `load` goes on with the same bits.
 
-        A row that waits is not in it: it is to be given again. Before the first row was diagnosed nothing is written.
+        Rows that wait or are held are not in it: they are to be given again. Before the first row nothing is written.
         """
         if self.t is None:
             return
@@ -240,7 +211,7 @@ class Watch:
             found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
             found.changes = Changes.restored(detector, found.changes.gap, parts["changes"])
             found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
-            found.known_at, found.lost, found.resumed = own["known_at"], bool(own["lost"]), True
+            found.known_at, found.lost, found.order.loaded = own["known_at"], bool(own["lost"]), found.t
         except (KeyError, ValueError) as error:
             raise ValueError(f"{path} is not the saved state of a watch ({error}); name another file") from error
         found.state = None if not parts["state"] else state_of(path, detector, parts["state"])

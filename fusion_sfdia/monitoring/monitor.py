@@ -24,7 +24,7 @@ from fusion_sfdia.monitoring.methods import Methods
 
 Array = NDArray[Any]
 
-BESIDE = ("predictors", "limits", "dynamic pca")  # beside the bank, whose diagnosis is that of the monitor
+BESIDE = ("predictors", "pls", "limits", "dynamic pca")  # beside the bank, whose diagnosis is that of the monitor
 GAP = 3  # samples between events of one sensor that are one
 FALSE_ALARM = 1e-2  # of samples: some hundred healthy samples set no lower one
 

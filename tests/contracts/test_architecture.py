@@ -26,7 +26,8 @@ FOLDERS: dict[str, set[str]] = {
     "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
     "monitoring": {"logs", "core", "evaluation", "identification", "kalman_banks", "data_driven"},
-    "registry": {"core", "detectors", "models"},  # of the last two only names, until one is used
+    "fmu": {"core", "logs"},  # of the last its reader of units
+    "registry": {"core", "detectors", "fmu", "models"},  # of the last three only names, until one is used
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},

@@ -141,6 +141,17 @@ def test_a_long_gap_is_stepped_through_without_readings(limits: dict) -> None:
         diagnose(detector, milliseconds, np.ones((20, 4)), np.ones((20, 1)))
 
 
+def test_a_plant_of_which_fewer_than_half_of_the_sensors_can_be_isolated_says_so() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 30, 1, seed=0)
+    for detector, limit in (
+        (LeaveOneOutBank(plant), []),
+        (LeaveOneOutBank(plant, max_faults=1), ["at most 1 of 4 sensors can be isolated at once: as max_faults states"]),
+        (CentralFilter(plant), ["at most 1 of 4 sensors can be isolated at once: the method of CentralFilter names no more"]),
+    ):
+        assert diagnose(detector, t, y[:, 0], u[:, 0]).remarks == limit
+
+
 def test_limits_of_a_diagnosis_are_warned_of() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 30, 1, seed=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from dataclasses import replace
 from functools import cache
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings
 
+from fusion_sfdia import registry
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
@@ -142,6 +144,10 @@ def test_a_log_with_a_fault_is_refused(log: Log, reason: str) -> None:
         tune(PLANT, log, false_alarm=RATE)
 
 
+def test_the_default_detector_is_that_of_the_commands() -> None:
+    assert inspect.signature(tune).parameters["detector"].default == registry.DEFAULT_DETECTOR == "robust-glr"
+
+
 def test_a_log_that_is_too_short_is_refused_with_the_shortest() -> None:
     with pytest.raises(ValueError, match=r"too short for 1/day .*: 1200 samples .* expected at least 2880 \(48\.0 minutes\)"):
         tune(PLANT, healthy(), false_alarm="1/day")
@@ -151,7 +157,7 @@ def test_a_log_that_is_too_short_is_refused_with_the_shortest() -> None:
 
 @pytest.mark.slow
 def test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated() -> None:
-    found = tune(PLANT, healthy(), false_alarm="2/hour")
+    found = tune(PLANT, healthy(), false_alarm="2/hour", detector="loo-glr")
     assert found.rate == Rate(2.0, "hour")
     assert found.quality["expected_above"] < 1 and "Pareto" in found.quality["threshold"]
     assert "cannot be counted on so short a log" in as_text(found)
