@@ -79,8 +79,8 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("loo-glr", "sensors", partial(sensors, "loo-glr"), 24, Work(0, 3, 2)),
-    Case("robust-glr", "sensors", partial(sensors, "robust-glr"), 24, Work(0, 3, 2)),
+    Case("loo-glr", "sensors", partial(sensors, "loo-glr"), 16, Work(0, 3, 2)),
+    Case("robust-glr", "sensors", partial(sensors, "robust-glr"), 16, Work(0, 3, 2)),
     Case("fusing-enkf", "nodes", nodes, 6, Work(0, 1, 1)),
     Case("chebyshev:corrected", "areas", areas, 10, Work(0, 1, 1)),
     Case("limits", "seeds", seeds, 5, Work(1, 1, 1)),
