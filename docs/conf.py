@@ -22,6 +22,7 @@ os.environ["DOCS_EXAMPLES"] = str(HERE / "examples")
 os.environ["DOCS_RESULTS"] = str(HERE / "results")
 os.environ["DOCS_HELPERS"] = str(ROOT / "tests" / "helpers")
 os.environ["COLUMNS"] = "100"
+os.environ["TTY_COMPATIBLE"] = "0"  # no progress bars of commands
 os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
 
 project = "fusion-sfdia"
