@@ -7,10 +7,13 @@ import json
 import sys
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, loaded, warn, warn_of
 from fusion_sfdia.registry import DEFAULT_DETECTOR
+
+if TYPE_CHECKING:
+    from fusion_sfdia.core.plant import Plant
 
 
 def add_tune(commands: Any) -> None:
@@ -33,6 +36,17 @@ def add_tune(commands: Any) -> None:
     one.add_argument("--force", action="store_true", help="replace a file that is there")
     one.add_argument("--json", action="store_true", help="print the figures as JSON")
     one.set_defaults(work=_tune)
+
+
+def tuned_plant(plant: Plant, file: Path) -> Plant:
+    """The plant with what a tuned file has learnt; ValueError, which names the file, where it is of another plant."""
+    from fusion_sfdia.tuning.tuned import Tuned
+
+    found = Tuned.read(file)
+    try:
+        return found.plant(plant)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
 
 
 def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:

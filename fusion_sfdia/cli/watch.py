@@ -55,6 +55,7 @@ def add_watch(commands: Any) -> None:
         metavar="S",
         help="seconds for which rows are held to put them in order; all are diagnosed that much later (default: 0)",
     )
+    one.add_argument("--no-kinds", action="store_true", help="do not name kinds of faults nor test the model, which takes time")
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
 
@@ -83,6 +84,7 @@ def _watch(chosen: argparse.Namespace) -> int:
         "at_sample": log_map.inputs == AT_THE_SAMPLE or bool(chosen.opcua or chosen.mqtt),
         "longest_gap": chosen.longest_gap,
         "reorder": chosen.reorder,
+        "kinds": not chosen.no_kinds,
         "refused": refused,
     }
     if chosen.state is not None and chosen.state.exists():

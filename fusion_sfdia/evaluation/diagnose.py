@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.detector import Decision, Detector, MissingPackageError, ProcessHypothesis, stack
+from fusion_sfdia.core.detector import (
+    Decision,
+    Detector,
+    MissingPackageError,
+    ProcessHypothesis,
+    chosen,
+    joined,
+    stack,
+)
 from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
@@ -26,6 +35,7 @@ Array = NDArray[Any]
 
 SECONDS = Clock()
 MOST_GAPS = 5  # lines
+BLOCK = 1000  # Decisions, which take ten times as much memory one by one as in arrays
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,13 +164,14 @@ def diagnose_run(
     if decisions.absurd_input.shape == u.shape:
         usual = np.array([detector.plant.input_at(float(time)) for time in t], dtype=float).reshape(u.shape)
         taken.u[track.own] = np.where(decisions.absurd_input, usual, u)
-    after = hindsight(getattr(detector, "model", detector.plant), taken, out, each)
+    model = getattr(detector, "model", None)  # of principal components it is no plant
+    after = hindsight(model if isinstance(model, Plant) else detector.plant, taken, out, each)
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     names, rate = detector.plant.sensor_names, alarm_rate_of(detector)
-    health = health_of(names, after, starts, rate, _against_the_model(events, decisions, t, clock))
+    health = health_of(names, after, starts, rate, against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
     return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
 
@@ -179,18 +190,29 @@ def _why(detector: Detector) -> str:
 
 
 def decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]]) -> Decision:
-    """The Decisions at the samples of a log."""
-    state, found = None, []
+    """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once."""
+    if hasattr(detector, "steps"):
+        starts = np.flatnonzero(np.isfinite(track.begins))
+        runs = [
+            detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
+            for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
+        ]
+        whole = runs[0] if len(runs) == 1 else joined(runs)
+        return whole if track.own.all() else chosen(whole, track.own)
+    state, blocks, found = None, [], []
     for s in each(range(track.t.size)):
         if state is None or np.isfinite(track.begins[s]):
             state = detector.init((), float(track.begins[s]))
         state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
         if track.own[s]:
             found.append(replace(decision, covariance=None))
-    return stack(found)
+        if len(found) == BLOCK or (s == track.t.size - 1 and found):
+            blocks.append(stack(found))
+            found = []
+    return joined(blocks)
 
 
-def _against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
+def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
     """What else than innovations speaks against the model."""
     found = [e.difference for e in events if isinstance(e, ProcessEvent) and e.open]
     if np.any(decisions.diverged):

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number, whole
-from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.physics import Physics
+from fusion_sfdia.core.equation import difference_jacobian, step_of_change
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics
-from fusion_sfdia.core.signals import Sensor, Signal
+from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 from fusion_sfdia.fmu.functions import CoSimulation, ModelExchange
-from fusion_sfdia.fmu.instance import Fmu, digest_of
+from fusion_sfdia.fmu.handle import Fmu, digest_of
 from fusion_sfdia.fmu.interface import MODEL_EXCHANGE, Interface, Variable, read_interface
 from fusion_sfdia.fmu.stated import Stated, fields_of_sensors, parameters_of, sensor_of, start_of, states_of
 
@@ -55,7 +54,7 @@ def from_fmu(
     unknown: parameters that are not known exactly, {name: standard deviation} or {name: {"sd": ..., ...}} with fields of
     `Parameter`. input_errors: as `inputs` of `Uncertainty`.
 
-    Model exchange is integrated by Runge-Kutta 4 with held inputs in `substeps` steps, see `discretise`, with max_dt.
+    Model exchange is integrated by Runge-Kutta 4 with held inputs in `substeps` steps, with max_dt, as in `discretise`.
     Jacobians are exact where the FMU gives directional derivatives of the sensors' variables, else central differences.
     Co-simulation is stepped by its own solver, from states that are set in the FMU as it was instantiated: it must be able to
     get and set its state and have no memory beyond `states` (by default those whose derivatives it states). Jacobians
@@ -89,58 +88,36 @@ def from_fmu(
     instruments = tuple(
         sensor_of(interface, name, stated[name], v, value) for name, v, value in zip(stated, measured, y0, strict=True)
     )
-    errors = dict(input_errors or {})
+    errors, sds = dict(input_errors or {}), np.array([p.sd for p in parameters])
+    model: ModelExchange | CoSimulation
     if interface.kind == MODEL_EXCHANGE:
+        model = ModelExchange(fmu, substeps, theta, sds)
         exact = interface.directional and {v.name for v in measured} <= {*interface.outputs, *interface.states}
-        exchange = ModelExchange(fmu, substeps, theta, np.array([p.sd for p in parameters]))
-        physics = Physics(interface.name, signals, exchange.rates, acting)
-        return _exchanged(exchange, physics, instruments, step, _of_unknown(exchange, parameters, errors, exact), max_dt)
-    sizes = [s.initial_sigma or s.process_sigma or 1.0 for s in signals]
-    sizes += [errors.get(s.name) or 0.01 * abs(s.nominal) or 1.0 for s in acting]
-    simulation = CoSimulation(fmu, theta, np.array([*sizes, *(p.sd for p in parameters)]))
-    _require_no_memory(simulation, x0, u0, acting, step)
-    return Plant(
+    else:
+        sizes = [s.initial_sigma or s.process_sigma or 1.0 for s in signals]
+        sizes += [errors.get(s.name) or 0.01 * abs(s.nominal) or 1.0 for s in acting]
+        model, exact = CoSimulation(fmu, theta, np.array([*sizes, *sds])), True
+        _require_no_memory(model, x0, u0, acting, step)
+    plant = Plant(
         interface.name,
         signals,
         instruments,
-        simulation.step,
-        simulation.output,
+        model.step,
+        model.output,
         step,
         acting,
         numerics=Numerics(
-            simulation.step_jacobian,
-            simulation.output_jacobian,
+            model.step_jacobian if exact else None,
+            model.output_jacobian if exact else None,
             max_dt=np.inf if max_dt is None else max_dt,
             fixed_dt=not interface.any_step,
         ),
-        uncertainty=_of_unknown(simulation, parameters, errors, True),
+        uncertainty=_of_unknown(model, parameters, errors, exact),
     )
-
-
-def _exchanged(
-    model: ModelExchange,
-    physics: Physics,
-    sensors: tuple[Sensor, ...],
-    dt: float,
-    uncertainty: Uncertainty,
-    max_dt: float | None,
-) -> Plant:
-    """The plant that integrates an FMU for model exchange.
-
-    Its readings are those of the FMU, not algebraic variables of the physics: each stage of Runge-Kutta would solve for these.
-    """
-    stands_in = [Sensor(s.name, s.name, sigma=1.0) for s in physics.states]
-    plant = discretise(physics, stands_in, dt=dt, substeps=model.substeps, max_dt=max_dt)
-    exact = uncertainty.step_jacobian is not None
-    return replace(
-        plant,
-        sensors=sensors,
-        output=model.output,
-        numerics=Numerics(
-            model.step_jacobian if exact else None, model.output_jacobian if exact else None, max_dt=plant.numerics.max_dt
-        ),
-        uncertainty=uncertainty,
-    )
+    if max_dt is not None or isinstance(model, CoSimulation):
+        return plant
+    by_x = difference_jacobian(lambda x: model.rates(0.0, x, u0), x0, plant.state_scale)
+    return replace(plant, numerics=replace(plant.numerics, max_dt=step_of_change(by_x, plant.state_scale, step)))
 
 
 def _of_unknown(

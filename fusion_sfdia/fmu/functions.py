@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.augment import joined
 from fusion_sfdia.core.equation import difference_jacobian
-from fusion_sfdia.fmu.instance import Fmu
+from fusion_sfdia.fmu.handle import Fmu
 
 Array = NDArray[Any]
 
@@ -30,9 +30,12 @@ class ModelExchange:
     nominal: Array
     sd: Array
 
-    def rates(self, t: float, x: Array, z: Array, u: Array, c: Any) -> Array:
-        """The f of `Physics`."""
+    def rates(self, t: float, x: Array, u: Array) -> Array:
+        """dx/dt (..., n)."""
         return self.fmu.each("derivatives", (len(self.fmu.states),), x, u, self.nominal, t)
+
+    def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        return self.step_at(t_start, x, u, dt, self.nominal)
 
     def output(self, t: float, x: Array, u: Array) -> Array:
         return self.output_at(t, x, u, self.nominal)

@@ -1,116 +1,34 @@
-"""An FMU that runs in this process: evaluated row by row, closed with the plant that it belongs to.
-
-An `Fmu` holds what another process needs to open the same FMU again; it is what plants carry and pickle. An `Instance` is an
-FMU that is open: its library, its folder and one instance in it.
-"""
+"""An FMU that is open in this process: its library, its folder and one instance in it, evaluated for one row at a time."""
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 import tempfile
-import weakref
 from collections import deque
 from collections.abc import Callable
-from ctypes import POINTER, c_double, c_uint32, cast
-from dataclasses import dataclass, fields
-from functools import cached_property
-from hashlib import sha256
+from multiprocessing.util import Finalize
 from pathlib import Path
 from threading import RLock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.integration import runge_kutta_4
-from fusion_sfdia.fmu.interface import MODEL_EXCHANGE, Interface, events, fmpy
+from fusion_sfdia.fmu.interface import MODEL_EXCHANGE, events, fmpy
+from fusion_sfdia.fmu.reals import Reals
+
+if TYPE_CHECKING:
+    from fusion_sfdia.fmu.handle import Fmu
 
 Array = NDArray[Any]
 DISCARD = 2  # the status of a call that has no result at these values
 UPDATES = 100  # of discrete states before the simulation begins
 
 
-@dataclass(frozen=True, eq=False)
-class Fmu:
-    """An FMU with the variables that a plant uses, by value references, and the values that it starts from.
-
-    digest: SHA-256 of the file, which another process must find unchanged. start: (setter of FMPy, reference, value) of each.
-    parameters: those that are set for each evaluation.
-    """
-
-    interface: Interface
-    digest: str
-    states: tuple[int, ...]
-    rates: tuple[int, ...]
-    inputs: tuple[int, ...]
-    outputs: tuple[int, ...]
-    parameters: tuple[int, ...] = ()
-    start: tuple[tuple[str, int, Any], ...] = ()
-
-    @cached_property
-    def _opened(self) -> list[Any]:
-        return [0, None]  # the process, the instance
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}
-
-    def instance(self) -> Instance:
-        """The instance in this process, opened at first use; ValueError where the file is not what it was."""
-        if self._opened[0] != os.getpid():  # a copy of the memory of another process is no instance
-            self._opened[:] = os.getpid(), Instance(self)
-        found: Instance = self._opened[1]
-        return found
-
-    def initial(self, of: str, theta: Array) -> Array:
-        """The values of its states, inputs or outputs after initialisation; ValueError where that fails."""
-        instance = self.instance()
-        try:
-            found: Array = instance.guarded(instance.initial, of, theta)
-        except ArithmeticError as error:
-            raise ValueError(
-                f"{error}; expected an FMU that initialises: correct its start values, start_values={{...}}"
-            ) from error
-        if not np.all(np.isfinite(found)):
-            raise ValueError(f"{self.interface} has {of} that are not finite at its start; correct its start values")
-        return found
-
-    def each(self, evaluation: str, shape: tuple[int, ...], x: Array, u: Array, theta: Array, *times: float) -> Array:
-        """Evaluate an instance for each row of a batch: x (..., n), u (..., m) and theta (..., p) to (..., *shape).
-
-        NaN for rows that are not finite and for those of which the FMU says that they have no result. TypeError for numbers
-        that are not real.
-        """
-        arrays = [_real(a) for a in (x, u, theta)]
-        batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
-        count = math.prod(batch)
-        rows = [np.broadcast_to(a, (*batch, a.shape[-1])).reshape(count, a.shape[-1]) for a in arrays]
-        out = np.full((count, *shape), np.nan)
-        instance = self.instance()
-        finite = np.logical_and.reduce([np.isfinite(a).all(axis=1) for a in rows])
-        with instance.lock:
-            call: Callable[..., Array] = getattr(instance, evaluation)
-            for i in np.flatnonzero(finite):
-                out[i] = instance.guarded(call, *times, *(a[i] for a in rows))
-        return out.reshape(*batch, *shape)
-
-
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file."""
-    return sha256(path.read_bytes()).hexdigest()
-
-
-def _real(a: Array) -> Array:
-    if np.asarray(a).dtype.kind not in "biuf":
-        raise TypeError(f"an FMU takes real numbers, not {np.asarray(a).dtype}")
-    return np.asarray(a, dtype=float)
-
-
-def _freed(model: Any, snapshots: list[Any], folder: str, process: int) -> None:
-    """Free an instance, its library and its folder, in the process that has opened it."""
-    if process != os.getpid():
-        return
+def _freed(model: Any, snapshots: list[Any], folder: str) -> None:
+    """Free an instance, its library and its folder."""
     try:
         if model is not None:
             for snapshot in snapshots:
@@ -127,19 +45,13 @@ class Instance:
         self.of, self.lock = fmu, RLock()
         self.interface = interface = fmu.interface
         self.messages = messages = deque[str](maxlen=3)  # of the logger, which must not hold this instance
-        self.values: dict[str, Any] = {}
-        self.theta: Array | None = None  # for which the FMU is initialised
+        self.initialised: bytes | None = None  # the parameters for which the FMU is, of model exchange
         self.snapshots: list[Any] = []  # of the FMU as it is instantiated, of co-simulation
         library, folder = fmpy(), tempfile.mkdtemp(prefix="fusion-sfdia-fmu-")
         self.failed = library.fmi1.FMICallException
         self.model: Any = None
         here = Path.cwd()  # FMPy leaves it where a library fails to load
         try:
-            if not interface.path.is_file() or digest_of(interface.path) != fmu.digest:
-                raise ValueError(
-                    f"{interface} is not there any more, or another file; expected that of which the plant was made: put it "
-                    "back, or make the plant again"
-                )
             library.extract(interface.path, folder)
             self.model = library.instantiate_fmu(
                 folder,
@@ -147,8 +59,8 @@ class Instance:
                 "ModelExchange" if interface.kind == MODEL_EXCHANGE else "CoSimulation",
                 logger=lambda *message: messages.append(message[-1].decode(errors="replace")),
             )
-        except ValueError:
-            raise
+            if interface.kind != MODEL_EXCHANGE:
+                self.snapshots.append(self.model.getFMUState())
         except Exception as error:  # FMPy and ctypes raise errors of many kinds
             raise ValueError(
                 f"{interface} cannot be started ({error}{self._said()}); expected a library that runs on this machine: try "
@@ -156,16 +68,19 @@ class Instance:
             ) from error
         finally:
             os.chdir(here)
-            self.close = weakref.finalize(self, _freed, self.model, self.snapshots, folder, os.getpid())
+            # runs once, in this process alone, also at the end of a worker process, where weakref.finalize does not
+            self.close = Finalize(self, _freed, (self.model, self.snapshots, folder), exitpriority=0)
             if self.model is None:
                 self.close()
-        if interface.kind != MODEL_EXCHANGE:
-            self.snapshots.append(self.model.getFMUState())
-        self.component = self.model.component
-        self.prefix = f"fmi{interface.version}"
-        for what in ("states", "rates", "inputs", "outputs", "parameters"):
-            self.values[what] = _Block(getattr(fmu, what))
-        self.values["computed"] = _Block(tuple(reference for reference in fmu.outputs if reference not in fmu.states))
+        version = interface.version
+        groups = (fmu.states, fmu.rates, fmu.inputs, fmu.outputs, fmu.parameters, (*fmu.states, *fmu.inputs))
+        self.states, self.rates, self.inputs, self.outputs, self.parameters, self.known = (
+            Reals(self.model, version, references) for references in groups
+        )
+        self.computed = Reals(self.model, version, tuple(r for r in fmu.outputs if r not in fmu.states))
+        if interface.kind == MODEL_EXCHANGE:
+            name = "getDerivatives" if version == 2 else "getContinuousStateDerivatives"
+            self.differentiate: Callable[..., None] = getattr(self.model, name)
 
     def guarded(self, call: Callable[..., Array], *arguments: Any) -> Any:
         """The result of a call; NaN where the FMU discards it. ArithmeticError where it fails."""
@@ -173,7 +88,7 @@ class Instance:
         try:
             return call(*arguments)
         except self.failed as error:
-            self.theta = None  # begin again with a reset
+            self.initialised = None  # begin again with a reset
             if error.status == DISCARD:
                 return np.nan
             raise ArithmeticError(f"{self.interface} fails: {error}{self._said()}") from error
@@ -205,12 +120,12 @@ class Instance:
     def readings(self, t: float, x: Array, u: Array, theta: Array) -> Array:
         """The outputs (N,)."""
         self._set_point(t, x, u, theta)
-        return self._get("outputs")
+        return self.outputs.read()
 
     def tangents(self, t: float, x: Array, u: Array, theta: Array) -> Array:
         """dx/dt and its derivatives with respect to x and u, (n, 1 + n + m)."""
         self._set_point(t, x, u, theta)
-        return np.concatenate([self._derivatives()[:, None], self._directional("rates")], axis=1)
+        return np.concatenate([self._derivatives()[:, None], self.rates.derivatives(self.known)], axis=1)
 
     def output_tangents(self, t: float, x: Array, u: Array, theta: Array) -> Array:
         """Derivatives (N, n + m) of the outputs with respect to x and u; FMI gives none of outputs that are states."""
@@ -220,63 +135,64 @@ class Instance:
         for i, reference in enumerate(outputs):
             if reference in states:
                 found[i, states.index(reference)] = 1.0
-        found[[reference not in states for reference in outputs]] = self._directional("computed")
+        found[[reference not in states for reference in outputs]] = self.computed.derivatives(self.known)
         return found
 
     # of co-simulation
 
     def ahead(self, t: float, dt: float, x: Array, u: Array, theta: Array) -> Array:
         """The states (n,) dt seconds later."""
-        self._start(theta, t, x, u)
-        self._do_step(t, dt)
-        return self._get("states")
+        self.model.doStep(self._start(theta, t, x, u), dt)
+        return self.states.read()
 
     def outputs_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
         """The outputs (N,)."""
         self._start(theta, t, x, u)
-        return self._get("outputs")
+        return self.outputs.read()
 
     def twice(self, t: float, dt: float, x: Array, u: Array, theta: Array) -> Array:
         """The states and outputs (n + N,) after two steps in a row."""
-        self._start(theta, t, x, u)
-        self._do_step(t, dt)
-        self._do_step(t + dt, dt)
-        return np.concatenate([self._get("states"), self._get("outputs")])
+        first = self._start(theta, t, x, u)
+        self.model.doStep(first, dt)
+        self.model.doStep(first + dt, dt)
+        return np.concatenate([self.states.read(), self.outputs.read()])
 
     def initial(self, of: str, theta: Array) -> Array:
         """The values of states, inputs or outputs after initialisation."""
         self._start(theta, self.interface.start_time)
-        return self._get(of)
+        found: Array = getattr(self, of).read()
+        return found
 
     # calls of FMI
 
-    def _call(self, name: str, *arguments: Any) -> Any:
-        return getattr(self.model, self.prefix + name)(self.component, *arguments)
+    def _start(self, theta: Array, t: float, x: Array | None = None, u: Array | None = None) -> float:
+        """Initialise the FMU at t with these parameters, and states and inputs where they are given; return that time.
 
-    def _start(self, theta: Array, t: float, x: Array | None = None, u: Array | None = None) -> None:
-        """Initialise the FMU at t with these parameters, and states and inputs where they are given."""
-        model, version = self.model, self.interface.version
+        A time before the start of the FMU's default experiment is taken as its start.
+        """
+        model, version, t = self.model, self.interface.version, max(float(t), self.interface.start_time)
         if self.snapshots:
             model.setFMUState(self.snapshots[0])
         else:
             model.reset()
         for setter, reference, value in self.of.start:
             getattr(model, setter)([reference], [value])
-        self._set("parameters", theta)
+        self.parameters.write(theta)
         if x is not None:
-            self._set("states", x)
+            self.states.write(x)
         if u is not None:
-            self._set("inputs", u)
+            self.inputs.write(u)
         if version == 2:
-            model.setupExperiment(startTime=float(t), tolerance=self.interface.tolerance)
+            model.setupExperiment(startTime=t, tolerance=self.interface.tolerance)
             model.enterInitializationMode()
         else:
-            model.enterInitializationMode(startTime=float(t), tolerance=self.interface.tolerance)
+            model.enterInitializationMode(startTime=t, tolerance=self.interface.tolerance)
         model.exitInitializationMode()
         if self.interface.kind == MODEL_EXCHANGE:
             self._settle(model.newDiscreteStates if version == 2 else model.updateDiscreteStates)
             model.enterContinuousTimeMode()
-            self.theta = np.array(theta)
+            self.initialised = theta.tobytes()
+        return t
 
     def _settle(self, update: Callable[[], Any]) -> None:
         """Update discrete states until they stay; ValueError for an event in the future."""
@@ -288,56 +204,18 @@ class Instance:
                 return
 
     def _set_point(self, t: float, x: Array, u: Array, theta: Array) -> None:
-        """Time, states, inputs and parameters; a time before the start of the FMU is taken as its start."""
+        """Set time, states, inputs and parameters, of model exchange."""
         first = self.interface.start_time
-        if self.theta is None or (theta.size and not np.array_equal(theta, self.theta)):
+        if self.initialised != theta.tobytes():
             self._start(theta, first)
         self.model.setTime(max(float(t), first))
-        block = self.values["states"]
-        block.array[:] = x
-        self.model.setContinuousStates(block.values, block.size)
-        self._set("inputs", u)
-
-    def _do_step(self, t: float, dt: float) -> None:
-        self.model.doStep(float(t), float(dt))
+        self.states.array[:] = x
+        self.model.setContinuousStates(self.states.values, self.states.size)
+        self.inputs.write(u)
 
     def _derivatives(self) -> Array:
-        block = self.values["rates"]
-        self._call(
-            "GetDerivatives" if self.interface.version == 2 else "GetContinuousStateDerivatives", block.values, block.size
-        )
-        return block.array.copy()
-
-    def _set(self, what: str, values: Array) -> None:
-        block = self.values[what]
-        if block.size:
-            block.array[:] = values
-            self._reals("Set", block)
-
-    def _get(self, what: str) -> Array:
-        block = self.values[what]
-        if block.size:
-            self._reals("Get", block)
-        return block.array.copy()
-
-    def _reals(self, verb: str, block: _Block) -> None:
-        if self.interface.version == 2:
-            self._call(f"{verb}Real", block.references, block.size, block.values)
-        else:
-            self._call(f"{verb}Float64", block.references, block.size, block.values, block.size)
-
-    def _directional(self, what: str) -> Array:
-        """Derivatives (k, n + m) of rates or outputs with respect to each state and input, by the FMU."""
-        block, known = self.values[what], (*self.of.states, *self.of.inputs)
-        found = np.empty((block.size, len(known)))
-        one = (c_double * 1)(1.0)
-        for j, reference in enumerate(known):
-            by = (c_uint32 * 1)(reference)
-            last = () if self.interface.version == 2 else (block.size,)
-            seed = (one,) if self.interface.version == 2 else (one, 1)
-            self._call("GetDirectionalDerivative", block.references, block.size, by, 1, *seed, block.values, *last)
-            found[:, j] = block.array
-        return found
+        self.differentiate(self.rates.values, self.rates.size)
+        return self.rates.array.copy()
 
     def _said(self) -> str:
         return f"; it reports: {' '.join(' '.join(self.messages).split())}" if self.messages else ""
@@ -348,13 +226,3 @@ def _integrated(slope: Callable[[float, Array], Array], t: float, x: Array, dt: 
     for i in range(substeps):
         x = runge_kutta_4(slope, t + i * part, x, part)
     return x
-
-
-class _Block:
-    """Value references and an array of their values, in the memory that FMI calls read and write."""
-
-    def __init__(self, references: tuple[int, ...]) -> None:
-        self.size = len(references)
-        self.references = (c_uint32 * self.size)(*references)
-        self.array = np.zeros(self.size)
-        self.values = cast(self.array.ctypes.data, POINTER(c_double))

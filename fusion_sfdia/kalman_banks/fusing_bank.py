@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, NotApplicableError, run
@@ -225,7 +226,14 @@ class FusingBank(BatchDetector):
         else:
             x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
         cores = [
-            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(now.seed, now.k + 2**32))
+            est.assimilate(
+                plant,
+                prior,
+                reading._replace(cov_gain=b / count),
+                x,
+                repeated(b * single(p), p),
+                step_stream(now.seed, now.k + 2**32),
+            )
             for prior, b in zip(priors, beta, strict=False)
         ]
         core = cores[0]

@@ -38,9 +38,12 @@ class SavedWatch:
         return self._written(self.watch.take(t, y, u))
 
     def rest(self) -> tuple[Sample, ...]:
-        """At the end of the input, the same for the rows that `Watch.rest` diagnoses."""
+        """At the end of the input, the same for the rows that `Watch.rest` diagnoses, and the lines of `Watch.last`."""
         self.whole = False
-        return self._written(self.watch.rest())
+        found = self._written(self.watch.rest())
+        for change in self.watch.last():
+            self.write(change_line(change, self.watch.clock))
+        return found
 
     def _written(self, found: tuple[Sample, ...]) -> tuple[Sample, ...]:
         watch = self.watch

@@ -70,7 +70,7 @@ class Values:
                 found.append((where, whole[name]))
             else:
                 i = self.plant.sensor_index(name)
-                of_sensor = {"value": float(value[i]), "sigma": float(sigma[i]), "verdict": verdicts[i]}
+                of_sensor: dict[str, Any] = {"value": float(value[i]), "sigma": float(sigma[i]), "verdict": verdicts[i]}
                 found += [(address, of_sensor[what]) for what, address in where.items()]
         return found
 

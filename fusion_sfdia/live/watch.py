@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,8 +18,10 @@ from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
+from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.live.changes import KEPT, Change, Changes
 from fusion_sfdia.live.order import InOrder, Row
+from fusion_sfdia.live.second_look import SecondLook, Seen
 
 Array = NDArray[Any]
 
@@ -48,8 +51,9 @@ class Watch:
     limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
     whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap:
     seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. reorder: seconds for which
-    rows are held, so that those that come in another order are put in order; every row is diagnosed that much later. refused:
-    called with a line for each row or run of rows that is not taken; by default a WatchWarning.
+    rows are held, so that those that come in another order are put in order; every row is diagnosed that much later. kinds:
+    whether faults are named and the model is tested, see `SecondLook`. refused: called with a line for each row or run of rows
+    that is not taken; by default a WatchWarning.
 
     Rows that are not as expected never end a watch:
 
@@ -72,6 +76,7 @@ class Watch:
         at_sample: bool = False,
         longest_gap: float | None = None,
         reorder: float = 0.0,
+        kinds: bool = True,
         refused: Callable[[str], None] = _warn,
     ) -> None:
         require_detector(detector)
@@ -92,6 +97,7 @@ class Watch:
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.lost = False  # whether the estimate of the last row had diverged
+        self.look = SecondLook(detector, self.changes.gap) if kinds else None
         self.order = InOrder(number("reorder", reorder), self.longest_gap, refused)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
@@ -116,6 +122,15 @@ class Watch:
     def rest(self) -> tuple[Sample, ...]:
         """Diagnose the rows that are held for their order, at the end of the input; what comes later is late."""
         return self._in_turn(self.order.rest())
+
+    def last(self) -> list[Change]:
+        """What the second look would report if no row came any more; the watch stays as it is."""
+        if self.look is None or self.t is None:
+            return []
+        count = self.changes.count
+        found = self._reports(self.t, *self.look.final(self.clock, count + 1))
+        self.changes.count = count
+        return found
 
     def _in_turn(self, rows: list[tuple[Row, float]]) -> tuple[Sample, ...]:
         return tuple(sample for row, ahead in rows for sample in self._diagnosed(row, ahead))
@@ -145,22 +160,59 @@ class Watch:
         try:
             given, known_at = self._inputs(row)
             u = self.given if self.at_sample and self.t is not None else given
+            fresh, none, steps = state is None or too_long, np.zeros(len(plant.sensors), bool), []
+            lead = lead_in(plant, min(pause, ahead))
             if state is None or too_long:
-                state = self.detector.init((), row.t - lead_in(plant, min(pause, ahead)))
+                state = self.detector.init((), row.t - lead)
             elif self.t is not None:
-                for t, between in steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u)):
+                steps = steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u))
+                for t, between in steps:
                     state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
             state, decision = self.detector.step(state, row.t, row.y, u)
         except (ValueError, ArithmeticError) as error:
             self.refused(f"row at {self.clock.at(row.t)}: {error}; it is not taken")
             return ()
-        changes = self.changes.reset(row.t, f"no rows for {pause:g} s") if too_long else []
-        changes += self.changes.after(row.t, decision)
+        changes = self._reset(row.t, f"no rows for {pause:g} s") if too_long else []
+        now = self.changes.after(row.t, decision)
+        changes += now
+        if self.look is not None:
+            begins = row.t - lead if fresh else np.nan
+            seen = Seen(row.t, *self._taken(row.y, u, decision), self.changes.recent[-1][1], begins, tuple(steps), none)
+            changes += self._named(row.t, now, seen)
         if (lost := bool(decision.diverged)) and not self.lost:
-            changes += self.changes.reset(row.t, "the estimate diverged")
+            changes += self._reset(row.t, "the estimate diverged")
         self.state, self.lost, self.t = None if lost else state, lost, row.t
         self.u, self.given, self.known_at = u, given, known_at
         return (Sample(row.t, row.y, u, decision, tuple(changes)),)
+
+    def _named(self, t: float, now: Sequence[Change], seen: Seen) -> list[Change]:
+        """What the second look reports after a row, which has decided `now`."""
+        if self.look is None:
+            return []
+        self.look.take(seen)
+        opened = [(c.id, c.event) for c in now if c.what == "opened" and c.event]
+        if any(c.what in ("opened", "closed") for c in now):
+            self.look.happened()
+        return self._reports(t, *self.look.changes(opened, self.clock, self.changes.count + 1))
+
+    def _reports(self, t: float, events: Sequence[tuple[int, Event]], health: str) -> list[Change]:
+        self.changes.count = max([self.changes.count, *(number for number, _ in events)])
+        found = [Change(number, "named", t, event) for number, event in events]
+        return [*found, Change(0, "health", t, reason=health)] if health else found
+
+    def _reset(self, t: float, reason: str) -> list[Change]:
+        found: list[Change] = []
+        if self.look is not None:
+            events, health = self.look.final(self.clock, self.changes.count + 1)
+            found = self._reports(t, [(number, replace(e, open=False)) for number, e in events], health)
+            self.look = self.look.anew()
+        return [*found, *self.changes.reset(t, reason)]
+
+    def _taken(self, y: Array, u: Array, decision: Decision) -> tuple[Array, Array]:
+        """Readings and inputs without those that the detector has found absurd."""
+        if decision.absurd_input.shape == u.shape and decision.absurd_input.any():
+            u = np.where(decision.absurd_input, self.detector.plant.input_at(self.t or 0.0), u)
+        return np.where(decision.absurd, np.nan, y), u
 
     def _inputs(self, row: Row) -> tuple[Array, Array]:
         """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of
@@ -191,7 +243,8 @@ class Watch:
         own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
         own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
         state = {} if self.state is None else state_arrays(self.detector, self.state)
-        parts = {"watch": own, "changes": self.changes.arrays(), "state": state}
+        look = {} if self.look is None else self.look.arrays()
+        parts = {"watch": own, "changes": self.changes.arrays(), "state": state, "look": look}
         write_arrays(Path(path), {f"{part}/{name}": value for part, named in parts.items() for name, value in named.items()})
 
     @classmethod
@@ -202,7 +255,7 @@ class Watch:
         after the save it decides again, with the same ids. ValueError for another file, or another detector.
         """
         found = cls(detector, **settings)
-        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}}
+        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}, "look": {}}
         try:
             for name, value in read_arrays(Path(path)).items():
                 part, _, rest = name.partition("/")
@@ -210,6 +263,9 @@ class Watch:
             own = parts["watch"]
             found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
             found.changes = Changes.restored(detector, found.changes.gap, parts["changes"])
+            if found.look is not None and parts["look"]:
+                decisions = [decision for _, decision in found.changes.recent]
+                found.look = SecondLook.restored(detector, found.changes.gap, parts["look"], decisions)
             found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
             found.known_at, found.lost, found.order.loaded = own["known_at"], bool(own["lost"]), found.t
         except (KeyError, ValueError) as error:

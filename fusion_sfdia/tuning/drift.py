@@ -6,8 +6,9 @@ at one value for the whole log, where a constant error of size b in sensor or pa
     N = H eps + [0 I],    eps <- F (I - K H) eps - F K [0 I]
 
 (Friedland 1969). In stretch j the estimate of b_i is g_ij / I_ij, with g = sum N' S^-1 d and I = sum N' S^-1 N. Of M stretches
-that are longer than the errors of the model last, these are independent, and their slope over its standard error is Student's t
-with M - 2 degrees of freedom, whatever noise the plant states (batch means: Law and Kelton 2000, Simulation modeling, 9.5.3).
+that are longer than the errors of the model last, these are independent, and their slope by least squares, weighted by I, over
+its standard error is Student's t with M - 2 degrees of freedom, whatever noise the plant states (batch means: Law and Kelton
+2000, Simulation modeling, 9.5.3).
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ Array = NDArray[Any]
 
 REFUSED = 1e-4  # probability that a healthy log is refused
 STRETCHES, LEAST = 24, 20  # of the log, of at least so many samples each
+KNOWN = 0.05  # of the information of the best stretch: a stretch with less, as of missing readings, is left out
 MOVED = 1.0  # sigma or declared deviations: a smaller change over the log is a matter of calibration, our choice
 ALIKE = 0.8  # share of the likelihood ratio of the best explanation, from which another one explains the log about as well
 
@@ -38,7 +40,7 @@ class Trends(NamedTuple):
 
     error: standard error of the change. ratio: twice the logarithm of the likelihood ratio of a steady change to none.
     declared (p,): of the parameters and errors of inputs, which come first, twice the standard deviation by which they change
-    over the log according to their `rate`. freedom: degrees of freedom of the standard errors.
+    over the log according to their `rate`. freedom (h,): degrees of freedom of the errors, 0 where too little is known.
     """
 
     names: tuple[str, ...]
@@ -46,7 +48,7 @@ class Trends(NamedTuple):
     error: Array
     ratio: Array
     declared: Array
-    freedom: int
+    freedom: Array
 
 
 def require_no_drift(plant: Plant, log: Log, settle: int, sigma: Array, at: Callable[[int], str]) -> None:
@@ -57,9 +59,9 @@ def require_no_drift(plant: Plant, log: Log, settle: int, sigma: Array, at: Call
     unless the plant declares that the parameter changes so fast.
     """
     found = trends(plant, log, settle, sigma)
-    if found.freedom < 1:
+    if not found.freedom.any():
         return
-    chance = student.isf(REFUSED / (2 * len(found.names)), found.freedom) * found.error
+    chance = student.isf(REFUSED / (2 * len(found.names)), np.maximum(found.freedom, 1)) * found.error
     order = [int(i) for i in np.argsort(-found.ratio, kind="stable") if found.ratio[i] >= ALIKE * np.max(found.ratio)]
     p, change = found.declared.size, found.change
     if any(0 < found.declared[i] >= abs(change[i]) - chance[i] for i in order if i < p):
@@ -89,17 +91,18 @@ def trends(plant: Plant, log: Log, settle: int, sigma: Array) -> Trends:
     named, rates = _named(plant), {p.name: p.rate for p in plant.uncertainty.parameters}
     moving = np.array([2 * rates.get(name, 0.0) * np.sqrt(hours) / sd for name, sd in named.items()])
     names = (*named, *plant.sensor_names)
-    b = g / np.maximum(info, np.finfo(float).tiny)
-    m = len(b)
-    x = (np.arange(m) + 0.5) / m - 0.5
-    if m < 3:
-        none = np.zeros(len(names))
-        return Trends(names, none, none, none, moving, m - 2)
-    change = x @ b / np.sum(x**2)
-    left = b - np.mean(b, axis=0) - x[:, None] * change
-    error = np.sqrt(np.sum(left**2, axis=0) / (m - 2) / np.sum(x**2))
-    ratio = change**2 * np.sum(x[:, None] ** 2 * info, axis=0)
-    return Trends(names, change, error, ratio, moving, m - 2)
+    known = info > KNOWN * np.max(info, axis=0)
+    weight, m = np.where(known, info, 0.0), np.sum(known, axis=0)
+    b = np.where(known, g, 0.0) / np.where(known, info, 1.0)
+    total, x = np.sum(weight, axis=0), np.arange(len(b))[:, None] / len(b)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        about, mean = x - np.sum(weight * x, axis=0) / total, np.sum(weight * b, axis=0) / total
+        spread = np.sum(weight * about**2, axis=0)
+        change = np.sum(weight * about * b, axis=0) / spread
+        error = np.sqrt(np.sum(weight * (b - mean - about * change) ** 2, axis=0) / (m - 2) / spread)
+    enough = m > 2
+    change, error, ratio = (np.where(enough, a, 0.0) for a in (change, error, change**2 * spread))
+    return Trends(names, change, error, ratio, moving, np.where(enough, m - 2, 0))
 
 
 def _named(plant: Plant) -> dict[str, float]:

@@ -35,7 +35,7 @@ FOLDERS: dict[str, set[str]] = {
     "tuning": {"core", "commissioning", "registry"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation", "logs"},
-    "live": {"core", "evaluation", "logs"},
+    "live": {"core", "filters", "evaluation", "logs"},
     "inspection": {"core", "evaluation", "registry", "checks", "identification", "kalman_banks"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }

@@ -80,6 +80,37 @@ def edited(path: Path, library: Path, *changes: tuple[str, str], folder: str | N
     return write_fmu(path / "edited.fmu", 2, xml, library, folder)
 
 
+@pytest.mark.parametrize("version", [2, 3])
+def test_events_in_time(fmu: MakeFmu, version: int) -> None:
+    with pytest.raises(ValueError, match=r"has an event at 7 s; expected none: .* export it without events"):
+        from_fmu(fmu(version, "ModelExchange"), **NOISE, start_values={"lag": -7.0})
+
+
+def test_an_fmu_of_both_kinds(library: Path, tmp_path: Path) -> None:
+    """Model exchange comes first; where it has events, the error names the other kind."""
+    both = ("<UnitDefinitions>", f'<CoSimulation modelIdentifier="two_tanks" {STEPPED}/><UnitDefinitions>')
+    path = edited(tmp_path, library, both)
+    assert read_interface(path).kind == "model exchange"
+    path = edited(tmp_path, library, both, ('numberOfEventIndicators="0"', 'numberOfEventIndicators="2"'))
+    with pytest.raises(ValueError, match=r"has 2 event indicators; .* pass kind='co-simulation'"):
+        from_fmu(path, **NOISE)
+    assert from_fmu(path, **NOISE, kind="co-simulation").sensor_names == ("level_1", "level_2", "flow_12", "flow_out")
+
+
+def test_variables_that_are_no_real_numbers(library: Path, tmp_path: Path) -> None:
+    """A Boolean parameter can be set before the start (here by a function that the FMU lacks), an input cannot be used."""
+    added = '<ScalarVariable name="on" valueReference="20" causality="{}" {}><Boolean start="true"/></ScalarVariable>'
+    parameter = added.format("parameter", 'variability="fixed" initial="exact"')
+    path = edited(tmp_path, library, ("</ModelVariables>", f"{parameter}</ModelVariables>"))
+    with pytest.raises(ValueError, match=r"fmi2SetBoolean failed with status 3"):
+        from_fmu(path, **NOISE, start_values={"on": False})
+    added = added.format("input", 'variability="discrete"')
+    path = edited(tmp_path, library, ("</ModelVariables>", f"{added}</ModelVariables>"))
+    with pytest.raises(ValueError, match=r"the input 'on' is a discrete variable or one of type Boolean; expected scalar"):
+        from_fmu(path, **NOISE)
+    assert len(from_fmu(path, **NOISE, inputs=["inflow"]).inputs) == 1
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

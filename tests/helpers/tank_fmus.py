@@ -57,7 +57,7 @@ def build(folder: Path, version: int) -> Path:
     return library
 
 
-def description(version: int, kind: str, flags: str, guid: str = "two-tanks", extra: str = "") -> str:
+def description(version: int, kind: str, flags: str) -> str:
     """The model description of FMI 2.0 or 3.0 for ModelExchange or CoSimulation with these flags."""
     units = "".join(f'<Unit name="{unit}"/>' for unit in ("m", "m/s", "m3/s", "m2", "m2.5/s", "s"))
     head = f'fmiVersion="{version}.0" modelName="TwoTanks" generationTool="cc" variableNamingConvention="structured"'
@@ -72,7 +72,7 @@ def description(version: int, kind: str, flags: str, guid: str = "two-tanks", ex
             "<Outputs>" + "".join(f'<Unknown index="{i}"/>' for i in (1, 2, 6, 7)) + "</Outputs><Derivatives>"
             '<Unknown index="3"/><Unknown index="4"/></Derivatives>'
         )
-        head += f' guid="{guid}" numberOfEventIndicators="0"'
+        head += ' guid="two-tanks" numberOfEventIndicators="0"'
     else:
         rows = '<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>' + "".join(
             f'<Float64 name="{name}" valueReference="{reference}" {text}/>' for name, (reference, text) in VARIABLES.items()
@@ -80,10 +80,10 @@ def description(version: int, kind: str, flags: str, guid: str = "two-tanks", ex
         structure = "".join(f'<Output valueReference="{i}"/>' for i in (1, 2, 6, 7)) + "".join(
             f'<ContinuousStateDerivative valueReference="{i}"/>' for i in (3, 4)
         )
-        head += f' instantiationToken="{guid}"'
+        head += ' instantiationToken="two-tanks"'
     return (
         f'<?xml version="1.0" encoding="UTF-8"?>\n<fmiModelDescription {head}>{kind}<UnitDefinitions>{units}</UnitDefinitions>'
-        f'<DefaultExperiment startTime="0" stepSize="5"/><ModelVariables>{rows}{extra}</ModelVariables>'
+        f'<DefaultExperiment startTime="0" stepSize="5"/><ModelVariables>{rows}</ModelVariables>'
         f"<ModelStructure>{structure}</ModelStructure></fmiModelDescription>\n"
     )
 

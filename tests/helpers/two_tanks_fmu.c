@@ -2,7 +2,7 @@
 
    Only what FMPy calls is here; all other functions of the standard are stubs that report an error, see tank_fmus.py.
    Value references: 0 time, 1 2 levels, 3 4 their derivatives, 5 inflow, 6 7 flows, 8 area, 9 10 outlets, 11 leak,
-   12 lag: time constant of a hidden state of co-simulation, s. */
+   12 lag: time constant of a hidden state of co-simulation, s; below 0 the time of an event of model exchange, negated. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -38,7 +38,7 @@ typedef struct {
 static Status compute(Tanks *m) {
     double *v = m->v;
     double inflow = v[LAG] > 0 ? m->hidden : v[INFLOW];
-    if (v[LEVEL] < -1 || v[LEVEL + 1] < -1) return FAILED;
+    if (v[0] < 0 || v[LEVEL] < -1 || v[LEVEL + 1] < -1) return FAILED;
     if (v[LEVEL] < 0 || v[LEVEL + 1] < 0) return DISCARD;
     v[FLOW] = v[OUTLET] * sqrt(v[LEVEL]);
     v[FLOW + 1] = v[OUTLET + 1] * sqrt(v[LEVEL + 1]);
@@ -156,6 +156,8 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean defined, fmi2Real to
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
     memset(info, 0, sizeof *info);
+    info->nextEventTimeDefined = ((Tanks *)c)->v[LAG] < 0;
+    info->nextEventTime = -((Tanks *)c)->v[LAG];
     return fmi2OK;
 }
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) { return rates(c, dx, n); }
@@ -197,7 +199,9 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean defined, fmi3
                                        fmi3Boolean ends, fmi3Float64 to) { return fmi3SetTime(c, from); }
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
                                     fmi3Boolean *values, fmi3Boolean *defined, fmi3Float64 *next) {
-    *again = *terminate = *nominals = *values = *defined = fmi3False;
+    *again = *terminate = *nominals = *values = fmi3False;
+    *defined = ((Tanks *)c)->v[LAG] < 0;
+    *next = -((Tanks *)c)->v[LAG];
     return fmi3OK;
 }
 fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], size_t n) { return rates(c, dx, n); }

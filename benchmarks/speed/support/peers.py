@@ -2,7 +2,7 @@
 
 One thread, double precision, the right-hand side by indices. What takes a batch of states is given them at once: Stone Soup's
 models, dynamax (compiled by JAX, and warm). filterpy and pykalman call the model state by state. A call repeats one prediction
-and one update from the same x, P, and gives the estimate (63,).
+and one update of x and P from the same values, and gives the estimate (63,).
 
 KINDS: "kf" with the tangent of the step; "ukf", which draws its points again before the update, with alpha 1, beta 0 and
 kappa 3 - n, which all four packages can; "enkf" with 40 members and perturbed readings; "bank": 63 linear filters, each
@@ -100,7 +100,9 @@ def numpy_by_hand(kind: str) -> Call | None:
 
         def linear() -> Array:
             x, p = F @ X, F @ P @ F.T + Q
-            return np.asarray(x + p @ np.linalg.solve(p + R, Y - x))
+            gain = np.linalg.solve(p + R, p).T
+            x, p = x + gain @ (Y - x), p - gain @ p
+            return x
 
         return linear
     if kind == "ukf":
@@ -117,11 +119,14 @@ def numpy_by_hand(kind: str) -> Call | None:
             points = step(drawn(X, P))
             x = mean @ points
             apart = points - x
-            again = drawn(x, (weight * apart.T) @ apart + Q)
+            p = (weight * apart.T) @ apart + Q
+            again = drawn(x, p)
             predicted = mean @ again
             apart = again - predicted
             cross = (weight * apart.T) @ apart
-            return np.asarray(x + cross @ np.linalg.solve(cross + R, Y - predicted))
+            gain = np.linalg.solve(cross + R, cross).T
+            x, p = x + gain @ (Y - predicted), p - gain @ cross
+            return np.asarray(x)
 
         return unscented
     if kind == "enkf":
@@ -144,7 +149,8 @@ def numpy_by_hand(kind: str) -> Call | None:
         x, p = x0 @ F.T, F @ p0 @ F.T + Q
         hp = H @ p
         gain = np.linalg.solve(hp @ H.swapaxes(-1, -2) + r, hp).swapaxes(-1, -2)
-        return np.asarray(x + (gain @ (y - (H @ x[..., None])[..., 0])[..., None])[..., 0])
+        x, p = x + (gain @ (y - (H @ x[..., None])[..., 0])[..., None])[..., 0], p - gain @ hp
+        return x
 
     return bank
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from time import perf_counter
 from typing import NamedTuple
 
 import fusion_sfdia
 
 PACKAGE = str(Path(fusion_sfdia.__path__[0]).parent)
-KILOBYTES = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss
+LAUNCHER = """
+import json, resource, subprocess, sys, time
+start = time.perf_counter()
+done = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL)
+seconds = time.perf_counter() - start
+most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+print(json.dumps([done.returncode, seconds, most]))
+"""  # a small process: the memory of one that starts another counts as that of the other, too
 
 
 class Process(NamedTuple):
@@ -29,21 +36,17 @@ def timed_process(arguments: Sequence[str], variables: Mapping[str, str] | None 
     variables: of the environment, beside those of this process; the package is that of this process.
     """
     paths = os.pathsep.join((PACKAGE, os.environ.get("PYTHONPATH", ""))).strip(os.pathsep)
-    start = perf_counter()
-    with subprocess.Popen(
-        [sys.executable, *arguments],
+    done = subprocess.run(
+        [sys.executable, "-c", LAUNCHER, sys.executable, *arguments],
         env={**os.environ, "PYTHONPATH": paths, **(variables or {})},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    ) as process:
-        assert process.stderr is not None
-        printed = process.stderr.read()
-        _, status, usage = os.wait4(process.pid, 0)
-        seconds = perf_counter() - start
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(arguments)} ended with {process.returncode}: {printed.decode().strip()[-500:]}")
-    return Process(seconds, float(usage.ru_maxrss * KILOBYTES))
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    code, seconds, memory = json.loads(done.stdout)
+    if code:
+        raise RuntimeError(f"{' '.join(arguments)} ended with {code}: {done.stderr.strip()[-500:]}")
+    return Process(seconds, float(memory))
 
 
 def command(*arguments: str) -> list[str]:
