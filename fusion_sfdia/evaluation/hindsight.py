@@ -173,7 +173,7 @@ def _in_parts(
     is left from `first` on.
     """
     length = (steps.track.t.size - first) // parts if first else SHORTEST
-    x, P = FILTER.start(model, (parts,), NO_DRAWS)
+    x, P = (value.copy() for value in FILTER.start(model, (parts,), NO_DRAWS))
     x[0], P[0] = core
     ends, marks = GaussianState(x.copy(), P.copy()), {}
     which, at, forgets = np.arange(parts), set(np.geomspace(8, length, MARKS).astype(int).tolist()), True

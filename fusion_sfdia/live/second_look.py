@@ -18,7 +18,7 @@ from fusion_sfdia.evaluation.diagnose import against_the_model
 from fusion_sfdia.evaluation.events import Event, events_of
 from fusion_sfdia.evaluation.hindsight import LEAD, Hindsight, begun, looked
 from fusion_sfdia.evaluation.model_health import Health, health_of
-from fusion_sfdia.evaluation.sensor_events import TOGETHER, explained, alarm_rate_of
+from fusion_sfdia.evaluation.sensor_events import TOGETHER, alarm_rate_of, explained
 from fusion_sfdia.filters.estimators import GaussianState
 
 Array = NDArray[Any]
