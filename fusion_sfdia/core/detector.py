@@ -160,6 +160,8 @@ def run(detector: Detector, state: State, *data: Any, covariance: bool = False) 
     start it from init(..., t=-plant.dt). The covariances are left out by default: they take most of the memory.
     ValueError where the data do not fit the plant, or their batch is not that of the state.
     """
+    if isinstance(detector, type):
+        raise ValueError(f"{detector.__name__} is a class; build it on a plant first, as in {detector.__name__}(plant)")
     t, y, u = as_log(detector.plant, *data)
     decisions = []
     for time, reading, applied in zip(t, y, u, strict=True):

@@ -60,9 +60,7 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
     all times.
     """
     count, n = out.shape
-    error, sd, normal = (np.full((count, n), np.nan) for _ in range(3))
-    found = Hindsight(error, sd, normal, np.full(count, np.nan), np.zeros(count, int))
-    steps, start = _Steps(track, out), FILTER.start(model, (), NO_DRAWS)
+    found, start, steps = unknown(count, n), begun(model), _Steps(track, out)
     with np.errstate(all="ignore"):
         first, core = 0, start
         if track.t.size >= FEWEST * SHORTEST:
@@ -82,6 +80,30 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
             if track.own[s]:
                 _keep(found, steps.sample[s], seen)
     return found
+
+
+def unknown(count: int, n: int) -> Hindsight:
+    """Of `count` samples of n sensors nothing is known."""
+    error, sd, normal = (np.full((count, n), np.nan) for _ in range(3))
+    return Hindsight(error, sd, normal, np.full(count, np.nan), np.zeros(count, int))
+
+
+def begun(model: Plant) -> GaussianState:
+    """The filter at its start."""
+    found: GaussianState = FILTER.start(model, (), NO_DRAWS)
+    return found
+
+
+def looked(
+    model: Plant, core: GaussianState, times: tuple[float, float], values: tuple[Array, Array], use: Array
+) -> tuple[GaussianState | None, Hindsight]:
+    """One step of `hindsight` over `times` with readings y (N,), of which those to `use` (N,), and inputs u (m,): the filter
+    after it, None where it has no finite value, and of this sample what is known.
+    """
+    (before, now), (y, u) = times, values
+    with np.errstate(all="ignore"):
+        seen = _seen(model, core, before, now, now - before, y, u, use)
+    return (seen.core, seen.row) if seen.sound else (None, Hindsight(*(v[0] for v in unknown(1, len(y)))))
 
 
 class _Steps:
@@ -151,7 +173,7 @@ def _in_parts(
     is left from `first` on.
     """
     length = (steps.track.t.size - first) // parts if first else SHORTEST
-    x, P = FILTER.start(model, (parts,), NO_DRAWS)
+    x, P = (value.copy() for value in FILTER.start(model, (parts,), NO_DRAWS))
     x[0], P[0] = core
     ends, marks = GaussianState(x.copy(), P.copy()), {}
     which, at, forgets = np.arange(parts), set(np.geomspace(8, length, MARKS).astype(int).tolist()), True

@@ -30,6 +30,12 @@ def false_alarm_of(detector: Detector) -> float:
     return float(rate) if isinstance(rate, int | float) and 0 < rate < 1 else 1e-3
 
 
+def alarm_rate_of(detector: Detector) -> float:
+    """The rate of false alarms at which a detector acts: that for which its thresholds were fitted, else what it states."""
+    fitted = getattr(detector, "fitted_rate", None)
+    return false_alarm_of(detector) if fitted is None else float(fitted)
+
+
 def explained(
     detector: Detector,
     t: Array,

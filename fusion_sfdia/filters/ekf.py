@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.filters.gaussian import Joint, add, symmetrise
 
@@ -22,7 +23,7 @@ def predict(x: Array, P: Array, f: Model, F: Array | None, Q: Array) -> tuple[Ar
     for the complex step's (f must then be analytic).
     """
     F = complex_step_jacobian(f, x) if F is None else F
-    return f(x), add(symmetrise(F @ P @ np.swapaxes(F, -1, -2)), Q)
+    return f(x), repeated(add(symmetrise(F @ single(P) @ np.swapaxes(F, -1, -2)), Q), P)
 
 
 def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array) -> Joint:
@@ -32,5 +33,5 @@ def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array) -> Joint:
     for the complex step's (h must then be analytic).
     """
     H = complex_step_jacobian(h, x) if H is None else H
-    C = P @ np.swapaxes(H, -1, -2)
-    return Joint(x, P, h(x), add(symmetrise(H @ C), R), C, H=H)
+    C = single(P) @ np.swapaxes(H, -1, -2)
+    return Joint(x, P, h(x), repeated(add(symmetrise(H @ C), R), P), repeated(C, P), H=H)

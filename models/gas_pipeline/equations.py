@@ -289,7 +289,8 @@ def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameter
     """Write to k dx/dt (3n,) as `slope`, and to dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M).
 
     Each node depends on its own p, m, T and their gradients: nine complex steps at most give its small Jacobian, which is
-    exact to rounding; the stencil does the rest.
+    exact to rounding; the stencil does the rest. Only what depends on the variable of a step is complex there: the polynomials
+    of the gas, most of the work, for T alone.
     """
     n = x.shape[0] // 3
     columns = dx.shape[1]
@@ -313,11 +314,19 @@ def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameter
             local[3 + v] = s
             local[6 + v] = given[v]
         last = 9 if i == 0 or i == n - 1 else 6
-        still = friction_factor(local[1], c)
+        p, m, T = local[0].real, local[1].real, local[2].real
+        p_s, m_s, T_s = local[3].real, local[4].real, local[5].real
+        still = friction_factor(m, c)
         for a in range(last):
             local[a] += 1j * tiny
-            f = friction_factor(local[1], c) if a == 1 else still
-            here = rates(local[0], local[1], local[2], local[3], local[4], local[5], f, c)
+            f = friction_factor(local[1], c) if a == 1 else still + 0j
+            if a < 2:
+                here = rates(local[0], local[1], T, p_s, m_s, T_s, f, c)
+            elif a == 2:
+                here = rates(p, m, local[2], p_s, m_s, T_s, f, c)
+            else:
+                p_t, m_t, T_t, v, rho, a2, alpha_1, alpha_2, cp = rates(p, m, T, local[3], local[4], local[5], still, c)
+                here = p_t, m_t, T_t, v + 0j, rho + 0j, a2 + 0j, alpha_1 + 0j, alpha_2 + 0j, cp + 0j
             r0, r1, r2 = here[0], here[1], here[2]
             if i == 0:
                 r0, r1, r2 = inlet_rates(local[0], local[2], here, local[6], local[7], c)
