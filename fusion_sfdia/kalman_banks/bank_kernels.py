@@ -31,23 +31,21 @@ def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
 
 
 @compiled
-def shift(eta: Array, a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array, Array]:
-    """The window (B, L, ..) with the onset of each slot taken from the slot `places` (L,), a new one where that is negative."""
-    found, sums, squares, ages = np.empty_like(eta), np.empty_like(a), np.empty_like(b), np.empty_like(age)
-    for r in range(eta.shape[0]):
+def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array]:
+    """Sums (B, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,), a new one where negative."""
+    sums, squares, ages = np.empty_like(a), np.empty_like(b), np.empty_like(age)
+    for r in range(a.shape[0]):
         for l in range(places.shape[0]):  # noqa: E741
             k = places[l]
             if k < 0:
-                found[r, l] = 0.0
                 sums[r, l] = 0.0
                 squares[r, l] = 0.0
                 ages[r, l] = 1.0
             else:
-                found[r, l] = eta[r, k]
                 sums[r, l] = a[r, k]
                 squares[r, l] = b[r, k]
                 ages[r, l] = age[r, k] + 1.0
-    return found, sums, squares, ages
+    return sums, squares, ages
 
 
 @compiled
@@ -108,89 +106,81 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 
 @compiled
-def changed(H: Array, eta: Array, reading: float, M: Array) -> None:
-    """Write the change of the innovation by each hypothesis to M (N, q): D - H eta, with H (N, d) and eta (n, q)."""
-    for i in range(M.shape[0]):
-        for j in range(M.shape[1]):
-            M[i, j] = 0.0
-        for s in range(H.shape[1]):
-            factor = H[i, s]
-            if factor != 0:
-                for j in range(M.shape[1]):
-                    M[i, j] -= factor * eta[s, j]
-        M[i, i] += reading
-
-
-@compiled
-def weighed(
+def carried(
     eta: Array,
-    a: Array,
-    b: Array,
-    age: Array,
-    F: Array,
+    old: Array,
+    A: Array,
+    leading: int,
+    places: Array,
+    FK: Array,
+    readings: Array,
     change: Array,
     once: int,
-    H: Array,
-    half: Array,
-    scores: Array,
-    readings: Array,
+    age: Array,
 ) -> None:
-    """Take eta (B, L, n, q) over the step and add the present innovations to a and b (B, L, q), in place: see `weigh`.
+    """Complete eta (B, n, L, q) from what stood in the slots `places` (L,) of `old`: see `weigh`.
 
-    change (B, n, r): effects on the state, the first `once` at the onset only. half (B, N, N): U'. readings (B, L): D.
-    """  # fmt: skip
-    B, L, n, q = eta.shape
-    N, r = half.shape[1], change.shape[2]
-    ahead = np.empty((n, q), eta.dtype)
-    M, row = np.empty((N, q), eta.dtype), np.empty(q, eta.dtype)
+    It has the products of A (B, n, n) with the leading states; those with the others, F K D and -C are added. readings (B, L):
+    D of `old`. change (B, n, r): C, the first `once` at the onset only. age (B, L).
+    """
+    B, n, L, q = eta.shape
+    N, r = FK.shape[2], change.shape[2]
     zero = eta.dtype.type(0)
     for k in range(B):
-        f, h, c = k % F.shape[0], k % H.shape[0], k % change.shape[0]
-        for l in range(L):  # noqa: E741
-            fresh = age[k % age.shape[0], l] <= 1
-            for i in range(n):
-                for j in range(q):
-                    ahead[i, j] = zero
-                for s in range(n):
-                    factor = F[f, i, s]
-                    if factor != 0:
-                        for j in range(q):
-                            ahead[i, j] += factor * eta[k, l, s, j]
-                for j in range(r):
-                    if j >= once or fresh:
-                        ahead[i, q - r + j] -= change[c, i, j]
-            for i in range(n):
-                for j in range(q):
-                    eta[k, l, i, j] = ahead[i, j]
-            changed(H[h], ahead, readings[k % readings.shape[0], l], M)
-            for i in range(N):
-                for j in range(q):
-                    row[j] = zero
-                for s in range(N):
-                    factor = half[k, i, s]
-                    if factor != 0:
-                        for j in range(q):
-                            row[j] += factor * M[s, j]
-                for j in range(q):
-                    a[k, l, j] += scores[k, i] * row[j]
-                    b[k, l, j] += row[j] * row[j]
+        f, c = k % A.shape[0], k % change.shape[0]
+        for i in range(n):
+            row = FK[k, i]
+            for l in range(L):  # noqa: E741
+                into, at = eta[k, i, l], places[l]
+                if at < 0:
+                    into[:] = zero
+                else:
+                    factor = eta.dtype.type(readings[k, at])
+                    for j in range(N):
+                        into[j] += factor * row[j]
+            for s in range(leading, n):
+                factor = A[f, i, s]
+                if factor != 0:
+                    for l in range(L):  # noqa: E741
+                        if places[l] >= 0:
+                            into, out_of = eta[k, i, l], old[k, s, places[l]]
+                            for j in range(q):
+                                into[j] += factor * out_of[j]
+            for l in range(L):  # noqa: E741
+                into, out_of = eta[k, i, l, q - r :], change[c, i]
+                for j in range(0 if age[k, l] <= 1 else once, r):
+                    into[j] -= out_of[j]
 
 
 @compiled
-def corrected(eta: Array, K: Array, H: Array, readings: Array) -> None:
-    """Add K M to eta (B, L, n, q), in place, with the gain K (B, n, N) and M = D - H eta."""
-    B, L, n, q = eta.shape
-    N = H.shape[1]
-    M = np.empty((N, q), eta.dtype)
+def summed(M: Array, half: Array, scores: Array, readings: Array, a: Array, b: Array) -> None:
+    """Add the present innovations to a and b (B, L, q), in place: see `weigh`.
+
+    M (B, K, N, q): -U' H eta of the last K slots, 0 in those before. half U' (B, N, N), scores U' d (B, N), readings D (B, L).
+    """
+    B, L, q = a.shape
+    N, known = M.shape[2], L - M.shape[1]
+    row, sums, squares = np.empty(q, M.dtype), np.empty(q, M.dtype), np.empty(q, M.dtype)
+    zero = M.dtype.type(0)
     for k in range(B):
-        h = k % H.shape[0]
         for l in range(L):  # noqa: E741
-            changed(H[h], eta[k, l], readings[k % readings.shape[0], l], M)
-            for i in range(n):
-                for s in range(N):
-                    factor = K[k, i, s]
-                    for j in range(q):
-                        eta[k, l, i, j] += factor * M[s, j]
+            D = M.dtype.type(readings[k % readings.shape[0], l])
+            for j in range(q):
+                sums[j] = squares[j] = zero
+            for i in range(N):
+                score, direct = scores[k, i], half[k, i]
+                if l < known:
+                    row[:] = zero
+                else:
+                    row[:] = M[k, l - known, i]
+                for j in range(N):
+                    row[j] += D * direct[j]
+                for j in range(q):
+                    sums[j] += score * row[j]
+                    squares[j] += row[j] * row[j]
+            for j in range(q):
+                a[k, l, j] += sums[j]
+                b[k, l, j] += squares[j]
 
 
 @compiled

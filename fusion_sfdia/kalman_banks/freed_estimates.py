@@ -59,11 +59,11 @@ def with_alternatives(prior: Prior, tested: Tested, weight: Array) -> Prior:
     """The prior with the covariance of alternatives to the accepted process hypothesis, of that weight (..., P)."""
     if not np.any(weight):
         return prior
-    best, eta = tested.best_recent, tested.recent.window.eta
+    best, eta = tested.best_recent, tested.recent.eta
     count = best.slot.shape[-1] - weight.shape[-1]
     slot = best.slot[..., None, None, count:]
     effect = (
-        np.take_along_axis(eta[..., count:], slot, axis=-3)[..., 0, :, :]
+        np.take_along_axis(eta[..., count:], slot, axis=-2)[..., 0, :]
         * (best.size[..., count:] * np.sqrt(weight))[..., None, :]
     )
     x, p = prior.core

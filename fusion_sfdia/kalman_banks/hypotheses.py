@@ -35,6 +35,7 @@ PARAMETER_SIZE = 10.0  # of a jump or drift, over the prior standard deviation: 
 EQUATION_SIZE = 10.0  # of an error of an equation, over the standard deviation of its process noise
 UNNAMED = 6.0  # evidence that an error of an equation needs beyond that of a cause with a name: odds of 1 to 20
 NODES = 16  # of the quadrature of phi_1
+SPARSE = 1 / 8  # share of entries up to which a product by those that are not 0 takes less time
 
 
 def phi_1(F: Array) -> Array:
@@ -84,9 +85,12 @@ class Hypotheses:
         return len(self.model.states) - len(self.plant.states)
 
     @cached_property
-    def still(self) -> int:
-        """How many of the last states keep their value in a step: all augmented ones, without disturbances."""
-        return 0 if self.plant.uncertainty.disturbances else self.added
+    def leading(self) -> int:
+        """The number n of the plant's own states where few of them depend on each augmented one, else all: see `weigh`."""
+        model, n = self.model, len(self.plant.states)
+        u = model.input_at(0.0) if self.usual is None else self.usual
+        by_added = model.step_jacobian_at(0.0, model.x0, u, model.dt)[..., :n, n:]
+        return n if np.count_nonzero(by_added) <= SPARSE * by_added.size else len(model.states)
 
     @cached_property
     def sd(self) -> Array:

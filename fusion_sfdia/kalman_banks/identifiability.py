@@ -32,7 +32,8 @@ from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
-from fusion_sfdia.kalman_banks.likelihood_window import Effect, Grid, empty, updated, weigh
+from fusion_sfdia.kalman_banks.likelihood_window import Effect, Grid, Shifted, empty, updated, weigh
+from fusion_sfdia.kalman_banks.window_step import last_update, no_update, window_step
 
 Array = NDArray[Any]
 
@@ -165,15 +166,18 @@ class _Limits(NamedTuple):
 def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
     """The limits of a filter on the plant, with jumps of its last `added` states as hypotheses of the process."""
     count = len(plant.sensors)
-    window = empty((), Grid(2), len(plant.states), count + added)  # of biases and jumps, and of ramps, with one onset
-    window.eta[0, len(plant.states) - added :, count:] = -np.eye(added)
+    window = empty((), Grid(2), len(plant.states), count + added, float)  # of biases and jumps, and of ramps, with one onset
+    window.eta[len(plant.states) - added :, 0, count:] = -np.eye(added)
+    last, never = no_update((), len(plant.states), count, float), np.array(False)
     common, before = np.zeros((count + added, count + added)), np.full(count, np.inf)
     for k, update in enumerate(islice(_healthy_updates(plant), settle, settle + LAST), start=1):
         tangent, output_jacobian, found, K = update
-        weighed = weigh(window, tangent, output_jacobian, found, Effect(np.array([1.0, k])))
+        now = Shifted(window, np.arange(2), window.a, window.b, window.age + 1)
+        step = window_step(last, tangent, output_jacobian, found)
+        weighed = weigh(now, step, Effect(np.array([1.0, k])))
         M = weighed.M[0]
         common += M.T @ found.inverse @ M
-        window = updated(weighed, K, np.array(False))
+        window, last = updated(weighed, never), last_update(step, K, never)
         if k == samples or (samples == np.inf and k >= FIRST and (k & (k - 1) == 0 or k == LAST)):
             limits = _of(common, window.b[1, :count], k)
             if k in (samples, LAST) or np.all(limits.bias >= (1 - SETTLED) * before):

@@ -44,16 +44,18 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     updated,
     weigh,
 )
+from fusion_sfdia.kalman_banks.window_step import LastUpdate, last_update, no_update, window_step
 
 Array = NDArray[Any]
 
 
 class LeaveOneOutMemory(NamedTuple):
-    """The filter's estimate, the sensors that are left out, and the likelihood ratios of the window."""
+    """The filter's estimate, the sensors that are left out, the likelihood ratios of the window, and the last update of it."""
 
     estimate: GaussianState
     exclusion: Exclusion
     window: Window
+    update: LastUpdate
 
 
 @dataclass(frozen=True)
@@ -102,10 +104,11 @@ class LeaveOneOutBank(ExcludingBank):
     def _start(self, batch: tuple[int, ...], seed: int) -> Any:
         n, count = len(self.plant.states), len(self.plant.sensors)
         estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
-        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self._grid, n, count))
+        last = no_update(batch, n, count) if self.window > 1 else no_update(batch, 0, 0)
+        return LeaveOneOutMemory(estimate, none_excluded(batch, count), empty(batch, self._grid, n, count), last)
 
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
-        estimate, exclusion, window = memory
+        estimate, exclusion, window, last = memory
         plant, est, t = self.plant, self.estimator, now.t
         one_limit, window_limit = self.limits
         prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
@@ -117,10 +120,9 @@ class LeaveOneOutBank(ExcludingBank):
         threshold = np.sqrt(one_limit * everything.variance)
         if self.window > 1:
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
-            window = shifted(window, self._grid, now.k)
-            effect = Effect(self._bias)
             H = joint.H if joint.H is not None else plant.output_jacobian_at(t, prior.core.x, u)
-            onsets = weigh(window, tangent, H, everything, effect)
+            step = window_step(last, tangent, H, everything)
+            onsets = weigh(shifted(window, self._grid, now.k), step, Effect(self._bias))
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
             stronger = best.statistic / window_limit > everything.whitened * residual / one_limit
             residual = np.where(stronger, best.size, residual)
@@ -142,12 +144,12 @@ class LeaveOneOutBank(ExcludingBank):
         x, p = posterior(joint, found)
         if self.window > 1:
             restart = np.any(isolated, axis=-1) & self.accommodate
-            window = updated(onsets, gain(joint, found.inverse), restart)
+            window, last = updated(onsets, restart), last_update(step, gain(joint, found.inverse), restart)
 
         update = Update(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)
-        return LeaveOneOutMemory(GaussianState(x, p), exclusion, window), decision
+        return LeaveOneOutMemory(GaussianState(x, p), exclusion, window, last), decision
 
     def _eliminate(self, found: LeaveOneOut, out: Array) -> tuple[LeaveOneOut, Array, Array]:
         """Eliminate the worst sensor above the one-sample threshold until none is above it or too many are excluded.

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.filters.gaussian import ONE_BY_ONE
-from fusion_sfdia.kalman_banks import bank_kernels
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
+from fusion_sfdia.kalman_banks import bank_kernels, window_step
+from fusion_sfdia.kalman_banks.leave_one_out import value_at
+from fusion_sfdia.kalman_banks.window_step import WindowStep
 
 Array = NDArray[Any]
 
@@ -65,12 +65,14 @@ def _moves(grid: Grid, step: int) -> Array | None:
 
 
 class Window(NamedTuple):
-    """Sums over the steps since each of L onsets, for q hypotheses, after an update.
+    """Sums over the steps since each of L onsets, for q hypotheses, with the last readings.
 
-    eta (..., L, n, q): after the update. a, b (..., L, q). age (..., L): samples since the onset, its own included.
+    eta (..., n, L, q): of the last prediction, before the update. readings (..., L): D of the last readings. a, b (..., L, q).
+    age (..., L): samples since the onset, its own included.
     """
 
     eta: Array
+    readings: Array
     a: Array
     b: Array
     age: Array
@@ -88,15 +90,25 @@ class Effect(NamedTuple):
     once: Array | None = None
 
 
+class Shifted(NamedTuple):
+    """The window before a step, and a, b, age of its onsets in the slots of that step; places (L,): see `Grid.moves`."""
+
+    before: Window
+    places: Array
+    a: Array
+    b: Array
+    age: Array
+
+
 class Weighed(NamedTuple):
-    """The window with the present readings, before the update; eta of the prediction.
+    """The window of the present step, and H (..., N, n)."""
 
-    readout (..., N, d): H of the first d states, the others are not read. readings (..., L): D, as of `Effect`.
-    """
-
-    window: Window
-    readout: Array
+    eta: Array
     readings: Array
+    a: Array
+    b: Array
+    age: Array
+    readout: Array
 
     @property
     def M(self) -> Array:  # noqa: N802, the symbol of the equations
@@ -105,10 +117,9 @@ class Weighed(NamedTuple):
 
     def changes(self, slots: slice, first: int) -> Array:
         """M of the hypotheses from `first` on, with onsets in these slots."""
-        H = self.readout
-        found = -(H[..., None, :, :] @ self.window.eta[..., slots, : H.shape[-1], first:])
+        found = -(self.readout[..., None, :, :] @ np.swapaxes(self.eta[..., slots, first:], -3, -2))
         if first == 0:
-            np.einsum("...ii->...i", found[..., : H.shape[-2]])[...] += self.readings[..., slots, None]
+            np.einsum("...ii->...i", found[..., : self.readout.shape[-2]])[...] += self.readings[..., slots, None]
         return np.asarray(found)
 
 
@@ -122,99 +133,64 @@ class Best(NamedTuple):
     slot: Array
 
 
-def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type = np.float64) -> Window:
-    """Return the window before the first readings; kind: of the numbers in which eta and M are computed."""
-    sums = (*batch, grid.slots, hypotheses)
-    eta: Array = np.zeros((*batch, grid.slots, states, hypotheses), kind)
-    return Window(eta, np.zeros(sums), np.zeros(sums), np.zeros((*batch, grid.slots)))
+def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type | None = None) -> Window:
+    """Return the window before the first readings; kind: of the numbers of eta, `window_step.NUMBERS` by default."""
+    slots, sums = (*batch, grid.slots), (*batch, grid.slots, hypotheses)
+    eta: Array = np.zeros((*batch, states, grid.slots, hypotheses), kind or window_step.NUMBERS)
+    return Window(eta, np.zeros(slots), np.zeros(sums), np.zeros(sums), np.zeros(slots))
 
 
-def shifted(window: Window, grid: Grid, step: int) -> Window:
+def shifted(window: Window, grid: Grid, step: int) -> Shifted:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
-    eta, a, b, age = window
-    if (places := grid.moves(step)) is None:
-        return Window(eta, a, b, age + 1)
-    batch = age.shape[:-1]
-    eta, a, b, age = (bank_kernels.runs(v, batch) for v in window)
-    return _window(batch, *bank_kernels.shift(eta, a, b, age, places))
+    places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
+    batch = window.age.shape[:-1]
+    found = bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in (window.a, window.b, window.age)), places)
+    return Shifted(window, places, *(_of_batch(v, batch) for v in found))
 
 
-def _window(batch: tuple[int, ...], *arrays: Array) -> Window:
-    """The window of a batch from arrays (B, ..)."""
-    return Window(*arrays) if len(batch) == 1 else Window(*(v.reshape(*batch, *v.shape[1:]) for v in arrays))
+def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
+    """Take the window over a step and add its innovations; a and b of `now` are written to."""
+    before, places, a, b, age = now
+    kind, batch, d = before.eta.dtype, age.shape[:-1], step.leading
+    old, n = bank_kernels.runs(before.eta, batch), step.A.shape[-1]
+    eta = np.empty_like(old)
+    for into, out_of in _blocks(tuple(places.tolist())):
+        np.matmul(step.A[:, None, :, :d], _by_slot(old[:, :d, out_of]), out=_by_slot(eta[:, :, into]))
+    change, once = np.empty((1, n, 0), kind), 0
+    if effect.state is not None:
+        change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
+        once = 0 if effect.once is None else int(np.sum(effect.once))
+    readings = bank_kernels.runs(before.readings, batch)
+    bank_kernels.carried(eta, old, step.A, d, places, step.FK, readings, change, once, bank_kernels.runs(age, batch))
+    known = int(effect.state is None and places[:1].min(initial=0) < 0)  # the present onset, of which eta is 0
+    M = -step.seen[:, None] @ _by_slot(eta[:, : step.seen.shape[-1], known:])
+    D = bank_kernels.runs(np.broadcast_to(effect.readings, age.shape), batch)
+    sums = (bank_kernels.runs(v, batch) for v in (a, b))
+    bank_kernels.summed(M, step.half, step.scores, D, *sums)
+    H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
+    return Weighed(_of_batch(eta, batch), _of_batch(D, batch), a, b, age, H)
 
 
-def weigh(
-    window: Window, tangent: Array, output_jacobian: Array, found: LeaveOneOut, effect: Effect, still: int = 0
-) -> Weighed:
-    """Add the present innovations; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use.
-
-    window: after `shifted`. still: that many last rows of F are those of the identity. With S^-1 = U U',
-    a = sum (U' M)' U' d and b = sum diag((U' M)' U' M).
-    """
-    assert found.half is not None and found.scores is not None
-    kind = window.eta.dtype
-    readout = output_jacobian
-    half = np.swapaxes(found.half, -1, -2).astype(kind)
-    if _written_out(window, readout):
-        batch, once = window.age.shape[:-1], 0 if effect.once is None else int(np.sum(effect.once))
-        eta, a, b = (np.array(bank_kernels.runs(v, batch)) for v in window[:3])
-        age = bank_kernels.runs(window.age, batch)
-        change = np.empty((1, tangent.shape[-1], 0), kind)
-        if effect.state is not None:
-            change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
-        bank_kernels.weighed(
-            eta, a, b, age, bank_kernels.common(tangent.astype(kind, copy=False), batch, 2), change, once,
-            bank_kernels.common(readout.astype(kind, copy=False), batch, 2), bank_kernels.runs(half, batch),
-            bank_kernels.runs(found.scores.astype(kind, copy=False), batch), bank_kernels.common(effect.readings, batch, 1),
-        )  # fmt: skip
-        return Weighed(_window(batch, eta, a, b, age), readout, effect.readings)
-    readout = _read(output_jacobian)
-    eta = _predicted(window, tangent.astype(kind, copy=False), effect, still)
-    M = (half @ -readout).astype(kind)[..., None, :, :] @ eta[..., : readout.shape[-1], :]  # U' M
-    M[..., : half.shape[-1]] += _direct(half, effect.readings)
-    a = window.a + (found.scores.astype(kind)[..., None, None, :] @ M)[..., 0, :]
-    b = window.b + np.einsum("...ij,...ij->...j", M, M)
-    return Weighed(Window(eta, a, b, window.age), readout, effect.readings)
+@lru_cache(maxsize=4096)
+def _blocks(places: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """Slots that go on with their onsets as (new, old) slices, as few as possible."""
+    found: list[tuple[slice, slice]] = []
+    for slot, place in enumerate(places):
+        if place >= 0 and found and found[-1][0].stop == slot and found[-1][1].stop == place:
+            found[-1] = slice(found[-1][0].start, slot + 1), slice(found[-1][1].start, place + 1)
+        elif place >= 0:
+            found.append((slice(slot, slot + 1), slice(place, place + 1)))
+    return found
 
 
-def _written_out(window: Window, readout: Array) -> bool:
-    """Whether the products are so small that compiled loops take less time than calls of the library."""
-    return bool(readout.shape[-2] < ONE_BY_ONE and window.eta.shape[-2] < 2 * ONE_BY_ONE)
+def _by_slot(eta: Array) -> Array:
+    """A matrix (B, L, n, q) for each onset of eta (B, n, L, q): onsets that are the same have the same bits."""
+    return eta.swapaxes(1, 2)
 
 
-def _direct(weights: Array, readings: Array) -> Array:
-    """What D adds to the readings, weighted (..., k, N): (..., L, k, N), or (..., 1, k, N) where D = e_i for all onsets."""
-    weights = weights[..., None, :, :]
-    return weights if np.all(readings == 1) else weights * readings[..., None, None].astype(weights.dtype)
-
-
-def _read(output_jacobian: Array) -> Array:
-    """H (..., N, d) of the first d states, where no reading depends on those behind."""
-    H = output_jacobian.reshape(-1, output_jacobian.shape[-1])
-    return output_jacobian[..., : int(np.flatnonzero(H.any(axis=0)).max(initial=0)) + 1]
-
-
-def _predicted(window: Window, tangent: Array, effect: Effect, still: int) -> Array:
-    """F eta - C (..., L, n, q)."""
-    moving = tangent.shape[-1] - still
-    if still:
-        eta = np.empty_like(window.eta)
-        np.matmul(tangent[..., None, :moving, :], window.eta, out=eta[..., :moving, :])
-        eta[..., moving:, :] = window.eta[..., moving:, :]
-    else:
-        eta = tangent[..., None, :, :] @ window.eta
-    if effect.state is None:
-        return eta
-    change = effect.state.astype(eta.dtype, copy=False)[..., None, :, :]
-    moved = eta[..., eta.shape[-1] - change.shape[-1] :]
-    once = 0 if effect.once is None else int(np.sum(effect.once))
-    moved[..., once:] -= change[..., once:]
-    if once:
-        fresh = window.age <= 1
-        among = fresh.shape[-1] if np.any(fresh[..., 1:]) else 1
-        moved[..., :among, :, :once] -= change[..., :once] * fresh[..., :among, None, None]
-    return eta
+def _of_batch(a: Array, batch: tuple[int, ...]) -> Array:
+    """An array (B, ..) as (*batch, ..)."""
+    return a if len(batch) == 1 else a.reshape(*batch, *a.shape[1:])
 
 
 def averaged(statistic: Array, expected: Array) -> Array:
@@ -231,49 +207,31 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
     usable (..., q). size (q,) or (..., L, q): standard deviation of the hypothesis's size before any reading. The evidence of
     an onset is that of `averaged`.
     """
-    _, a, b, age = weighed.window
-    batch = age.shape[:-1]
+    a, b, batch = weighed.a, weighed.b, weighed.age.shape[:-1]
     spread = size[None, None] if size.ndim == 1 else bank_kernels.common(size, batch, 2)
     found = bank_kernels.best(
         bank_kernels.runs(a, batch), bank_kernels.runs(b, batch), bank_kernels.runs(usable, batch), spread, first,
         LEAST_INFORMATION,
     )  # fmt: skip
-    return Best(*found) if len(batch) == 1 else Best(*(v.reshape(*batch, -1) for v in found))
+    return Best(*(_of_batch(v, batch) for v in found))
 
 
 def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:
     """Return the change of the predicted state less that of the true one (..., n) by a unit of hypothesis `which` (...) since
     its best onset.
     """
-    column = which[..., None]
-    slot = np.take_along_axis(best.slot, column, axis=-1)[..., None, None]
-    eta = np.take_along_axis(weighed.window.eta, slot, axis=-3)[..., 0, :, :]
-    return np.take_along_axis(eta, column[..., None], axis=-1)[..., 0]
+    slot = value_at(best.slot, which).ravel()
+    eta = weighed.eta.reshape(-1, *weighed.eta.shape[-3:])
+    found = eta[np.arange(len(eta)), :, slot, which.ravel()]
+    return np.asarray(found.reshape(*which.shape, -1))
 
 
-def updated(weighed: Weighed, gain: Array, restart: Array) -> Window:
-    """Return the window after the update with gain K (..., n, N).
+def updated(weighed: Weighed, restart: Array) -> Window:
+    """Return the window after the update, which the next step takes; see `last_update`.
 
     restart (...): runs whose window restarts, because the readings in use, or the model, have changed.
     """
-    (before, a, b, age), readout, readings = weighed
-    kind, read = before.dtype, readout.shape[-1]
-    if _written_out(weighed.window, readout):
-        batch = age.shape[:-1]
-        eta = np.array(bank_kernels.runs(before, batch))
-        K, H = (bank_kernels.common(v.astype(kind, copy=False), batch, 2) for v in (gain, readout))
-        bank_kernels.corrected(eta, K, H, bank_kernels.common(readings, batch, 1))
-        return _restarted(Window(eta.reshape(before.shape), a, b, age), restart)
-    eta = (gain @ -readout).astype(kind)[..., None, :, :] @ before[..., :read, :]  # K M = K D - K H eta
-    eta += before
-    eta[..., : gain.shape[-1]] += _direct(gain.astype(kind, copy=False), readings)
-    return _restarted(Window(eta, a, b, age), restart)
-
-
-def _restarted(window: Window, restart: Array) -> Window:
-    """The window without what the runs `restart` (...) have summed so far."""
+    window = Window(*weighed[:5])
     if not restart.any():
         return window
-    keep = ~restart[..., None]
-    sums = keep[..., None]
-    return Window(window.eta * sums[..., None], window.a * sums, window.b * sums, window.age * keep)
+    return Window(*(np.where(restart.reshape(restart.shape + (1,) * (v.ndim - restart.ndim)), 0, v) for v in window))

@@ -30,7 +30,7 @@ from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.exclusion import restored
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
-from fusion_sfdia.filters.gaussian import Joint, gain
+from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.competition import (
     Accepted,
     Evidence,
@@ -53,6 +53,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, best_onset
 from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
 from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, faded, leaves_unexplained, nothing_known
 from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
+from fusion_sfdia.kalman_banks.window_step import WindowStep, last_update, window_step
 
 Array = NDArray[Any]
 
@@ -140,7 +141,7 @@ class RobustBank(ExcludingBank):
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
-        estimate, exclusion, out_for, led, *windows, standing, pairs, nis = memory
+        estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
         stands = np.any(standing.accepted, axis=-1)
         lately = stands & (standing.since <= LATELY)
@@ -152,9 +153,11 @@ class RobustBank(ExcludingBank):
         joint = est.joint(of.model, prior, now.t, u)
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
-        tested = self._test(windows, prior, joint, now.k, everything)
+        assert prior.tangent is not None and joint.H is not None
+        step = window_step(last, prior.tangent, joint.H, everything, of.leading)
+        tested = self._test(windows, prior.tangent, step, now.k, everything)
         one = one_sample_evidence(everything, of.recent_sizes[:count])
-        evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.window.age, one, handicap)
+        evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.age, one, handicap)
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
         unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
         room = np.where(unexplained, 0, room)
@@ -184,8 +187,8 @@ class RobustBank(ExcludingBank):
             found = statistics(joint, y, usable & ~isolated)
         x, p = posterior(joint, found)
         restart = (isolated.any(axis=-1) | process | reopened) & self.accommodate
-        K = gain(joint, found.inverse)
-        recent, slow = (updated(w, K, restart) for w in (tested.recent, tested.slow))
+        last = last_update(step, gain(joint, found.inverse), restart)
+        recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)
         quiet = too_quiet(pairs, QUIET_SHARE * self.false_alarm / count)
@@ -204,7 +207,9 @@ class RobustBank(ExcludingBank):
         variance = np.diagonal(p, axis1=-2, axis2=-1)[..., added]
         standing = followed(standing, x[..., added], variance)
         out_for = np.where(exclusion.out, out_for + 1, 0.0)
-        memory = RobustMemory(GaussianState(x, p), exclusion, out_for, led, recent, slow, standing, pairs, faded(nis, found))
+        memory = RobustMemory(
+            GaussianState(x, p), exclusion, out_for, led, recent, slow, last, standing, pairs, faded(nis, found)
+        )
         undecided = decision.alarm & ~np.any(decision.isolated, axis=-1) & ~process
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))
 
@@ -217,13 +222,12 @@ class RobustBank(ExcludingBank):
             return prior
         return prior._replace(core=GaussianState(x, p + noise))
 
-    def _test(self, windows: Sequence[Window], prior: Prior, joint: Joint, step: int, found: LeaveOneOut) -> Tested:
-        """Add the present readings to both windows."""
-        of, F, H = self._hypotheses, prior.tangent, joint.H
-        assert F is not None and H is not None
-        recent, slow = (shifted(w, grid, step) for w, grid in zip(windows, self._grids, strict=True))
-        weighed = weigh(recent, F, H, found, of.recent(F, recent.age.shape[-1]), of.still)
-        slowly = weigh(slow, F, H, found, of.slow(F, slow.age), of.still)
+    def _test(self, windows: Sequence[Window], F: Array, step: WindowStep, k: int, found: LeaveOneOut) -> Tested:
+        """Add the present readings to both windows; F: tangent of the step, the k-th."""
+        of = self._hypotheses
+        recent, slow = (shifted(w, grid, k) for w, grid in zip(windows, self._grids, strict=True))
+        weighed = weigh(recent, step, of.recent(F, recent.age.shape[-1]))
+        slowly = weigh(slow, step, of.slow(F, slow.age))
         every = np.concatenate([found.used, np.ones((*found.used.shape[:-1], len(of.process)), bool)], axis=-1)
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)

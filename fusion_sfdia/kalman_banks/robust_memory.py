@@ -14,6 +14,7 @@ from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, empty
 from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs
 from fusion_sfdia.kalman_banks.standing import Standing, nothing
+from fusion_sfdia.kalman_banks.window_step import LastUpdate, no_update
 
 Array = NDArray[Any]
 
@@ -34,6 +35,7 @@ class RobustMemory(NamedTuple):
     led: Array
     recent: Window
     slow: Window
+    update: LastUpdate
     standing: Standing
     pairs: Pairs
     nis: Array
@@ -48,8 +50,9 @@ def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...
         none_excluded(batch, count),
         np.zeros((*batch, count)),
         np.zeros((*batch, count)),
-        empty(batch, near, states, count + p + n, np.float32),
-        empty(batch, far, states, count + p, np.float32),
+        empty(batch, near, states, count + p + n),
+        empty(batch, far, states, count + p),
+        no_update(batch, states, count),
         nothing(batch, p, n),
         no_pairs(batch, count),
         np.ones(batch),

@@ -17,6 +17,7 @@ from toy_plants import chain, declared, readings
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.filters.estimators import Extended, GaussianState
 from fusion_sfdia.filters.gaussian import gain
+from fusion_sfdia.kalman_banks import window_step
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -33,8 +34,17 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     updated,
     weigh,
 )
+from fusion_sfdia.kalman_banks.window_step import last_update, no_update
+from fusion_sfdia.kalman_banks.window_step import window_step as step_in_common
 
 Array = NDArray[Any]
+
+
+@pytest.fixture(autouse=True)
+def _double(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The window in double precision, so that its definition is checked to rounding."""
+    monkeypatch.setattr(window_step, "NUMBERS", np.float64)
+
 
 PLANT = chain(3, sensors=5)
 N, STEPS, WINDOW, FALSE_ALARM = 5, 24, 6, 0.02
@@ -243,7 +253,7 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
     """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
     a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
     b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
-    onsets = Weighed(Window(np.zeros((2, 1, 3)), a, b, np.ones(2)), np.zeros((3, 1)), np.ones(2))
+    onsets = Weighed(np.zeros((1, 2, 3)), np.ones(2), a, b, np.ones(2), np.zeros((3, 1)))
     found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
     np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
     np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)
@@ -260,9 +270,7 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
 def test_the_evidence_is_twice_the_logarithm_of_the_likelihood_ratio_averaged_over_sizes() -> None:
     """int N(s; 0, size^2) exp(a s - b s^2 / 2) ds, by quadrature."""
     a, b, size = 3.0, 0.7, 2.5
-    onsets = Weighed(
-        Window(np.zeros((1, 1, 1)), np.full((1, 1), a), np.full((1, 1), b), np.ones(1)), np.zeros((1, 1)), np.ones(1)
-    )
+    onsets = Weighed(np.zeros((1, 1, 1)), np.ones(1), np.full((1, 1), a), np.full((1, 1), b), np.ones(1), np.zeros((1, 1)))
     found = best_onset(onsets, np.ones(1, bool), np.array([size]))
     ratio, error = quad(lambda s: norm.pdf(s, 0.0, size) * np.exp(a * s - b * s * s / 2), -np.inf, np.inf)
     assert found.evidence[0] == pytest.approx(2 * np.log(ratio), rel=0, abs=4 * error / ratio)
@@ -305,26 +313,32 @@ def differing(hypothesis: tuple[str, int], onset: int, steps: int) -> tuple[Arra
     return np.array(states), np.array(read)
 
 
-def stepped(y: Array, grid: Grid, slow: bool, restart: Sequence[int] = ()) -> list[tuple[Weighed, Best]]:
+def stepped(
+    y: Array, grid: Grid, slow: bool, restart: Sequence[int] = (), leading: int | None = None
+) -> list[tuple[Weighed, Window, Best]]:
     """The window along the filter of MODEL on readings y (K, B, N), by step; after the steps `restart` it starts again."""
     filtering, batch, draws = Extended(), y.shape[1:2], np.random.default_rng(0)
     core = filtering.start(MODEL, batch, draws)
     window = empty(batch, grid, len(MODEL.states), len(SLOW if slow else RECENT))
+    last = no_update(batch, len(MODEL.states), SENSORS)
     found = []
     for step, reading in enumerate(y, start=1):
         u = np.zeros((*batch, 1))
         prior = filtering.predict(MODEL, core, step - 1.0, u, 1.0, draws)
         joint = filtering.joint(MODEL, prior, float(step), u)
         now = statistics(joint, reading, np.isfinite(reading))
-        window = shifted(window, grid, step)
+        shift = shifted(window, grid, step)
         F = prior.tangent
         assert F is not None
-        effect = DECLARED.slow(F, window.age) if slow else DECLARED.recent(F, grid.slots)
-        weighed = weigh(window, F, AUGMENTED.H, now, effect)
-        sizes = DECLARED.slow_sizes(window.age) if slow else DECLARED.recent_sizes
-        found.append((weighed, best_onset(weighed, np.ones((*batch, weighed.M.shape[-1]), bool), sizes)))
+        effect = DECLARED.slow(F, shift.age) if slow else DECLARED.recent(F, grid.slots)
+        common = step_in_common(last, F, AUGMENTED.H, now, leading)
+        weighed = weigh(shift, common, effect)
+        sizes = DECLARED.slow_sizes(shift.age) if slow else DECLARED.recent_sizes
+        best = best_onset(weighed, np.ones((*batch, weighed.M.shape[-1]), bool), sizes)
         core = GaussianState(*posterior(joint, now))
-        window = updated(weighed, gain(joint, now.inverse), np.full(batch, step in restart))
+        again = np.full(batch, step in restart)
+        window, last = updated(weighed, again), last_update(common, gain(joint, now.inverse), again)
+        found.append((weighed, window, best))
     return found
 
 
@@ -354,55 +368,50 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
         # each number is a sum over the steps and over readings and states, of terms as large as the largest effect
         near = rounding(condition * max(largest, 1.0), LONG * 4 * (SENSORS + len(MODEL.states)))
         for step in range(1, LONG + 1):
-            weighed, best = found[step - 1]
+            weighed, _, best = found[step - 1]
             first = 1 if step <= restart or not restart else restart + 1
             for slot, onset in enumerate(grid.onsets(step)):
                 onset = max(onset, first)
                 z, steps = alone[onset]
                 of, used = steps[step - 1], healthy[step - 1].used
-                window = weighed.window
-                assert window.age[0, slot] == step - onset + 1
-                np.testing.assert_allclose(window.eta[0, slot, :, column], of.x - z[step - 1], rtol=0, atol=near)
+                assert weighed.age[0, slot] == step - onset + 1
+                np.testing.assert_allclose(weighed.eta[0, :, slot, column], of.x - z[step - 1], rtol=0, atol=near)
                 np.testing.assert_allclose(weighed.M[0, slot, used, column], of.d, rtol=0, atol=near)
                 since = range(onset - 1, step)
                 whitened = [np.linalg.solve(healthy[k].S, steps[k].d) for k in since]
                 a = sum(float(w @ healthy[k].d) for w, k in zip(whitened, since, strict=True))
                 b = sum(float(w @ steps[k].d) for w, k in zip(whitened, since, strict=True))
-                assert window.a[0, slot, column] == pytest.approx(a, rel=0, abs=near * max(1.0, largest) * 10), (step, slot)
-                assert window.b[0, slot, column] == pytest.approx(b, rel=0, abs=near * max(1.0, largest)), (step, slot)
+                assert weighed.a[0, slot, column] == pytest.approx(a, rel=0, abs=near * max(1.0, largest) * 10), (step, slot)
+                assert weighed.b[0, slot, column] == pytest.approx(b, rel=0, abs=near * max(1.0, largest)), (step, slot)
                 checked += 1
             slot = best.slot[0, column]
             moved = absorbed(weighed, best, np.array([column]))
-            np.testing.assert_array_equal(moved[0], weighed.window.eta[0, slot, :, column])
+            np.testing.assert_array_equal(moved[0], weighed.eta[0, :, slot, column])
     assert checked == (len(SLOW) if slow else len(RECENT)) * LONG * grid.slots
 
 
 def test_a_run_whose_window_starts_again_changes_no_other() -> None:
     y = np.random.default_rng(21).standard_normal((20, 2, SENSORS))
-    found = stepped(y, Grid(4), False)[-1][0].window
-    one = updated(
-        Weighed(found, np.zeros((2, SENSORS, len(MODEL.states))), np.zeros((2, 4))),
-        np.zeros((2, len(MODEL.states), SENSORS)),
-        np.array([True, False]),
-    )
+    weighed, found, _ = stepped(y, Grid(4), False)[-1]
+    one = updated(weighed, np.array([True, False]))
     for after, before in zip(one, found, strict=True):
         assert not np.any(after[0]) and np.any(before[0])
         np.testing.assert_array_equal(after[1], before[1])
 
 
-def test_states_that_are_not_read_do_not_enter_the_change_of_the_innovation() -> None:
-    """M = D - H eta, with H of the first states only; of some slots and hypotheses as of all."""
-    eta = np.random.default_rng(22).standard_normal((2, 3, 5, 6))
-    H = np.random.default_rng(23).standard_normal((2, 4, 3))
+def test_the_change_of_the_innovation() -> None:
+    """M = D - H eta; of some slots and hypotheses as of all."""
+    eta = np.random.default_rng(22).standard_normal((2, 5, 3, 6))
+    H = np.random.default_rng(23).standard_normal((2, 4, 5))
     readings = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.0]])
-    whole = Weighed(Window(eta, *np.zeros((2, 2, 3, 6)), np.ones((2, 3))), H, readings)
+    whole = Weighed(eta, readings, *np.zeros((2, 2, 3, 6)), np.ones((2, 3)), H)
     direct = np.zeros((2, 3, 4, 6))
     direct[..., :4] = readings[..., None, None] * np.eye(4)
-    wider = np.concatenate([H, np.zeros((2, 4, 2))], axis=-1)
-    allowed = rounding(float(np.max(np.abs(wider[:, None]) @ np.abs(eta))) + 3.0, 6)
-    np.testing.assert_allclose(whole.M, direct - wider[:, None] @ eta, rtol=0, atol=allowed)
+    by_slot = eta.swapaxes(1, 2)
+    allowed = rounding(float(np.max(np.abs(H[:, None]) @ np.abs(by_slot))) + 3.0, 6)
+    np.testing.assert_allclose(whole.M, direct - H[:, None] @ by_slot, rtol=0, atol=allowed)
     part = whole.changes(slice(1, 2), 4)
-    np.testing.assert_allclose(part, (direct - wider[:, None] @ eta)[:, 1:2, :, 4:], rtol=0, atol=allowed)
+    np.testing.assert_allclose(part, (direct - H[:, None] @ by_slot)[:, 1:2, :, 4:], rtol=0, atol=allowed)
 
 
 GRIDS = [Grid(1), Grid(7), Grid(4, 3), Grid(6, 4, 3), Grid.spanning(32), Grid.spanning(256, 4), Grid.spanning(100, 3, 8)]
@@ -440,7 +449,7 @@ def test_a_grid_spans_the_samples_it_states_at_steps_that_grow_with_their_distan
 
 def test_onsets_before_the_start_are_the_start() -> None:
     y = np.random.default_rng(24).standard_normal((3, 1, SENSORS))
-    window = stepped(y, Grid(6), False)[-1][0].window
+    window, *_ = stepped(y, Grid(6), False)[-1]
     np.testing.assert_array_equal(window.age[0], [1, 2, 3, 3, 3, 3])
-    for sums in (window.a[0], window.b[0], window.eta[0]):
+    for sums in (window.a[0], window.b[0], window.eta[0].swapaxes(0, 1)):
         np.testing.assert_array_equal(sums[3:], sums[[2, 2, 2]])

@@ -32,7 +32,7 @@ def repeated_step(detector: Detector) -> Call:
     """A call that repeats one step of the detector, on healthy readings, always from the same settled state."""
     plant = detector.plant
     healthy = simulate(plant, SETTLED + 1, [1], truth="model")
-    y, u = healthy.y[:, 0], healthy.u
+    y, u = healthy.y[:, 0], healthy.u_of_runs[:, 0]
     state = detector.init((), float(healthy.t[0]) - plant.dt)
     for time, reading, applied in zip(healthy.t[:-1], y[:-1], u[:-1], strict=True):
         state, _ = detector.step(state, float(time), reading, applied)

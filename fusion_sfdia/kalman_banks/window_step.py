@@ -1,0 +1,80 @@
+"""What all windows of likelihood ratios of one filter have in common in a step, see `likelihood_window`.
+
+The update of the step before and the prediction are one product. With H, K of that update, and D of its readings,
+
+    eta <- A eta + F K D - C,    A = F - F K H
+
+and with S^-1 = U U' of the present readings
+
+    a <- a + (U' M)' U' d,    b <- b + diag((U' M)' U' M),    U' M = U' D - U' H eta
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.kalman_banks.bank_kernels import common, runs
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
+
+Array = NDArray[Any]
+
+NUMBERS: type = np.float32  # of eta and M: their rounding is far below the noise, and products take half the time
+
+
+class LastUpdate(NamedTuple):
+    """The gain K (..., n, N) of the last update and H (..., N, n) of its readings."""
+
+    gain: Array
+    readout: Array
+
+
+class WindowStep(NamedTuple):
+    """A step of B runs.
+
+    A (B, n, n); FK (B, n, N). leading: the first states, by which A is a dense matrix. H (1 or B, N, n), U' (B, N, N), U' H
+    (B, N, d) of the states that are read, U' d (B, N).
+    """
+
+    A: Array
+    FK: Array
+    leading: int
+    H: Array
+    half: Array
+    seen: Array
+    scores: Array
+
+
+def no_update(batch: tuple[int, ...], states: int, sensors: int, kind: type | None = None) -> LastUpdate:
+    """Return what stands for the update before the first readings; kind: of the numbers, NUMBERS by default."""
+    K: Array = np.zeros((*batch, states, sensors), kind or NUMBERS)
+    return LastUpdate(K, np.zeros((*batch, sensors, states), K.dtype))
+
+
+def window_step(
+    last: LastUpdate, tangent: Array, output_jacobian: Array, found: LeaveOneOut, leading: int | None = None
+) -> WindowStep:
+    """Return what a step has in common; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use.
+
+    leading: the states behind these are those on which few others depend, and no reading: of the products with them only those
+    are taken whose factor is not 0 (None: all are dense).
+    """
+    assert found.half is not None and found.scores is not None
+    kind, batch = last.gain.dtype, found.scores.shape[:-1]
+    F, H = (common(v.astype(kind, copy=False), batch, 2) for v in (tangent, output_jacobian))
+    d = F.shape[-1] if leading is None else leading
+    FK = F @ runs(last.gain, batch)
+    A = F - FK @ runs(last.readout, batch)
+    half = runs(np.swapaxes(found.half, -1, -2).astype(kind), batch)
+    read = F.shape[-1] if H[..., d:].any() else d
+    return WindowStep(A, FK, d, H, half, half @ H[..., :read], runs(found.scores.astype(kind, copy=False), batch))
+
+
+def last_update(step: WindowStep, gain: Array, restart: Array) -> LastUpdate:
+    """Return the update with gain K (..., n, N); restart (...): runs whose windows restart, in which it has no effect."""
+    batch = gain.shape[:-2]
+    K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else gain
+    H = np.broadcast_to(step.H, (len(step.A), *step.H.shape[1:])).reshape(*batch, *step.H.shape[1:])
+    return LastUpdate(np.ascontiguousarray(K, step.A.dtype), np.ascontiguousarray(H))
