@@ -32,8 +32,8 @@ def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
 
 @compiled
 def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,), a new one
-    where negative.
+    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L), the onset of each slot from the slot `places` (L,), a new one where
+    negative.
     """
     sums, squares, ages = np.empty_like(a), np.empty_like(b), np.empty_like(age)
     for r in range(a.shape[0]):

@@ -35,8 +35,8 @@ class LastUpdate(NamedTuple):
 class WindowStep(NamedTuple):
     """A step of B runs.
 
-    A (B, n, n); FK (B, n, N). leading: the first states, by which A is a dense matrix. H (B, N, n), U' (B, N, N), U' H (B, N, d)
-    of the states that are read, U' d (B, N). Those but U' d are of 1 run where they are the same for all.
+    A (B, n, n); FK (B, n, N). leading: the first states, by which A is a dense matrix. H (B, N, n), U' (B, N, N), U' H
+    (B, N, d) of the states that are read, U' d (B, N). Those but U' d are of 1 run where they are the same for all.
     """
 
     A: Array
