@@ -106,78 +106,112 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 
 @compiled
-def carried(
-    eta: Array,
-    old: Array,
-    A: Array,
-    leading: int,
-    places: Array,
-    FK: Array,
-    readings: Array,
-    change: Array,
-    once: int,
-    age: Array,
-) -> None:
-    """Complete eta (B, n, L, q) from what stood in the slots `places` (L,) of `old`: see `weigh`.
+def transition(
+    F: Array, K: Array, before: Array, H: Array, half: Array, scores: Array, leading: int, read: int, numbers: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """A = F - F K H, its columns of the `leading` states, F K, U', -U' H of the states that are read, and U' d.
 
-    It has the products of A (B, n, n) with the leading states; those with the others, F K D and -C are added. readings (B, L):
-    D of `old`. change (B, n, r): C, the first `once` at the onset only. age (B, L).
+    F (1 or B, n, n), K (B, n, N), H of the update before and now (1 or B, N, n), half: U (B, N, N), scores (B, N). All are
+    rounded to the type of `numbers` first.
     """
-    B, n, L, q = eta.shape
-    N, r = FK.shape[2], change.shape[2]
-    zero = eta.dtype.type(0)
+    B, n, N = K.shape
+    kind = numbers.dtype
+    A, columns, FK = np.empty((B, n, n), kind), np.empty((B, n, leading), kind), np.empty((B, n, N), kind)
+    turned, seen, found = np.empty((B, N, N), kind), np.empty((B, N, read), kind), np.empty((B, N), kind)
+    f, gain, taken = np.empty((n, n), kind), np.empty((n, N), kind), np.empty((n, read), kind)
+    was, now = np.empty((N, read), kind), np.empty((N, read), kind)
     for k in range(B):
-        f, c = k % A.shape[0], k % change.shape[0]
-        for i in range(n):
-            row = FK[k, i]
-            for l in range(L):  # noqa: E741
-                into, at = eta[k, i, l], places[l]
-                if at < 0:
-                    into[:] = zero
-                else:
-                    factor = eta.dtype.type(readings[k, at])
-                    for j in range(N):
-                        into[j] += factor * row[j]
-            for s in range(leading, n):
-                factor = A[f, i, s]
-                if factor != 0:
-                    for l in range(L):  # noqa: E741
-                        if places[l] >= 0:
-                            into, out_of = eta[k, i, l], old[k, s, places[l]]
-                            for j in range(q):
-                                into[j] += factor * out_of[j]
-            for l in range(L):  # noqa: E741
-                into, out_of = eta[k, i, l, q - r :], change[c, i]
-                for j in range(0 if age[k, l] <= 1 else once, r):
-                    into[j] -= out_of[j]
+        f[:] = F[k % F.shape[0]]
+        gain[:] = K[k]
+        was[:] = before[k % before.shape[0], :, :read]
+        now[:] = H[k % H.shape[0], :, :read]
+        np.dot(f, gain, FK[k])
+        np.dot(FK[k], was, taken)
+        A[k] = f
+        A[k, :, :read] -= taken
+        columns[k] = A[k, :, :leading]
+        turned[k] = half[k].T
+        np.dot(turned[k], now, seen[k])
+        seen[k] = -seen[k]
+        found[k] = scores[k]
+    return A, columns, FK, turned, seen, found
 
 
 @compiled
-def summed(M: Array, half: Array, scores: Array, readings: Array, a: Array, b: Array) -> None:
-    """Add the present innovations to a and b (B, L, q), in place: see `weigh`.
+def weighed(
+    old: Array,
+    eta: Array,
+    a: Array,
+    b: Array,
+    age: Array,
+    places: Array,
+    A: Array,
+    leading: Array,
+    FK: Array,
+    before: Array,
+    change: Array,
+    once: int,
+    half: Array,
+    seen: Array,
+    scores: Array,
+    readings: Array,
+) -> None:
+    """Take windows over a step, and add the present innovations to a and b (B, L, q), in place: see `window_step`.
 
-    M (B, K, N, q): -U' H eta of the last K slots, 0 in those before. half U' (B, N, N), scores U' d (B, N), readings D (B, L).
-    """
-    B, L, q = a.shape
-    N, known = M.shape[2], L - M.shape[1]
-    row, sums, squares = np.empty(q, M.dtype), np.empty(q, M.dtype), np.empty(q, M.dtype)
-    zero = M.dtype.type(0)
+    eta (B, L, n, q) is written, from the slots `places` (L,) of `old`. A (B, n, n), and its columns of the `leading` states;
+    the others count only where they are not 0. FK (B, n, N); before (B, L): D of `old`. change (B, n, r): C, the first `once`
+    at the onset only. half (B, N, N): U', seen: -U' H of the states that are read, scores (B, N): U' d, readings (B, L): D.
+    One onset after the other, so that what belongs to it stays near; onsets that are the same have the same bits.
+    """  # fmt: skip
+    B, L, n, q = eta.shape
+    N, r, d, read = half.shape[1], change.shape[2], leading.shape[2], seen.shape[2]
+    number = eta.dtype.type
+    zero = number(0)
+    M, sums, squares = np.empty((N, q), eta.dtype), np.empty(q, eta.dtype), np.empty(q, eta.dtype)
+    row, column, factor = np.empty(n * n, np.int64), np.empty(n * n, np.int64), np.empty(n * n, eta.dtype)
     for k in range(B):
+        few = 0
+        for i in range(n):
+            for s in range(d, n):
+                if A[k, i, s] != 0:
+                    row[few], column[few], factor[few] = i, s, A[k, i, s]
+                    few += 1
+        c = k % change.shape[0]
         for l in range(L):  # noqa: E741
-            D = M.dtype.type(readings[k % readings.shape[0], l])
-            for j in range(q):
-                sums[j] = squares[j] = zero
+            into = eta[k, l]
+            if places[l] < 0:
+                into[:] = zero
+            else:
+                out_of, by = old[k, places[l]], number(before[k, places[l]])
+                np.dot(leading[k], out_of[:d], into)
+                for f in range(few):
+                    to, of, times = into[row[f]], out_of[column[f]], factor[f]
+                    for j in range(q):
+                        to[j] += times * of[j]
+                for i in range(n):
+                    to, of = into[i], FK[k, i]
+                    for j in range(N):
+                        to[j] += by * of[j]
+            for i in range(n if r else 0):
+                to, of = into[i, q - r :], change[c, i]
+                for j in range(0 if age[k, l] <= 1 else once, r):
+                    to[j] -= of[j]
+            if places[l] < 0 and r == 0:
+                M[:] = zero
+            else:
+                np.dot(seen[k], into[:read], M)
+            sums[:] = zero
+            squares[:] = zero
+            by = number(readings[k, l])
             for i in range(N):
-                score, direct = scores[k, i], half[k, i]
-                if l < known:
-                    row[:] = zero
-                else:
-                    row[:] = M[k, l - known, i]
+                score, of, direct = scores[k, i], M[i], half[k, i]
                 for j in range(N):
-                    row[j] += D * direct[j]
-                for j in range(q):
-                    sums[j] += score * row[j]
-                    squares[j] += row[j] * row[j]
+                    m = of[j] + by * direct[j]
+                    sums[j] += score * m
+                    squares[j] += m * m
+                for j in range(N, q):
+                    sums[j] += score * of[j]
+                    squares[j] += of[j] * of[j]
             for j in range(q):
                 a[k, l, j] += sums[j]
                 b[k, l, j] += squares[j]

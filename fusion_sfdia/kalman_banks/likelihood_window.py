@@ -67,7 +67,7 @@ def _moves(grid: Grid, step: int) -> Array | None:
 class Window(NamedTuple):
     """Sums over the steps since each of L onsets, for q hypotheses, with the last readings.
 
-    eta (..., n, L, q): of the last prediction, before the update. readings (..., L): D of the last readings. a, b (..., L, q).
+    eta (..., L, n, q): of the last prediction, before the update. readings (..., L): D of the last readings. a, b (..., L, q).
     age (..., L): samples since the onset, its own included.
     """
 
@@ -117,7 +117,7 @@ class Weighed(NamedTuple):
 
     def changes(self, slots: slice, first: int) -> Array:
         """M of the hypotheses from `first` on, with onsets in these slots."""
-        found = -(self.readout[..., None, :, :] @ np.swapaxes(self.eta[..., slots, first:], -3, -2))
+        found = -(self.readout[..., None, :, :] @ self.eta[..., slots, :, first:])
         if first == 0:
             np.einsum("...ii->...i", found[..., : self.readout.shape[-2]])[...] += self.readings[..., slots, None]
         return np.asarray(found)
@@ -136,7 +136,7 @@ class Best(NamedTuple):
 def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type | None = None) -> Window:
     """Return the window before the first readings; kind: of the numbers of eta, `window_step.NUMBERS` by default."""
     slots, sums = (*batch, grid.slots), (*batch, grid.slots, hypotheses)
-    eta: Array = np.zeros((*batch, states, grid.slots, hypotheses), kind or window_step.NUMBERS)
+    eta: Array = np.zeros((*slots, states, hypotheses), kind or window_step.NUMBERS)
     return Window(eta, np.zeros(slots), np.zeros(sums), np.zeros(sums), np.zeros(slots))
 
 
@@ -151,41 +151,18 @@ def shifted(window: Window, grid: Grid, step: int) -> Shifted:
 def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     """Take the window over a step and add its innovations; a and b of `now` are written to."""
     before, places, a, b, age = now
-    kind, batch, d = before.eta.dtype, age.shape[:-1], step.leading
-    old, n = bank_kernels.runs(before.eta, batch), step.A.shape[-1]
-    eta = np.empty_like(old)
-    for into, out_of in _blocks(tuple(places.tolist())):
-        np.matmul(step.A[:, None, :, :d], _by_slot(old[:, :d, out_of]), out=_by_slot(eta[:, :, into]))
-    change, once = np.empty((1, n, 0), kind), 0
+    kind, batch = before.eta.dtype, age.shape[:-1]
+    old, change, once = bank_kernels.runs(before.eta, batch), np.empty((1, step.A.shape[-1], 0), kind), 0
     if effect.state is not None:
         change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
         once = 0 if effect.once is None else int(np.sum(effect.once))
-    readings = bank_kernels.runs(before.readings, batch)
-    bank_kernels.carried(eta, old, step.A, d, places, step.FK, readings, change, once, bank_kernels.runs(age, batch))
-    known = int(effect.state is None and places[:1].min(initial=0) < 0)  # the present onset, of which eta is 0
-    M = -step.seen[:, None] @ _by_slot(eta[:, : step.seen.shape[-1], known:])
-    D = bank_kernels.runs(np.broadcast_to(effect.readings, age.shape), batch)
-    sums = (bank_kernels.runs(v, batch) for v in (a, b))
-    bank_kernels.summed(M, step.half, step.scores, D, *sums)
+    eta, readings = np.empty_like(old), bank_kernels.runs(np.broadcast_to(effect.readings, age.shape), batch)
+    bank_kernels.weighed(
+        old, eta, *(bank_kernels.runs(v, batch) for v in (a, b, age)), places, step.A, step.leading, step.FK,
+        bank_kernels.runs(before.readings, batch), change, once, step.half, step.seen, step.scores, readings,
+    )  # fmt: skip
     H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
-    return Weighed(_of_batch(eta, batch), _of_batch(D, batch), a, b, age, H)
-
-
-@lru_cache(maxsize=4096)
-def _blocks(places: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    """Slots that go on with their onsets as (new, old) slices, as few as possible."""
-    found: list[tuple[slice, slice]] = []
-    for slot, place in enumerate(places):
-        if place >= 0 and found and found[-1][0].stop == slot and found[-1][1].stop == place:
-            found[-1] = slice(found[-1][0].start, slot + 1), slice(found[-1][1].start, place + 1)
-        elif place >= 0:
-            found.append((slice(slot, slot + 1), slice(place, place + 1)))
-    return found
-
-
-def _by_slot(eta: Array) -> Array:
-    """A matrix (B, L, n, q) for each onset of eta (B, n, L, q): onsets that are the same have the same bits."""
-    return eta.swapaxes(1, 2)
+    return Weighed(_of_batch(eta, batch), _of_batch(readings, batch), a, b, age, H)
 
 
 def _of_batch(a: Array, batch: tuple[int, ...]) -> Array:
@@ -222,7 +199,7 @@ def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:
     """
     slot = value_at(best.slot, which).ravel()
     eta = weighed.eta.reshape(-1, *weighed.eta.shape[-3:])
-    found = eta[np.arange(len(eta)), :, slot, which.ravel()]
+    found = eta[np.arange(len(eta)), slot, :, which.ravel()]
     return np.asarray(found.reshape(*which.shape, -1))
 
 

@@ -153,7 +153,7 @@ class RobustBank(ExcludingBank):
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
         assert prior.tangent is not None and joint.H is not None
-        step = window_step(last, prior.tangent, joint.H, everything, of.leading)
+        step = window_step(last, prior.tangent, joint.H, everything, windows[0].eta.dtype, of.leading)
         tested = self._test(windows, prior.tangent, step, now.k, everything)
         one = one_sample_evidence(everything, of.recent_sizes[:count])
         evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.age, one, handicap)
