@@ -82,12 +82,12 @@ class Effect(NamedTuple):
     """What hypotheses do in the present step.
 
     readings (..., L): D of the first N hypotheses, one for each sensor, as a factor of e_i. state (..., n, r): C of the last r
-    hypotheses, or None. once (r,): whether it acts at the onset only.
+    hypotheses, or None; that of the first `once` of these acts at the onset only.
     """
 
     readings: Array
     state: Array | None = None
-    once: Array | None = None
+    once: int = 0
 
 
 class Shifted(NamedTuple):
@@ -152,14 +152,14 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     """Take the window over a step and add its innovations; a and b of `now` are written to."""
     before, places, a, b, age = now
     kind, batch = before.eta.dtype, age.shape[:-1]
-    old, change, once = bank_kernels.runs(before.eta, batch), np.empty((1, step.A.shape[-1], 0), kind), 0
+    old, change = bank_kernels.runs(before.eta, batch), np.empty((1, step.A.shape[-1], 0), kind)
     if effect.state is not None:
         change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
-        once = 0 if effect.once is None else int(np.sum(effect.once))
-    eta, readings = np.empty_like(old), bank_kernels.runs(np.broadcast_to(effect.readings, age.shape), batch)
+    eta, D = np.empty_like(old), effect.readings
+    readings = bank_kernels.runs(D if D.shape == age.shape else np.broadcast_to(D, age.shape), batch)
     bank_kernels.weighed(
         old, eta, *(bank_kernels.runs(v, batch) for v in (a, b, age)), places, step.A, step.leading, step.FK,
-        bank_kernels.runs(before.readings, batch), change, once, step.half, step.seen, step.scores, readings,
+        bank_kernels.runs(before.readings, batch), change, effect.once, step.half, step.seen, step.scores, readings,
     )  # fmt: skip
     H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
     return Weighed(_of_batch(eta, batch), _of_batch(readings, batch), a, b, age, H)
