@@ -17,19 +17,20 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test test-long test-kernels check lint format notebooks bench wheel clean
+.PHONY: env demo test test-long test-kernels check lint format notebooks docs bench wheel clean
 
 env: $(DEV)
 
-# what runs, and what tests and checks need besides
+# What runs, and what tests and checks need besides. Without --no-compile pip compiles every module of every package to byte code,
+# one after the other: two thirds of its time, for modules of which most are never imported.
 $(RUN): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "python3 >= 3.11 is needed; this is " + sys.version.split()[0] + ": make PYTHON=python3.12 env")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[structural]'
+	$(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check -e '.[structural]'
 	@touch $@
 
 $(DEV): $(RUN)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(BIN)/python -m pip install --no-compile --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
 demo: $(RUN)
@@ -59,6 +60,10 @@ format: $(DEV)
 
 notebooks: $(DEV)
 	$(BIN)/python notebooks/run.py
+
+# the site, in docs/_build/html: its pages run; what has not changed comes from a cache
+docs: $(DEV)
+	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs docs/_build/html
 
 bench: $(RUN)
 	$(BIN)/fusion-sfdia bench $(BENCH_ARGS)

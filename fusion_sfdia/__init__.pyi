@@ -65,6 +65,7 @@ from fusion_sfdia.filters.estimators import Ensemble as Ensemble
 from fusion_sfdia.filters.estimators import Extended as Extended
 from fusion_sfdia.filters.estimators import Unscented as Unscented
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy as plant_from_filterpy
+from fusion_sfdia.fmu.from_fmu import from_fmu as from_fmu
 from fusion_sfdia.identification.choice import Candidate as Candidate
 from fusion_sfdia.identification.choice import ModelChoice as ModelChoice
 from fusion_sfdia.identification.choice import choose_model as choose_model

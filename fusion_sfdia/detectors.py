@@ -19,6 +19,7 @@ register_detector(
     "of their estimates and isolates the sensor whose filter is farthest from the mixture (Shaheen 2024)",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    most_faults=1,
     learns=True,
     kind="ekf",
 )
@@ -27,6 +28,7 @@ register_detector(
     "fusing-ekf with unscented Kalman filters that reuse the propagated sigma points, as printed (Shaheen 2024)",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    most_faults=1,
     learns=True,
     kind="ukf",
 )
@@ -35,6 +37,7 @@ register_detector(
     "fusing-ekf with ensemble Kalman filters of 40 members (Shaheen 2024)",
     "fusion_sfdia.builders:printed_bank",
     memory=STATE,
+    most_faults=1,
     learns=True,
     kind="enkf",
 )
@@ -78,6 +81,7 @@ register_detector(
     "extended Kalman filter with a test of each innovation; isolates the largest, does not accommodate",
     "fusion_sfdia.kalman_banks.central_filter:CentralFilter",
     memory=STATE,
+    most_faults=1,
     false_alarm=FALSE_ALARM,
 )
 register_detector(
@@ -143,6 +147,7 @@ register_detector(
     "its noise; isolates the most probable",
     "fusion_sfdia.kalman_banks.multiple_model:MultipleModel",
     memory="probabilities of the models",
+    most_faults=1,
 )
 register_detector(
     "limits",
@@ -164,6 +169,7 @@ register_detector(
     "with T2, SPE and contribution tests; isolates by reconstruction (Alcala and Qin 2009)",
     "fusion_sfdia.builders:principal_components",
     memory=NONE,
+    most_faults=3,
     learns=True,
 )
 register_detector(
@@ -171,6 +177,7 @@ register_detector(
     "pca on the present readings and the two before them (Ku 1995)",
     "fusion_sfdia.builders:principal_components",
     memory="3 samples",
+    most_faults=3,
     learns=True,
     lags=2,
 )
@@ -180,6 +187,7 @@ register_detector(
     "isolates by reconstruction",
     "fusion_sfdia.builders:one_class",
     memory=NONE,
+    most_faults=3,
     learns=True,
 )
 register_detector(
@@ -188,6 +196,7 @@ register_detector(
     "data; isolates the minimal diagnosis; needs scalar equations",
     "fusion_sfdia.builders:structural_residuals",
     memory="1 sample and observers",
+    most_faults=3,
     learns=True,
 )
 register_detector(

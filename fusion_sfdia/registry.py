@@ -13,7 +13,8 @@ Its description is the first line of its docstring, unless its file registers it
 "my_package.tank:my_tank" can be registered, too; its module is imported when the plant or detector is built, so that listing
 names stays fast.
 
-Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is accepted as well.
+Wherever a name is expected, a text "module:attribute" or "path/file.py:attribute" or an object is accepted as well; for a
+plant also the path of a Functional Mock-up Unit, model.fmu, with model.toml beside it (see `fmu.settings`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, overload
 
@@ -63,7 +65,8 @@ class NamedDetector(NamedTuple):
     build: takes a Plant and returns the Detector. memory: "none" (present readings only), "state estimate only", or the time
     over which evidence of a fault accumulates; "" where it is not stated. source: "module:name" of what builds it. learns:
     whether build also takes `healthy` (readings, None for simulated ones) and `false_alarm` (a rate), as `named.fit` does.
-    tests_process: whether it also tells faults of the process or errors of the model from those of sensors.
+    tests_process: whether it also tells faults of the process or errors of the model from those of sensors. most_faults: how
+    many sensors it isolates at once at most on any plant; None where only the plant limits it.
     """
 
     name: str
@@ -73,12 +76,15 @@ class NamedDetector(NamedTuple):
     source: str = ""
     learns: bool = False
     tests_process: bool = False
+    most_faults: int | None = None
 
     @property
     def package(self) -> str:
         """The package it comes from."""
         return package_of(self.source)
 
+
+DEFAULT_DETECTOR = "robust-glr"  # where none is named
 
 _PLANTS: dict[str, NamedPlant] = {}
 _DETECTORS: dict[str, NamedDetector] = {}
@@ -103,11 +109,26 @@ def register_plant(name: str, about: str, make: Any = None, *, cases: Any = None
 
 @overload
 def register_detector(
-    name: str, about: str, *, memory: str = "", learns: bool = False, tests_process: bool = False, **settings: Any
+    name: str,
+    about: str,
+    *,
+    memory: str = "",
+    learns: bool = False,
+    tests_process: bool = False,
+    most_faults: int | None = None,
+    **settings: Any,
 ) -> Callable[[M], M]: ...
 @overload
 def register_detector(
-    name: str, about: str, build: M, *, memory: str = "", learns: bool = False, tests_process: bool = False, **settings: Any
+    name: str,
+    about: str,
+    build: M,
+    *,
+    memory: str = "",
+    learns: bool = False,
+    tests_process: bool = False,
+    most_faults: int | None = None,
+    **settings: Any,
 ) -> M: ...
 def register_detector(
     name: str,
@@ -117,18 +138,21 @@ def register_detector(
     memory: str = "",
     learns: bool = False,
     tests_process: bool = False,
+    most_faults: int | None = None,
     **settings: Any,
 ) -> Any:
     """Register a detector: as a call with `build`, or as a decorator of a class or function.
 
     build(plant, **settings) returns the detector with its usual settings: its class, a function, or lazily the
-    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`. ValueError for a
-    name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
+    "module:attribute" of one. Returns `build`. See NamedDetector for `memory`, `learns`, `tests_process`, `most_faults`.
+    ValueError for a name of another form than "kf-chi2" or "chebyshev:paper", and for one that is already registered.
     """
     if build is None:
-        return partial(register_detector, name, about, memory=memory, learns=learns, tests_process=tests_process, **settings)
+        given: dict[str, Any] = {"memory": memory, "learns": learns, "tests_process": tests_process, "most_faults": most_faults}
+        return partial(register_detector, name, about, **given, **settings)
     made = partial(deferred(build), **settings) if settings else deferred(build)
-    enter(_DETECTORS, "detector", NamedDetector(name, about, made, memory, source_of(build), learns, tests_process))
+    entry = NamedDetector(name, about, made, memory, source_of(build), learns, tests_process, most_faults)
+    enter(_DETECTORS, "detector", entry)
     return build
 
 
@@ -148,13 +172,15 @@ def detectors() -> dict[str, NamedDetector]:
 
 
 def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPlant:
-    """Return the plant of a registered name, a reference, a Plant, or a function without arguments that returns one.
+    """Return the plant of a registered name, a reference, an FMU, a Plant, or a function without arguments that returns one.
 
     The name of one that is not registered is the reference, or that of the object. ValueError for an unknown name, a reference
     without an object, and anything that is no plant.
     """
     from fusion_sfdia.core.plant import Plant
 
+    if isinstance(what, str) and what.endswith(".fmu"):
+        return NamedPlant(what, "a Functional Mock-up Unit", partial(_of_fmu, str(Path(what).resolve())))
     found = _meant("plant", what, _own_plants, plants)
     if isinstance(found, NamedPlant):
         return found
@@ -163,6 +189,12 @@ def find_plant(what: str | Plant | Callable[[], Plant] | NamedPlant) -> NamedPla
     require_call(f"plant {name_of(what)}", found, "a Plant, or a function without arguments that returns one", 0)
     registered = (entry for entry in _PLANTS.values() if entry.make is found)
     return next(registered, NamedPlant(name_of(what), first_line(found), found, source=source_of(found)))
+
+
+def _of_fmu(path: str) -> Plant:
+    from fusion_sfdia.fmu.settings import fmu_plant
+
+    return fmu_plant(path)
 
 
 def find_detector(what: str | Callable[[Plant], Detector] | NamedDetector) -> NamedDetector:

@@ -8,11 +8,10 @@ condition `compiled model`) it is 63 filterpy filters of 62 sensors, without mix
 from __future__ import annotations
 
 from fusion_sfdia.benchmarks.speed.support import against_filterpy
-from fusion_sfdia.benchmarks.speed.support.calls import ALARMING, QUIET, Call, repeated_step, time_row
+from fusion_sfdia.benchmarks.speed.support.calls import ALARMING, QUIET, Call, repeated_step, time_row, timed, timed_rows
 from fusion_sfdia.builders import PAPER_FILTERS
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -28,25 +27,27 @@ def measure(seconds: float) -> list[Row]:
     rows: list[Row] = []
     for kind, estimator in PAPER_FILTERS.items():
         quiet, alarming = (tuple((level * plant.sensor_sigma).tolist()) for level in (QUIET, ALARMING))
-        ours = {
+        ours: dict[tuple[str, str], Call] = {
             ("bank", ""): repeated_step(FusingBank(plant, estimator, thresholds=quiet)),
             ("bank", ALARM): repeated_step(FusingBank(plant, estimator, thresholds=alarming)),
             ("one filter", ""): repeated_step(CentralFilter(plant, estimator)),
         }
         theirs = filterpy_banks(kind, plant)
-        times = best_times({**ours, **{key: call for key, (call, _) in theirs.items()}}, seconds)
+        times = timed({**ours, **{key: call for key, (call, _) in theirs.items()}}, seconds)
         whole, one = times["bank", ""], times["one filter", ""]
-        name = f"fusing-{kind}"
-        rows += [time_row("bank", plant, name, q, "step_time", times[q, c], condition=c) for q, c in ours]
+        names = ("bank", plant.name, f"fusing-{kind}")
+        for q, c in ours:
+            rows += timed_rows(*names, q, times[q, c], condition=c)
         for condition in ("", ALARM):
             time = times["bank", condition]
-            rows.append(time_row("bank", plant, name, "single", "speedup", time, 1.0 / one.best, condition=condition))
+            rows.append(time_row(*names, "single", "speedup", time.best / one.best, time.calls, condition=condition))
         for (q, c), (_, factor) in theirs.items():
-            rows.append(time_row("bank", plant, name, q, "step_time", times[q, c], factor, condition=c))
-            rows.append(time_row("bank", plant, name, q, "speedup", times[q, c], factor / whole.best, condition=c))
+            time = times[q, c]
+            rows += timed_rows(*names, q, time, factor, condition=c)
+            rows.append(time_row(*names, q, "speedup", factor * time.best / whole.best, time.calls, condition=c))
     windows = {"loo-chi2": 1, "loo-glr": 15}
-    single = best_times({name: repeated_step(LeaveOneOutBank(plant, window=w)) for name, w in windows.items()}, seconds)
-    return rows + [time_row("bank", plant, name, "bank", "step_time", time) for name, time in single.items()]
+    single = timed({name: repeated_step(LeaveOneOutBank(plant, window=w)) for name, w in windows.items()}, seconds)
+    return [*rows, *(row for name, time in single.items() for row in timed_rows("bank", plant.name, name, "bank", time))]
 
 
 def filterpy_banks(kind: str, plant: Plant) -> dict[tuple[str, str], tuple[Call, float]]:

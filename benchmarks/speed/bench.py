@@ -1,6 +1,7 @@
 """The benchmark of speed: its parts are the other modules of this folder, each with a function `measure` of seconds.
 
-All on one thread. Compared calls take turns, and the least time of each counts (see `experiments.timing`).
+All on one thread. Compared calls take turns with each other and with a reference, and the least time of each counts (see
+`experiments.timing` and `support.calls.timed`).
 """
 
 from __future__ import annotations
@@ -10,12 +11,43 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from fusion_sfdia.benchmarks.speed import bank, engine, lorenz, model, scaling, stream
+from fusion_sfdia.benchmarks.speed import (
+    bank,
+    campaigns,
+    engine,
+    growth,
+    logs,
+    lorenz,
+    model,
+    network,
+    own,
+    peers,
+    scaling,
+    start,
+    stream,
+    workers,
+)  # fmt: skip
 from fusion_sfdia.core.files import require_free
 from fusion_sfdia.evaluation.results import Row, write_rows
 
 SECONDS = 2.0  # of each call
-PARTS = {"bank": bank, "model": model, "scaling": scaling, "lorenz": lorenz, "engine": engine, "stream": stream}
+PARTS = {
+    "bank": bank,
+    "model": model,
+    "scaling": scaling,
+    "lorenz": lorenz,
+    "engine": engine,
+    "stream": stream,
+    "own": own,
+    "network": network,
+    "campaigns": campaigns,
+    "logs": logs,
+    "start": start,
+    "workers": workers,
+    "peers": peers,
+    "growth": growth,
+}
+UNITS = {"step_time": (1e3, " ms"), "peak_memory": (1e-6, " MB")}
 
 
 def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS, *, force: bool = False) -> list[Row]:
@@ -36,7 +68,8 @@ def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS,
 
 
 def as_text(row: Row) -> str:
-    """A row as text: times in ms, memory in MB."""
-    factor, unit = {"step_time": (1e3, " ms"), "peak_memory": (1e-6, " MB")}.get(row.metric, (1.0, ""))
+    """A row as text: times in ms, memory in MB, a ratio with its interval."""
+    factor, unit = UNITS.get(row.metric, (1.0, ""))
     part, what = row.scenario.removeprefix("bench/"), ", ".join(filter(None, (row.quantity, row.condition)))
-    return f"{part:<8} {row.plant:<14} {row.detector:<12} {what:<32} {row.metric:<12} {row.value * factor:10.4g}{unit}"
+    wide = f" [{row.low:.4g}, {row.high:.4g}]" if row.low == row.low else ""
+    return f"{part:<9} {row.plant:<14} {row.detector:<14} {what:<44} {row.metric:<12} {row.value * factor:10.4g}{unit}{wide}"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from fusion_sfdia.benchmarks.speed.support.calls import time_row
+from fusion_sfdia.benchmarks.speed.support.calls import time_row, timed, timed_rows
 from fusion_sfdia.benchmarks.speed.support.lorenz_96 import MODELS, lorenz_96, pairs
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.timing import best_times
 
 
 def measure(seconds: float) -> list[Row]:
@@ -15,8 +14,9 @@ def measure(seconds: float) -> list[Row]:
         plant = lorenz_96(source)
         for kind in ("kf", "ukf", "enkf"):
             ours, theirs = pairs(kind, source)
-            times = best_times({"ours": ours, "filterpy": theirs}, seconds)
-            rows += [time_row("lorenz", plant, kind, q, "step_time", time, condition=source) for q, time in times.items()]
-            ratio = 1 / times["ours"].best
-            rows.append(time_row("lorenz", plant, kind, "filterpy", "speedup", times["filterpy"], ratio, condition=source))
+            times = timed({"ours": ours, "filterpy": theirs}, seconds)
+            for q, time in times.items():
+                rows += timed_rows("lorenz", plant.name, kind, q, time, condition=source)
+            faster, calls = times["filterpy"].best / times["ours"].best, times["filterpy"].calls
+            rows.append(time_row("lorenz", plant.name, kind, "filterpy", "speedup", faster, calls, condition=source))
     return rows

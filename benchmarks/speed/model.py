@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 
 from fusion_sfdia.benchmarks.speed.support.against_filterpy import numpy_model
-from fusion_sfdia.benchmarks.speed.support.calls import Call, time_row
+from fusion_sfdia.benchmarks.speed.support.calls import Call, timed, timed_rows
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.timing import best_times
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
 BATCHES = (40, 127)  # members, and sigma points of 63 states
@@ -30,8 +29,9 @@ def measure(seconds: float) -> list[Row]:
         many = np.repeat(x[None], size, axis=0)
         calls["step", f"per state of {size}"] = (partial(plant.step, 0.0, many, u, plant.dt), size)
         calls["step", f"NumPy, per state of {size}"] = (partial(in_numpy.step, many), size)
-    times = best_times({key: call for key, (call, _) in calls.items()}, seconds)
+    times = timed({key: call for key, (call, _) in calls.items()}, seconds)
     return [
-        time_row("model", plant, "none", q, "step_time", times[q, c], 1 / size, condition=c)
+        row
         for (q, c), (_, size) in calls.items()
+        for row in timed_rows("model", plant.name, "none", q, times[q, c], 1 / size, condition=c)
     ]

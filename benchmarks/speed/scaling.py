@@ -1,6 +1,9 @@
-"""bench scaling: an ensemble filter on finer pipelines, and the extended bank at 201 nodes.
+"""bench scaling: how time and memory grow with sensors and nodes; those of areas are in `bench network`, of workers in its own.
 
-step_time of predict and update, of the model's part of it (condition `model`) or of one filter of the bank (`one filter`);
+- `5 sensors` to `500 sensors`: a step of one stream on a chain of as many states (see `support.chain`);
+- `21 nodes` to `2001 nodes`: predict and update of an ensemble on finer pipelines, every node read, and the model's part of it
+  (condition `model`); at 201 nodes also the extended bank of 603 filters, and one of them (`one filter`).
+
 peak_memory is that of NumPy's arrays in addition to those of the plant. The compiled model holds one more ensemble.
 """
 
@@ -11,10 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.speed.support.calls import QUIET, Call, peak_memory, repeated_step, time_row
+from fusion_sfdia import registry
+from fusion_sfdia.benchmarks.speed.support.calls import (
+    QUIET,
+    Call,
+    peak_memory,
+    repeated_step,
+    time_row,
+    timed,
+    timed_rows,
+)
+from fusion_sfdia.benchmarks.speed.support.chain import chain
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.timing import Timing, best_times
 from fusion_sfdia.filters import enkf
 from fusion_sfdia.filters.estimators import Extended
 from fusion_sfdia.filters.gaussian import sample
@@ -24,13 +36,20 @@ from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
 Array = NDArray[Any]
 
-NODES = (21, 201, 2001)
+SENSORS = (5, 16, 50, 160, 500)
+DETECTORS = ("loo-glr", "robust-glr")
+NODES = (21, 81, 201, 801, 2001)
 BANK_NODES = (201,)
 
 
 def measure(seconds: float) -> list[Row]:
-    """The ensemble filter on finer and finer pipelines, every node with its sensors, and the extended bank on one of them."""
-    rows = []
+    """Banks on longer and longer chains, the ensemble filter on finer and finer pipelines, the extended bank on one of them."""
+    rows: list[Row] = []
+    for sensors in SENSORS:
+        plant = chain(sensors)
+        calls: dict[str, Call] = {name: repeated_step(registry.detector(name, plant)) for name in DETECTORS}
+        for name, time in timed(calls, seconds).items():
+            rows += timed_rows("scaling", plant.name, name, f"{sensors} sensors", time)
     for nodes in NODES:
         plant = gas_pipeline(nodes=nodes)
         rows += timed_with_memory(plant, "fusing-enkf", f"{nodes} nodes", *ensemble_calls(plant), "model", seconds)
@@ -46,24 +65,25 @@ def timed_with_memory(
     plant: Plant, detector: str, where: str, whole: Call, other: Call, name: str, seconds: float
 ) -> list[Row]:
     """Time and memory of a call, and the time of another call."""
-    memory = Timing(peak_memory(whole), 1)
-    times = best_times({"": whole, name: other}, seconds)
-    rows = [time_row("scaling", plant, detector, where, "step_time", time, condition=c) for c, time in times.items()]
-    return [*rows, time_row("scaling", plant, detector, where, "peak_memory", memory)]
+    names = ("scaling", plant.name, detector, where)
+    rows = [time_row(*names, "peak_memory", peak_memory(whole), 1)]
+    for condition, time in timed({"": whole, name: other}, seconds).items():
+        rows += timed_rows(*names, time, condition=condition)
+    return rows
 
 
-def ensemble_calls(plant: Plant) -> tuple[Call, Call]:
+def ensemble_calls(plant: Plant, members: int = enkf.EnKFSettings().size) -> tuple[Call, Call]:
     """Predict and update of an ensemble without any matrix of all states, and the model's step of it alone."""
-    settings, rng = enkf.EnKFSettings(), np.random.default_rng(0)
+    settings, rng = enkf.EnKFSettings(members), np.random.default_rng(0)
     u = plant.input_at(0.0)
-    members = plant.x0 + sample(plant.initial_cov, rng, (settings.size,))
+    ensemble = plant.x0 + sample(plant.initial_cov, rng, (settings.size,))
     y = plant.output(0.0, plant.x0, u) + sample(plant.sensor_cov, rng)
 
     def advance(states: Array) -> Array:
         return plant.step(0.0, states, u, plant.dt)
 
     def step() -> Array:
-        ahead = enkf.predict(members, advance, plant.process_cov, rng)
+        ahead = enkf.predict(ensemble, advance, plant.process_cov, rng)
         return enkf.update(settings, ahead, lambda s: plant.output(0.0, s, u), y, plant.sensor_cov, rng)
 
-    return step, lambda: advance(members)
+    return step, lambda: advance(ensemble)

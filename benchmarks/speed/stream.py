@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from fusion_sfdia import registry
-from fusion_sfdia.benchmarks.speed.support.calls import Call, repeated_step, time_row
+from fusion_sfdia.benchmarks.speed.support.calls import PRODUCT, Call, repeated_step, time_row, timed, timed_rows
 from fusion_sfdia.evaluation.results import Row
-from fusion_sfdia.experiments.timing import Timing, best_times
 
 DETECTORS = ("loo-glr", "robust-glr")
-STREAM, MODEL_STEP, PRODUCT = "one stream", "model step", "product of 256"
+STREAM, MODEL_STEP = "one stream", "model step"
 
 
 def measure(seconds: float) -> list[Row]:
@@ -25,21 +22,22 @@ def measure(seconds: float) -> list[Row]:
     rows: list[Row] = []
     for name in registry.plants():
         plant = registry.plant(name)
-        x, u, square = plant.x0[None], plant.input_at(0.0)[None], np.random.default_rng(0).standard_normal((256, 256))
+        x, u = plant.x0[None], plant.input_at(0.0)[None]
         model: dict[str, Call] = {
             "step": partial(plant.step, 0.0, x, u, plant.dt),
             "Jacobian": partial(plant.step_jacobian_at, 0.0, x, u, plant.dt),
             "output": partial(plant.output, plant.dt, x, u),
             "output Jacobian": partial(plant.output_jacobian_at, plant.dt, x, u),
-            PRODUCT: partial(np.matmul, square, square),
         }
         streams: dict[str, Call] = {d: repeated_step(registry.detector(d, plant)) for d in DETECTORS}
-        times = best_times({**model, **streams}, seconds)
-        of_step = Timing(times["step"].best + times["Jacobian"].best, min(times[k].calls for k in ("step", "Jacobian")))
-        rows += [time_row("stream", plant, "none", q, "step_time", times[q]) for q in model]
+        times = timed({**model, **streams}, seconds)
+        step = times["step"].best + times["Jacobian"].best
+        for quantity in model:
+            rows += timed_rows("stream", plant.name, "none", quantity, times[quantity])
+        rows.append(time_row("stream", plant.name, "none", PRODUCT, "step_time", times["step"].base, times["step"].calls))
         for detector in DETECTORS:
             time = times[detector]
-            rows.append(time_row("stream", plant, detector, STREAM, "step_time", time))
-            for what, reference in ((MODEL_STEP, of_step), (PRODUCT, times[PRODUCT])):
-                rows.append(time_row("stream", plant, detector, STREAM, "ratio", time, 1 / reference.best, condition=what))
+            rows += timed_rows("stream", plant.name, detector, STREAM, time)
+            over_step = time._replace(base=step, reference=MODEL_STEP)
+            rows += timed_rows("stream", plant.name, detector, STREAM, over_step)[1:]
     return rows

@@ -208,6 +208,26 @@ def a_pickled_detector_continues_with_the_same_bits(detector: Detector, healthy:
     require_same_end(detector, middle, copy, state, (t[4:], y[4:], u[4:]), "a pickled detector")
 
 
+def a_sensor_is_used_again_on_request(detector: Detector, healthy: Healthy) -> None:
+    """A detector with `readmit` goes on from the state that it gives, once or twice for the same sensor, without a change of
+    the state given; it refuses an unknown sensor.
+    """
+    if (readmit := getattr(detector, "readmit", None)) is None:
+        return
+    t, y, u = healthy(14, 2)
+    y, name = y.copy(), detector.plant.sensor_names[-1]
+    y[6:10, :, -1] += 30 * detector.plant.sensor_sigma[-1]
+    state, _ = run(detector, detector.init((2,)), t[:10], y[:10], u[:10])
+    before = mapped(np.array, state)
+    again = readmit(state, name)
+    require_same_state(state, before, "readmit writes into the state that it is given")
+    require_same_state(readmit(again, [name]), again, "a sensor that is readmitted twice")
+    end, decisions = run(detector, again, t[10:], y[10:], u[10:])
+    require(np.all(np.isfinite(decisions.estimate)), "the estimate is finite after a readmission", decisions.estimate)
+    require(int(end.steps) == len(t), "the steps go on after a readmission", end.steps)
+    require_refused("an unknown sensor to readmit", readmit, state, "no such sensor")
+
+
 DETECTOR_CHECKS: tuple[Callable[[Detector, Healthy], None], ...] = (
     shapes_and_types,
     process_verdicts_have_numbers,
@@ -222,4 +242,5 @@ DETECTOR_CHECKS: tuple[Callable[[Detector, Healthy], None], ...] = (
     a_saved_state_continues_with_the_same_bits,
     a_pickled_detector_continues_with_the_same_bits,
     what_does_not_fit_is_refused,
+    a_sensor_is_used_again_on_request,
 )

@@ -1,4 +1,4 @@
-"""A line on stderr when compiled code is not on disk yet: the first use of a plant waits for it once."""
+"""Lines on stderr for compiled code that is not on disk yet: the first use of a plant waits for it once."""
 
 from __future__ import annotations
 
@@ -7,23 +7,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+OWN = "fusion_sfdia."
+
 
 @contextmanager
 def announced() -> Iterator[None]:
-    """Within the block, report the first function that numba compiles; what it loads from its cache is not compiled."""
+    """Within the block, report each module of which numba compiles something; what it loads from its cache is not compiled."""
     from numba.core import event
 
-    class Once(event.Listener):  # type: ignore[misc]
+    class Modules(event.Listener):  # type: ignore[misc]
         def __init__(self) -> None:
-            self.done = False
+            self.told: set[str] = set()
 
         def on_start(self, event: Any) -> None:
-            if not self.done:
-                self.done = True
-                print("fusion-sfdia: compiling, once (up to a minute)", file=sys.stderr, flush=True)
+            module = str(event.data["dispatcher"].py_func.__module__)
+            if module not in self.told and not module.startswith("numba."):
+                self.told.add(module)
+                print(f"fusion-sfdia: compiling, once: {module.removeprefix(OWN)}", file=sys.stderr, flush=True)
 
         def on_end(self, event: Any) -> None:
             pass
 
-    with event.install_listener("numba:compile", Once()):
+    with event.install_listener("numba:compile", Modules()):
         yield

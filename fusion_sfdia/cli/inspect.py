@@ -7,14 +7,17 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import add_plant, names
+from fusion_sfdia.cli.options import add_columns, add_plant, loaded, names, warn_of
 
 
 def add_inspect(commands: Any) -> None:
     """Add `inspect`."""
     one = commands.add_parser("inspect", help="check a plant, and state which faults can be found with it", allow_abbrev=False)
     add_plant(one)
-    one.add_argument("--data", type=Path, metavar="HEALTHY.csv", help="a log of the plant in order: are noise and model right?")
+    one.add_argument("--data", type=Path, metavar="LOG", help="a log of the plant in order: are noise and model right?")
+    one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the log is written, and which column is which sensor")
+    add_columns(one)
+    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant as `tune` has tuned it")
     one.add_argument("--detectors", metavar="NAME,...", help="those of the simulated runs (default: one of each school)")
     one.add_argument("--sensors", metavar="NAME,...", help="those with a fault in simulated runs (default: all of up to 16)")
     one.add_argument("--no-simulation", action="store_true", help="theory only")
@@ -25,18 +28,23 @@ def add_inspect(commands: Any) -> None:
 
 
 def _inspect(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.cli.tune import tuned_plant
     from fusion_sfdia.core.files import all_or_none, require_free
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
-    from fusion_sfdia.logs.csv_log import read_log
     from fusion_sfdia.registry import plant
 
     if chosen.out is not None:
         require_free(chosen.out, force=chosen.force)
     model = plant(chosen.plant)
+    if chosen.tuned is not None:
+        model = tuned_plant(model, chosen.tuned)
+    healthy = None if chosen.data is None else loaded(chosen, chosen.data, model)
+    if healthy is not None:
+        warn_of(chosen.data, healthy.remarks)
     found = inspect_plant(
         model,
-        None if chosen.data is None else read_log(chosen.data, model),
+        None if healthy is None else healthy.log,
         detectors=None if chosen.detectors is None else names(chosen.detectors),
         sensors=None if chosen.sensors is None else names(chosen.sensors),
         simulated=not chosen.no_simulation,

@@ -38,20 +38,27 @@ def _list(chosen: argparse.Namespace) -> int:
             package = entry.get("package", registry.OURS)
             origin = "" if package == registry.OURS else f" (from {package})"
             also = " [tests the process, too]" if entry.get("tests") == BOTH else ""
-            print(f"  {entry['name']:<{width}}  {entry['about']}{also}{origin}".rstrip())
+            limit = f" [at most {most} sensor{'s' * (most != '1')} at once]" if (most := entry.get("at_once")) else ""
+            print(f"  {entry['name']:<{width}}  {entry['about']}{also}{limit}{origin}".rstrip())
     return 0
 
 
 def entries(kind: str) -> list[dict[str, str]]:
-    """Name and description of all of a kind; of plants and detectors their package, of detectors what they test, of faults
-    how each is used.
+    """Name and description of all of a kind; of plants and detectors their package, of detectors what they test and how
+    many sensors they isolate at once at most ("": as many as the plant allows), of faults how each is used.
     """
     match kind:
         case "plants":
             return [{"name": e.name, "about": e.about, "package": e.package} for e in registry.plants().values()]
         case "detectors":
             return [
-                {"name": e.name, "about": e.about, "package": e.package, "tests": BOTH if e.tests_process else "sensors"}
+                {
+                    "name": e.name,
+                    "about": e.about,
+                    "package": e.package,
+                    "tests": BOTH if e.tests_process else "sensors",
+                    "at_once": "" if e.most_faults is None else str(e.most_faults),
+                }
                 for e in registry.detectors().values()
             ]
         case "faults":

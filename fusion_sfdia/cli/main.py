@@ -14,6 +14,7 @@ from contextlib import contextmanager, nullcontext
 
 from fusion_sfdia import __version__
 from fusion_sfdia.cli.compiling import announced
+from fusion_sfdia.cli.fmu import add_fmu
 from fusion_sfdia.cli.inspect import add_inspect
 from fusion_sfdia.cli.listing import add_list
 from fusion_sfdia.cli.logs import add_check_log, add_diagnose, add_simulate
@@ -44,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
     add_watch(commands)
     add_tune(commands)
     add_inspect(commands)
+    add_fmu(commands)
     add_monitor(commands)
     add_bench(commands)
     return top

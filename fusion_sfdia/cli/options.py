@@ -8,21 +8,26 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from fusion_sfdia.registry import DEFAULT_DETECTOR
+
+if TYPE_CHECKING:
+    from fusion_sfdia.core.plant import Plant
+    from fusion_sfdia.logs.findings import LoadedLog
 
 WHICH = "a name that `list` shows, module:attribute or path/file.py:attribute"
-DETECTOR = "robust-glr"  # where none is named
 OF_COLUMNS = ("absent_sensors", "other_columns", "nominal_inputs")
 
 
 def add_plant(one: Any) -> None:
     """Add --plant."""
-    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH} (default: gas-pipeline)")
+    one.add_argument("--plant", default="gas-pipeline", help=f"{WHICH}, or a model.fmu (default: gas-pipeline)")
 
 
 def add_detector(one: Any) -> None:
     """Add --detector; None where it is not given, so that a tuned file may name it."""
-    one.add_argument("--detector", help=f"{WHICH} (default: {DETECTOR})")
+    one.add_argument("--detector", help=f"{WHICH} (default: {DEFAULT_DETECTOR})")
 
 
 def add_columns(one: Any, inputs: str = "where the log has no column") -> None:
@@ -35,6 +40,13 @@ def add_columns(one: Any, inputs: str = "where the log has no column") -> None:
 def columns(chosen: argparse.Namespace) -> dict[str, bool]:
     """What `add_columns` has added, as arguments of `load_log`."""
     return {what: getattr(chosen, what) for what in OF_COLUMNS}
+
+
+def loaded(chosen: argparse.Namespace, path: Path, plant: Plant) -> LoadedLog:
+    """A log as --map and the options of `add_columns` state it is read; readings in a unit that looks wrong are missing."""
+    from fusion_sfdia.logs.check import check_log, without_suspects
+
+    return without_suspects(plant, check_log(path, plant, chosen.map, **columns(chosen)))
 
 
 def names(text: str) -> list[str]:

@@ -7,9 +7,13 @@ import json
 import sys
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.cli.options import DETECTOR, add_columns, add_detector, add_plant, columns, warn, warn_of
+from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, loaded, warn, warn_of
+from fusion_sfdia.registry import DEFAULT_DETECTOR
+
+if TYPE_CHECKING:
+    from fusion_sfdia.core.plant import Plant
 
 
 def add_tune(commands: Any) -> None:
@@ -34,13 +38,24 @@ def add_tune(commands: Any) -> None:
     one.set_defaults(work=_tune)
 
 
+def tuned_plant(plant: Plant, file: Path) -> Plant:
+    """The plant with what a tuned file has learnt; ValueError, which names the file, where it is of another plant."""
+    from fusion_sfdia.tuning.tuned import Tuned
+
+    found = Tuned.read(file)
+    try:
+        return found.plant(plant)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
+
+
 def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:
-    """Name and object of a detector on a plant: of a tuned file, or as registered (DETECTOR where none is named)."""
+    """Name and object of a detector on a plant: of a tuned file, or as registered (the default where none is named)."""
     from fusion_sfdia import registry
     from fusion_sfdia.tuning.tuned import Tuned
 
     if tuned is None:
-        name = detector or DETECTOR
+        name = detector or DEFAULT_DETECTOR
         return name, registry.detector(name, registry.plant(plant))
     found = Tuned.read(tuned)
     if detector not in (None, found.detector_name):
@@ -63,19 +78,12 @@ def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any]:
         return bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     if chosen.tuned:
         raise ValueError("--tuned and --healthy both state what is healthy; give one")
-    plant, name = registry.plant(chosen.plant), chosen.detector or DETECTOR
-    loaded = _loaded(chosen, chosen.data, plant)
-    tuned = on_stretch(plant, loaded.log, chosen.healthy, name, loaded.clock)
+    plant, name = registry.plant(chosen.plant), chosen.detector or DEFAULT_DETECTOR
+    whole = loaded(chosen, chosen.data, plant)
+    tuned = on_stretch(plant, whole.log, chosen.healthy, name, whole.clock)
     for remark in tuned.quality["remarks"]:
         warn(f"--healthy {chosen.healthy}: {remark}")
     return name, tuned.detector(plant)
-
-
-def _loaded(chosen: argparse.Namespace, path: Path, plant: Any) -> Any:
-    """A log as it is diagnosed."""
-    from fusion_sfdia.logs.check import check_log, without_suspects
-
-    return without_suspects(plant, check_log(path, plant, chosen.map, **columns(chosen)))
 
 
 def _tune(chosen: argparse.Namespace) -> int:
@@ -86,7 +94,7 @@ def _tune(chosen: argparse.Namespace) -> int:
     if chosen.out.is_dir() or (chosen.out.is_file() and not chosen.force):
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
     model = plant(chosen.plant)
-    logs = [_loaded(chosen, path, model) for path in chosen.healthy]
+    logs = [loaded(chosen, path, model) for path in chosen.healthy]
     for path, one in zip(chosen.healthy, logs, strict=True):
         warn_of(path, one.remarks)
     count = sum(len(one.log.t) for one in logs)
@@ -95,7 +103,7 @@ def _tune(chosen: argparse.Namespace) -> int:
         model,
         *(one.log for one in logs),
         false_alarm=chosen.false_alarm,
-        detector=chosen.detector or DETECTOR,
+        detector=chosen.detector or DEFAULT_DETECTOR,
         sources=[Source(str(path), one.clock) for path, one in zip(chosen.healthy, logs, strict=True)],
         made=date.today().isoformat(),
     )

@@ -1,4 +1,4 @@
-"""The command `watch`: diagnoses rows as they arrive, from standard input or an OPC UA server."""
+"""The command `watch`: diagnoses rows as they arrive, from standard input, an OPC UA server or an MQTT broker."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_watch(commands: Any) -> None:
     """Add `watch`."""
     one = commands.add_parser(
         "watch",
-        help="diagnose rows as they arrive, from standard input or an OPC UA server",
+        help="diagnose rows as they arrive, from standard input, an OPC UA server or an MQTT broker",
         epilog="Rows come from standard input, as CSV with a header or as JSON lines; events go to standard output, a JSON "
         "line each. Rows that are late or malformed are skipped and reported. A watch that was killed goes on from --state: "
         "give the rows since then again, or all; events that it had written come again as the same lines.",
@@ -34,6 +34,8 @@ def add_watch(commands: Any) -> None:
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
     one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")
     one.add_argument("--nodes", type=Path, metavar="NODES.toml", help="which nodes are read and written, with --opcua")
+    one.add_argument("--mqtt", metavar="URL", help="read the rows from an MQTT broker: mqtt://host:1883, or mqtts:// for TLS")
+    one.add_argument("--topics", type=Path, metavar="TOPICS.toml", help="which topics are read and written, with --mqtt")
     one.add_argument("--state", type=Path, metavar="FILE", help="where the state is saved, and taken up if the file is there")
     one.add_argument("--save-every", type=integer, default=1000, metavar="N", help="rows between two saves (default: 1000)")
     one.add_argument("--samples", action="store_true", help="also a line for each row: verdict and validated readings")
@@ -46,6 +48,14 @@ def add_watch(commands: Any) -> None:
         metavar="S",
         help="pause after which the detector starts anew (default: 10 000 steps of the plant)",
     )
+    one.add_argument(
+        "--reorder",
+        type=decimal,
+        default=0.0,
+        metavar="S",
+        help="seconds for which rows are held to put them in order; all are diagnosed that much later (default: 0)",
+    )
+    one.add_argument("--no-kinds", action="store_true", help="do not name kinds of faults nor test the model, which takes time")
     add_columns(one, "where they are missing")
     one.set_defaults(work=_watch)
 
@@ -61,15 +71,20 @@ def _watch(chosen: argparse.Namespace) -> int:
         raise ValueError(f"--state {chosen.state}: there is no folder {chosen.state.parent}; make it, or name another file")
     if chosen.save_every < 1:
         raise ValueError(f"--save-every is {chosen.save_every}; expected at least 1 row")
-    if (chosen.opcua is None) != (chosen.nodes is None) or (chosen.opcua and chosen.map):
-        raise ValueError("--opcua needs --nodes, which states what a --map states of text; give both or neither")
+    for one, other in (("opcua", "nodes"), ("mqtt", "topics")):
+        if (getattr(chosen, one) is None) != (getattr(chosen, other) is None) or (getattr(chosen, one) and chosen.map):
+            raise ValueError(f"--{one} needs --{other}, which states what a --map states of text; give both or neither")
+    if chosen.opcua and chosen.mqtt:
+        raise ValueError("--opcua and --mqtt both state where the rows come from; give one")
     refused, log_map = Remarks(_say), load_map(chosen.map) if chosen.map else PLAIN_MAP
     _, bound = bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     settings = {
         "hold": log_map.hold if chosen.hold is None else chosen.hold,
         "nominal_inputs": chosen.nominal_inputs,
-        "at_sample": log_map.inputs == AT_THE_SAMPLE or chosen.opcua is not None,
+        "at_sample": log_map.inputs == AT_THE_SAMPLE or bool(chosen.opcua or chosen.mqtt),
         "longest_gap": chosen.longest_gap,
+        "reorder": chosen.reorder,
+        "kinds": not chosen.no_kinds,
         "refused": refused,
     }
     if chosen.state is not None and chosen.state.exists():
@@ -81,6 +96,8 @@ def _watch(chosen: argparse.Namespace) -> int:
     try:
         if chosen.opcua:
             _server(chosen, saved)
+        elif chosen.mqtt:
+            _broker(chosen, saved)
         else:
             _text(chosen, saved, log_map)
     finally:
@@ -104,6 +121,7 @@ def _text(chosen: argparse.Namespace, saved: SavedWatch, log_map: LogMap) -> Non
             continue
         if row is not None:
             saved.take(*row)
+    saved.rest()
 
 
 def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
@@ -115,6 +133,13 @@ def _server(chosen: argparse.Namespace, saved: SavedWatch) -> None:
 
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # it logs each lost connection with a traceback
     asyncio.run(watch_server(saved, chosen.opcua, load_nodes(chosen.nodes, saved.watch.detector.plant)))
+
+
+def _broker(chosen: argparse.Namespace, saved: SavedWatch) -> None:
+    from fusion_sfdia.live.mqtt import watch_broker
+    from fusion_sfdia.live.topics import load_topics
+
+    watch_broker(saved, chosen.mqtt, load_topics(chosen.topics, saved.watch.detector.plant))
 
 
 def _write(line: str) -> None:

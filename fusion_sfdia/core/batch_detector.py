@@ -111,6 +111,11 @@ class BatchDetector(ABC):
     def hypotheses(self) -> tuple[str, ...]:
         return self.plant.sensor_names
 
+    @property
+    def most_faults(self) -> int:
+        """How many sensors it isolates at once at most: all of the plant where its method sets no limit."""
+        return len(self.plant.sensors)
+
     def init(self, batch: int | tuple[int, ...] = (), t: float = 0.0, seed: int = 0) -> State:
         """State at time t of a batch of that shape (a number: that many runs); ValueError for anything else, and unless
         t is finite and seed an integer from 0 to 2^64 - 1.

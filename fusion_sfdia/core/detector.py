@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -159,12 +160,29 @@ def run(detector: Detector, state: State, *data: Any, covariance: bool = False) 
     start it from init(..., t=-plant.dt). The covariances are left out by default: they take most of the memory.
     ValueError where the data do not fit the plant, or their batch is not that of the state.
     """
+    if isinstance(detector, type):
+        raise ValueError(f"{detector.__name__} is a class; build it on a plant first, as in {detector.__name__}(plant)")
     t, y, u = as_log(detector.plant, *data)
     decisions = []
     for time, reading, applied in zip(t, y, u, strict=True):
         state, decision = detector.step(state, float(time), reading, applied)
         decisions.append(decision)
     return state, stack(decisions, covariance=covariance)
+
+
+def joined(parts: Sequence[Decision]) -> Decision:
+    """One Decision of several whose arrays have time as their first axis."""
+    return _each(parts[0], lambda name: np.concatenate([getattr(d, name) for d in parts]))
+
+
+def chosen(decisions: Decision, times: Any) -> Decision:
+    """The Decisions at some of the times, which are the first axis: an index, or (K,) bool."""
+    return _each(decisions, lambda name: getattr(decisions, name)[times])
+
+
+def _each(like: Decision, of: Callable[[str], Array]) -> Decision:
+    """A Decision of what `of` gives for the name of each array that `like` has."""
+    return Decision(**{f.name: of(f.name) for f in fields(Decision) if getattr(like, f.name) is not None})
 
 
 def stack(decisions: list[Decision], *, covariance: bool = False) -> Decision:

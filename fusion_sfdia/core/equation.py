@@ -37,9 +37,13 @@ def compiled(function: F) -> F:
     """Compile a loop over equations (a driver) and keep the machine code on disk.
 
     The cache notices edits of the driver's own file only: equations stand in the same file as the driver that joins
-    them, and numbers that change without an edit (fitted coefficients, parameters) are arguments.
+    them, and numbers that change without an edit (fitted coefficients, parameters) are arguments. The code is kept beside the
+    module; where that folder cannot be written to, in the user's cache, and where that cannot either, nowhere.
     """
-    return njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    try:
+        return njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    except RuntimeError:  # numba finds no folder
+        return njit(error_model="numpy")(function)  # type: ignore[no-any-return]
 
 
 def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:

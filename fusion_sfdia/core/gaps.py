@@ -42,6 +42,17 @@ class Track(NamedTuple):
     begins: Array
 
 
+def stated_step(plant: Plant) -> float:
+    """The longest step (s) that a plant admits: its dt where it holds for no other, its max_dt, inf where it states none."""
+    return plant.dt if plant.numerics.fixed_dt else plant.numerics.max_dt
+
+
+def parted(log: Log, breaks: Array) -> list[Log]:
+    """The stretches of a log of K samples, t (K,), where breaks (K - 1,) states between which ones a new stretch begins."""
+    ends = np.flatnonzero(breaks) + 1
+    return [Log(*parts) for parts in zip(*(np.split(a, ends) for a in log), strict=True)]
+
+
 def longest_step(plant: Plant) -> float:
     """The longest step (s) to take at once: the plant's max_dt, or, where it states none, max(dt, 0.1 / |D^-1 A D|).
 
@@ -49,10 +60,8 @@ def longest_step(plant: Plant) -> float:
     most a tenth, so that process noise in proportion to the time is right to a tenth (see `discretise.largest_step`), and an
     explicit Euler step, stable up to 2 / |A|, is far from its limit. It is inf where F = I, and dt where the model fails at x0.
     """
-    if plant.numerics.fixed_dt:
-        return plant.dt
-    if np.isfinite(plant.numerics.max_dt):
-        return plant.numerics.max_dt
+    if np.isfinite(stated := stated_step(plant)):
+        return stated
     with np.errstate(all="ignore"):
         try:
             f = plant.step_jacobian_at(0.0, plant.x0, plant.input_at(0.0), plant.dt)

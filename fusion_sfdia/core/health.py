@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import single
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.state import mapped
 
@@ -16,6 +17,7 @@ Array = NDArray[Any]
 
 def broken(x: Array, p: Array) -> Array:
     """Return (...) whether the estimate x (..., n) or covariance p (..., n, n) is no longer finite and non-negative."""
+    p = single(p)
     variances = np.diagonal(p, axis1=-2, axis2=-1)
     sound = np.all(np.isfinite(x), axis=-1) & np.all(np.isfinite(p), axis=(-2, -1)) & np.all(variances >= 0, axis=-1)
     return np.asarray(~sound)

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core import straight_line_kernels
+from fusion_sfdia.core.any_time import ANY_TIME
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.core.physics import Physics
-from fusion_sfdia.core.straight_line import Program, record
+from fusion_sfdia.core.straight_line import Program, record, uses
 from fusion_sfdia.core.straight_line_kernels import ALGEBRAIC_TOLERANCE, MAX_SWEEPS
 
 Array = NDArray[Any]
@@ -157,7 +158,7 @@ class Integrated:
         batch, x, u, theta = _as_rows(x, u, theta)
         decay, nominal = self._constants
         ahead, tangent, settled = straight_line_kernels.advance(
-            float(t), x, u, theta, float(dt), self.substeps, decay, nominal, width, program
+            self._number(t), x, u, theta, float(dt), self.substeps, decay, nominal, width, program
         )
         found: Array = tangent if width else ahead
         return found.reshape(*batch, *found.shape[1:]) if settled else None
@@ -167,9 +168,19 @@ class Integrated:
         if (program := self.program) is None or not all(map(_real, (x, u, theta))):
             return None
         batch, x, u, theta = _as_rows(x, u, theta)
-        y, by, settled = straight_line_kernels.read(float(t), x, u, theta, self.picks, self._constants[1], width, program)
+        y, by, settled = straight_line_kernels.read(
+            self._number(t), x, u, theta, self.picks, self._constants[1], width, program
+        )
         found: Array = by if width else y
         return found.reshape(*batch, *found.shape[1:]) if settled else None
+
+    @cached_property
+    def _timeless(self) -> bool:
+        return self.program is not None and not uses(self.program, 0)
+
+    def _number(self, t: Any) -> float:
+        """The time t (s) for the program: of any time 0, where it does not use it."""
+        return 0.0 if t is ANY_TIME and self._timeless else float(t)
 
     def _at(self, theta: Array) -> Integrated:
         if theta is self.nominal:

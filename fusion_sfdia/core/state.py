@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
+
+from fusion_sfdia.core.alike import chosen, joined
 
 Array = NDArray[Any]
 
@@ -74,12 +75,12 @@ def names(tree: Any, prefix: str = "") -> list[str]:
 
 def chosen_runs(state: State, runs: Array) -> State:
     """The state of some runs of a batch of one axis, by their indices."""
-    diverged, memory = mapped(lambda a: a[runs], (state.diverged, state.memory))
+    diverged, memory = mapped(lambda a: chosen(a, runs), (state.diverged, state.memory))
     return state._replace(diverged=diverged, memory=memory)
 
 
 def joined_runs(state: State, other: State) -> State:
     """The runs of two states of one detector at the same time as one batch, along its first axis."""
     both = (state.diverged, state.memory), (other.diverged, other.memory)
-    diverged, memory = mapped(lambda a, b: np.concatenate([a, b]), *both)
+    diverged, memory = mapped(joined, *both)
     return state._replace(diverged=diverged, memory=memory)

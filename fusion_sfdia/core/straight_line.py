@@ -176,6 +176,14 @@ def record(f: RightHandSide, phi: RightHandSide | None, usual: Sequence[Array]) 
     return program if _agrees(program, f, phi, usual) else None
 
 
+def uses(program: Program, slot: int) -> bool:
+    """Whether an operation or a result depends on the value of a slot."""
+    operation, left, right = program.operations.T
+    by_left, by_right = operation != CONSTANT, (operation != CONSTANT) & (operation < NEGATE)
+    used = np.any(by_left & (left == slot)) or np.any(by_right & (right == slot))
+    return bool(used or slot in program.phi or slot in program.f)
+
+
 def _agrees(program: Program, f: RightHandSide, phi: RightHandSide | None, usual: Sequence[Array]) -> bool:
     """Whether the program gives what the functions give, at points within a tenth of the usual values."""
     rng = np.random.default_rng(0)

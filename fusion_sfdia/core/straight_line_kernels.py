@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.equation import compiled
 
 Array = NDArray[Any]
+# Elements are copied one by one: numba takes seconds to compile the check of shapes in an assignment of arrays.
 
 MAX_SWEEPS = 200
 ALGEBRAIC_TOLERANCE = 1e-13  # relative change of a sweep at which the fixed point is taken as reached
@@ -91,7 +92,8 @@ def settle(k: int, z: int, nominal: Array, program: Any, V: Array, D: Array) -> 
     width = D.shape[1]
     for j in range(k):
         V[z + j] = nominal[j]
-        D[z + j, :] = 0.0
+        for c in range(width):
+            D[z + j, c] = 0.0
     if k == 0:
         return True
     for _ in range(MAX_SWEEPS):
@@ -110,7 +112,8 @@ def settle(k: int, z: int, nominal: Array, program: Any, V: Array, D: Array) -> 
                     settled = False
         for j in range(k):
             V[z + j] = V[program.phi[j]]
-            D[z + j, :] = D[program.phi[j]]
+            for c in range(width):
+                D[z + j, c] = D[program.phi[j], c]
         if settled or not program.implicit:
             return True
     return False
@@ -134,11 +137,13 @@ def slope(t: float, x: Array, dx: Array, k: int, nominal: Array, program: Any, V
 def load(x: Array, u: Array, theta: Array, k: int, dx: Array, program: Any, V: Array, D: Array) -> None:
     """Put constants, u (m,) and theta (p,) into the registers, with derivatives along x, and where w > n along u and theta."""
     n, m, p = x.shape[0], u.shape[0], theta.shape[0]
-    V[:] = program.value
-    D[:] = 0.0
-    dx[:] = 0.0
-    for i in range(min(n, D.shape[1])):
-        dx[i, i] = 1.0
+    for s in range(V.shape[0]):
+        V[s] = program.value[s]
+        for c in range(D.shape[1]):
+            D[s, c] = 0.0
+    for i in range(n):
+        for c in range(D.shape[1]):
+            dx[i, c] = 1.0 if i == c else 0.0
     for j in range(m + p):
         V[1 + n + k + j] = u[j] if j < m else theta[j - m]
         if n + j < D.shape[1]:
@@ -162,7 +167,8 @@ def advance(
     h = dt / substeps
     for b in range(B):
         load(x[b % x.shape[0]], u[b % u.shape[0]], theta[b % theta.shape[0]], k, dstart, program, V, D)
-        start[:] = x[b % x.shape[0]]
+        for i in range(n):
+            start[i] = x[b % x.shape[0], i]
         for s in range(substeps):
             t0 = t + s * h
             if decay.shape[0]:
@@ -170,15 +176,20 @@ def advance(
                 for i in range(n):
                     step = np.expm1(-decay[i] * h / 2) / decay[i]
                     at[i] = start[i] - step * V[program.f[i]]
-                    dat[i] = dstart[i] - step * D[program.f[i]]
+                    for c in range(width):
+                        dat[i, c] = dstart[i, c] - step * D[program.f[i], c]
                 settled &= slope(t0 + h / 2, at, dat, k, nominal, program, V, D)
                 for i in range(n):
                     step = np.expm1(-decay[i] * h) / decay[i]
                     start[i] = start[i] - step * (V[program.f[i]] + decay[i] * at[i] - decay[i] * start[i])
-                    dstart[i] = dstart[i] - step * (D[program.f[i]] + decay[i] * dat[i] - decay[i] * dstart[i])
+                    for c in range(width):
+                        change = D[program.f[i], c] + decay[i] * dat[i, c] - decay[i] * dstart[i, c]
+                        dstart[i, c] = dstart[i, c] - step * change
                 continue
-            at[:] = start
-            dat[:] = dstart
+            for i in range(n):
+                at[i] = start[i]
+                for c in range(width):
+                    dat[i, c] = dstart[i, c]
             for stage in range(4):
                 settled &= slope(t0 + (0.0 if stage == 0 else h if stage == 3 else h / 2), at, dat, k, nominal, program, V, D)
                 weight, reach = 2.0 if 0 < stage < 3 else 1.0, h if stage == 2 else h / 2
@@ -194,8 +205,10 @@ def advance(
                 start[i] = start[i] + h / 6 * total[i]
                 for c in range(width):
                     dstart[i, c] = dstart[i, c] + h / 6 * dtotal[i, c]
-        ahead[b] = start
-        tangent[b] = dstart
+        for i in range(n):
+            ahead[b, i] = start[i]
+            for c in range(width):
+                tangent[b, i, c] = dstart[i, c]
     return ahead, tangent, settled
 
 
@@ -214,9 +227,11 @@ def read(
         V[0] = t
         for i in range(n):
             V[1 + i] = x[b % x.shape[0], i]
-            D[1 + i] = dx[i]
+            for c in range(width):
+                D[1 + i, c] = dx[i, c]
         settled &= settle(k, 1 + n, nominal, program, V, D)
         for i in range(N):
             y[b, i] = V[1 + picks[i]]
-            by[b, i] = D[1 + picks[i]]
+            for c in range(width):
+                by[b, i, c] = D[1 + picks[i], c]
     return y, by, settled

@@ -21,7 +21,11 @@ Array = NDArray[Any]
 
 
 def in_units(plant: Plant, units: Mapping[str, tuple[str, float]]) -> Plant:
-    """Return the plant with {sensor: (unit, readings per present unit)}; ValueError for an unknown sensor."""
+    """Return the plant with {sensor: (unit, readings per present unit)}; ValueError for an unknown sensor or other forms."""
+    if not isinstance(units, Mapping):
+        raise ValueError(
+            f'units are {shown(units)}; expected those of sensors by name, as in {{"p1": ("bar", 1e-5)}} for one in Pa'
+        )
     factor = np.ones(len(plant.sensors))
     sensors = list(plant.sensors)
     for name, given in units.items():

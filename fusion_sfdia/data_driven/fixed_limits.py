@@ -4,17 +4,18 @@ model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fusion_sfdia.core.arguments import probability
+from fusion_sfdia.core.arguments import floats, probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
-from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.detector import Decision, check_reading
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import State
 from fusion_sfdia.data_driven.healthy_limits import healthy_readings, noise_floor, per_sensor, stuck, upper_limit, without_model
 
 Array = NDArray[Any]
@@ -86,14 +87,48 @@ class FixedLimits(BatchDetector):
         return FixedLimitsMemory(np.full(shape, np.nan), np.broadcast_to(self.centre, shape).copy())
 
     def _judge(self, memory: FixedLimitsMemory, now: TimeStep, y: Array, u: Array) -> tuple[FixedLimitsMemory, Decision]:
-        level, change = y - self.centre, y - memory.last
-        faster = np.abs(change) / self.change > np.abs(level) / self.level  # not so where NaN
-        residual = np.where(faster, change, level)
-        threshold = np.where(faster, self.change, self.level) * self.threshold_scale
-        isolated = np.abs(residual) > threshold
+        residual, threshold, isolated = self._checked(memory.last, y)
         reconstruction = np.where(np.isfinite(y) & ~isolated, y, memory.trusted)
         decision = without_model(self.plant, y, reconstruction, residual, threshold, isolated)
         return FixedLimitsMemory(y.copy(), reconstruction), decision
+
+    def _checked(self, last: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Residual, threshold and whether it is exceeded, of readings y (..., N) after the `last` ones (..., N)."""
+        level, change = y - self.centre, y - last
+        faster = np.abs(change) / self.change > np.abs(level) / self.level  # not so where NaN
+        residual = np.where(faster, change, level)
+        threshold = np.where(faster, self.change, self.level) * self.threshold_scale
+        return residual, threshold, np.abs(residual) > threshold
+
+    def steps(self, state: State, t: Array, y: Array, u: Array) -> tuple[State, Decision]:
+        """The steps through all of t (K,), y (K, N), u (K, m) of one run at once: the same bits as `step` for each.
+
+        A check needs the reading before, a reconstruction the last good one, whatever lies between. ValueError as of `step`.
+        """
+        if self._batch_of(state) != () or not len(t):
+            raise ValueError("steps takes one run of at least one time; use step for a batch of runs")
+        times = np.concatenate([[float(state.t)], floats("t", t)])
+        gaps = np.diff(times)
+        for gap in (gaps.min(), gaps.max()) if np.isfinite(gaps).all() else (np.nan,):
+            self.plant.check_dt(float(gap))
+        given = floats("y", y)
+        y, applied = check_reading(self.plant, given, u, (len(t),))
+        memory, limits = state.memory, self._input_limits
+        u = applied.copy()
+        for k in np.flatnonzero(np.any((u < limits.low) | (u > limits.high), axis=-1)):
+            u[k] = limits.applied(float(times[k]), float(gaps[k]), applied[k])
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            residual, threshold, isolated = self._checked(np.concatenate([memory.last[None], y[:-1]]), y)
+            good = np.isfinite(y) & ~isolated
+            latest = np.maximum.accumulate(np.where(good, np.arange(len(t))[:, None], -1), axis=0)
+            known = np.take_along_axis(y, np.maximum(latest, 0), axis=0)
+            reconstruction = np.where(latest >= 0, known, memory.trusted)
+            decision = without_model(self.plant, y, reconstruction, residual, threshold, isolated)
+        found = replace(
+            decision, capped=np.zeros(len(t), bool), absurd=np.isnan(y) & ~np.isnan(given), absurd_input=u != applied
+        )
+        after = FixedLimitsMemory(y[-1].copy(), reconstruction[-1].copy())
+        return State(state.seed, np.array(state.steps + len(t)), np.array(times[-1]), state.diverged, after), found
 
 
 def largest(deviation: Array, floor: Array, still: Array) -> Array:

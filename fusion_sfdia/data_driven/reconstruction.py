@@ -51,6 +51,11 @@ class ReconstructionDetector(BatchDetector):
     def excess(self, found: Reconstruction) -> Array:
         """The root of the statistic over its limit (B,), without threshold_scale."""
 
+    @property
+    def most_faults(self) -> int:
+        """How many sensors are reconstructed at most."""
+        return self.max_faults
+
     def _start(self, batch: tuple[int, ...], seed: int) -> LaggedReadings:
         return LaggedReadings(np.full((*batch, len(self.plant.sensors), self.model.lags), np.nan))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ Array = NDArray[Any]
 DUE = 20  # readings in a row that are due: where half of them are missing, the sensor has dropped out
 REPEATED = 16  # equal readings in a row: with 8 pairs a test of quiet readings has power, see `kalman_banks.quiet`
 LONGER = 10  # times the usual number of equal readings in a row
+TWICE = 2  # times the largest number that healthy logs show
 
 
 def dropouts(y: Array) -> list[list[tuple[int, int]]]:
@@ -48,24 +50,30 @@ def dropouts(y: Array) -> list[list[tuple[int, int]]]:
     return found
 
 
-def repeats(y: Array) -> list[list[tuple[int, int]]]:
+def repeats(y: Array, healthy: Sequence[int] | None = None) -> list[list[tuple[int, int]]]:
     """Return, for each sensor of y (K, N), the first and last index of each long run of equal readings.
 
     A run is long with `REPEATED` readings and `LONGER` times as many as the median run of the sensor has, so that a log that
-    holds slow readings is not frozen. Missing readings are passed over.
+    holds slow readings is not frozen. Where healthy logs show how long a sensor repeats a reading, healthy (N,) samples at
+    most, it is long with `REPEATED` readings and `TWICE` as many as that. Missing readings are passed over.
     """
     found: list[list[tuple[int, int]]] = []
-    for column in y.T:
-        at = np.flatnonzero(np.isfinite(column))
-        if not at.size:
-            found.append([])
-            continue
-        starts = np.flatnonzero(np.diff(column[at], prepend=np.nan) != 0)
-        lengths = np.diff(starts, append=at.size)
-        least = max(REPEATED, LONGER * float(np.median(lengths)) if lengths.size > 1 else 0.0)
+    for i, column in enumerate(y.T):
+        at, starts, lengths = equal_readings(column)
+        usual = LONGER * float(np.median(lengths)) if lengths.size > 1 else 0.0
+        least = max(REPEATED, usual if healthy is None else TWICE * healthy[i])
         ends = starts + lengths - 1
         found.append([(int(at[a]), int(at[b])) for a, b, n in zip(starts, ends, lengths, strict=True) if n >= least])
     return found
+
+
+def equal_readings(column: Array) -> tuple[Array, Array, Array]:
+    """The positions of the readings of a sensor (K,), NaN where missing, and of each run of equal ones its start among them and
+    its length.
+    """
+    at = np.flatnonzero(np.isfinite(column))
+    starts = np.flatnonzero(np.diff(column[at], prepend=np.nan) != 0)
+    return at, starts, np.diff(starts, append=at.size)
 
 
 def _runs(held: Array) -> list[tuple[int, int]]:

@@ -12,20 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.detector import Decision, Detector, MissingPackageError, ProcessHypothesis, stack
+from fusion_sfdia.core.detector import (
+    Decision,
+    Detector,
+    MissingPackageError,
+    ProcessHypothesis,
+    chosen,
+    joined,
+    stack,
+)
 from fusion_sfdia.core.gaps import Gap, Track, bridged
 from fusion_sfdia.core.log import Log, one_run
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
 from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
 from fusion_sfdia.evaluation.model_health import Health, health_of
-from fusion_sfdia.evaluation.sensor_events import explained, false_alarm_of
+from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, explained
 
 Array = NDArray[Any]
 
 SECONDS = Clock()
 MOST_GAPS = 5  # lines
+BLOCK = 1000  # Decisions, which take ten times as much memory one by one as in arrays
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,7 +45,8 @@ class Diagnosis:
     In order of their start; of a detector that tests the process, too (`process_hypotheses`), its verdicts on the process
     come first, then what it cannot tell apart, then the sensors. clock: wall-clock times of the log. gaps: stretches without
     a row that the model was stepped through, or after which it started anew. health: whether the model fits; after: the
-    residuals behind that and behind kinds and sizes, both None where an own Diagnosis does not state them.
+    residuals behind that and behind kinds and sizes, both None where an own Diagnosis does not state them. limit: that fewer
+    than half of the sensors can be isolated at once, and why; "" elsewhere.
     """
 
     events: tuple[Event, ...]
@@ -46,6 +57,7 @@ class Diagnosis:
     gaps: tuple[Gap, ...] = ()
     health: Health | None = None
     after: Hindsight | None = None
+    limit: str = ""
 
     @property
     def verdict(self) -> str:
@@ -57,8 +69,9 @@ class Diagnosis:
 
     @property
     def remarks(self) -> list[str]:
-        """Gaps of the log, a line each, the first few."""
-        lines = [
+        """What limits the detector, where that is less than half of the sensors, and the first gaps of the log, a line each."""
+        lines = [self.limit] if self.limit else []
+        lines += [
             f"gap from {self.clock.at(g.start)} to {self.clock.at(g.end)}: "
             + ("too long for the model, the estimate starts anew" if g.reset else f"predicted in {g.steps} steps")
             for g in self.gaps[:MOST_GAPS]
@@ -151,30 +164,55 @@ def diagnose_run(
     if decisions.absurd_input.shape == u.shape:
         usual = np.array([detector.plant.input_at(float(time)) for time in t], dtype=float).reshape(u.shape)
         taken.u[track.own] = np.where(decisions.absurd_input, usual, u)
-    after = hindsight(getattr(detector, "model", detector.plant), taken, out, each)
+    model = getattr(detector, "model", None)  # of principal components it is no plant
+    after = hindsight(model if isinstance(model, Plant) else detector.plant, taken, out, each)
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
-    names, rate = detector.plant.sensor_names, false_alarm_of(detector)
-    health = health_of(names, after, starts, rate, _against_the_model(events, decisions, t, clock))
+    names, rate = detector.plant.sensor_names, alarm_rate_of(detector)
+    health = health_of(names, after, starts, rate, against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
-    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after)
+    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
+
+
+def _limit(detector: Detector) -> str:
+    """In words how many sensors can be isolated at once, where that is less than half of them; else ""."""
+    most, count = getattr(detector, "most_faults", np.inf), len(detector.plant.sensors)
+    return f"at most {most} of {count} sensors can be isolated at once: {_why(detector)}" if most < count // 2 else ""
+
+
+def _why(detector: Detector) -> str:
+    """What sets the number of sensors that can be isolated at once."""
+    if not hasattr(detector, "max_faults"):
+        return f"the method of {type(detector).__name__} names no more"
+    return redundancy(detector.plant).reason if detector.max_faults is None else "as max_faults states"
 
 
 def decided(detector: Detector, track: Track, each: Callable[[Sequence[int]], Iterable[int]]) -> Decision:
-    """The Decisions at the samples of a log."""
-    state, found = None, []
+    """The Decisions at the samples of a log; a detector that has `steps` takes all of a run at once."""
+    if hasattr(detector, "steps"):
+        starts = np.flatnonzero(np.isfinite(track.begins))
+        runs = [
+            detector.steps(detector.init((), float(track.begins[a])), track.t[a:b], track.y[a:b], track.u[a:b])[1]
+            for a, b in zip(starts, [*starts[1:], track.t.size], strict=True)
+        ]
+        whole = runs[0] if len(runs) == 1 else joined(runs)
+        return whole if track.own.all() else chosen(whole, track.own)
+    state, blocks, found = None, [], []
     for s in each(range(track.t.size)):
         if state is None or np.isfinite(track.begins[s]):
             state = detector.init((), float(track.begins[s]))
         state, decision = detector.step(state, float(track.t[s]), track.y[s], track.u[s])
         if track.own[s]:
             found.append(replace(decision, covariance=None))
-    return stack(found)
+        if len(found) == BLOCK or (s == track.t.size - 1 and found):
+            blocks.append(stack(found))
+            found = []
+    return joined(blocks)
 
 
-def _against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
+def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, clock: Clock) -> tuple[str, ...]:
     """What else than innovations speaks against the model."""
     found = [e.difference for e in events if isinstance(e, ProcessEvent) and e.open]
     if np.any(decisions.diverged):
@@ -216,11 +254,10 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
             )
     if np.any(decisions.capped):
         most, of = getattr(detector, "most_faults", "too many"), len(detector.plant.sensors)
-        why = redundancy(detector.plant).reason if getattr(detector, "max_faults", None) is None else "as max_faults states"
         remarks.append(
             f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
             f"{t[np.argmax(decisions.capped)]:g} s, but {most} of {of} are excluded already, all that the detector "
-            f"allows ({why}): check the model, or pass max_faults"
+            f"allows ({_why(detector)}): check the model, or pass max_faults"
         )
     for flags, what, cure in (
         (decisions.guarded, "left the limits of the model and was moved back", "check units, inputs and parameters"),

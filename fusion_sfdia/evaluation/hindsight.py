@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.any_time import ANY_TIME
 from fusion_sfdia.core.gaps import Track
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
@@ -20,6 +21,11 @@ from fusion_sfdia.filters.gaussian import condition
 Array = NDArray[Any]
 
 LEAD = 15  # samples before an isolation that are left out, too: an alarm follows its fault
+SHORTEST, FEWEST, MOST_PARTS, MOST_ELEMENTS = 1000, 8, 256, 2**18  # samples in a part of a long log; its parts; of their P
+MARKS = 24  # states kept in each part, to be compared with
+SAME = 1e-9  # standard deviations in which two filters differ that have forgotten their beginnings
+SWEEPS = 3  # over parts, before what has not forgotten is filtered in order
+FILTER, NO_DRAWS = Extended(), step_stream(0, 0)
 
 
 class Hindsight(NamedTuple):
@@ -49,32 +55,178 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
     Of a reading that is used, the error is the leave-one-out residual u_i / w_i with u = S^-1 d and w = diag S^-1, whose
     variance is 1 / w_i; of one that is not, y - h(x) after the others were used, with the variance R + H P H'. Where the
     filter has no finite value any more, everything after is NaN.
+
+    A long log is cut into parts, which are filtered side by side as a batch, see `_in_parts`, where the model is the same at
+    all times.
     """
-    filter_, rng, cov = Extended(), step_stream(0, 0), model.sensor_cov  # this filter draws nothing
     count, n = out.shape
-    error, sd, normal = (np.full((count, n), np.nan) for _ in range(3))
-    found = Hindsight(error, sd, normal, np.full(count, np.nan), np.zeros(count, int))
-    core = filter_.start(model, (), rng)
-    before, k = np.nan, -1
+    found, start, steps = unknown(count, n), begun(model), _Steps(track, out)
     with np.errstate(all="ignore"):
-        for s in each(range(track.t.size)):
+        first, core = 0, start
+        if track.t.size >= FEWEST * SHORTEST:
+            first, core, forgets = _in_parts(model, steps, 0, 2, start, found, iter)
+            if forgets:
+                parts = min((track.t.size - first) // SHORTEST, MOST_PARTS, max(1, MOST_ELEMENTS // start.P.size))
+                first, core, _ = _in_parts(model, steps, first, parts, core, found, each)
+        for s in each(range(first, track.t.size)):
             if np.isfinite(track.begins[s]):
-                core, before = filter_.start(model, (), rng), float(track.begins[s])
-            now, y, u = float(track.t[s]), track.y[s], track.u[s]
-            prior = filter_.predict(model, core, before, u, now - before, rng)
-            joint = filter_.joint(model, prior, now, u)
-            k += bool(track.own[s])
-            use = np.isfinite(y) & ~out[k] if track.own[s] else np.zeros(n, bool)
-            after = condition(joint, y, use)
-            if np.any(prior.lost) or not (np.all(np.isfinite(after.x)) and np.all(np.isfinite(after.P))):
+                core = start
+            seen = _seen(model, core, steps.before[s], track.t[s], steps.dt[s], track.y[s], track.u[s], steps.use[s])
+            if not seen.sound:
+                for values, none in zip(found, (np.nan, np.nan, np.nan, np.nan, 0), strict=True):
+                    values[steps.sample[s] :] = none
                 break
+            core = seen.core
             if track.own[s]:
-                w = np.where(use, np.diagonal(after.inverse), np.nan)
-                h = model.output_jacobian_at(now, after.x, u)
-                d = np.where(use, after.innovation, 0.0)
-                found.error[k] = np.where(use, after.inverse @ d / w, y - model.output(now, after.x, u))
-                found.sd[k] = np.sqrt(np.where(use, 1 / w, np.sum((h @ after.P) * h, axis=-1) + cov))
-                found.normal[k] = np.where(use, d / np.sqrt(np.diagonal(joint.S)), np.nan)
-                found.nis[k], found.used[k] = after.nis, np.sum(use)
-            core, before = GaussianState(after.x, after.P), now
+                _keep(found, steps.sample[s], seen)
     return found
+
+
+def unknown(count: int, n: int) -> Hindsight:
+    """Of `count` samples of n sensors nothing is known."""
+    error, sd, normal = (np.full((count, n), np.nan) for _ in range(3))
+    return Hindsight(error, sd, normal, np.full(count, np.nan), np.zeros(count, int))
+
+
+def begun(model: Plant) -> GaussianState:
+    """The filter at its start."""
+    found: GaussianState = FILTER.start(model, (), NO_DRAWS)
+    return found
+
+
+def looked(
+    model: Plant, core: GaussianState, times: tuple[float, float], values: tuple[Array, Array], use: Array
+) -> tuple[GaussianState | None, Hindsight]:
+    """One step of `hindsight` over `times` with readings y (N,), of which those to `use` (N,), and inputs u (m,): the filter
+    after it, None where it has no finite value, and of this sample what is known.
+    """
+    (before, now), (y, u) = times, values
+    with np.errstate(all="ignore"):
+        seen = _seen(model, core, before, now, now - before, y, u, use)
+    return (seen.core, seen.row) if seen.sound else (None, Hindsight(*(v[0] for v in unknown(1, len(y)))))
+
+
+class _Steps:
+    """Of each step of a track (S,): the time before (s), its length dt (s), also without rounding errors (even), its sample,
+    and which readings (S, N) are used.
+    """
+
+    def __init__(self, track: Track, out: Array) -> None:
+        self.track = track
+        self.before = np.where(np.isfinite(track.begins), track.begins, np.concatenate([[np.nan], track.t[:-1]]))
+        self.dt = track.t - self.before
+        usual = float(np.median(self.dt))  # with one rounding error, in place of those of all times
+        self.even = np.where(np.abs(self.dt - usual) <= 1e-9 * usual, usual, self.dt)
+        self.sample = np.maximum(np.cumsum(track.own) - track.own, 0)
+        self.use = np.isfinite(track.y)
+        self.use[track.own] &= ~out
+
+
+class _Seen(NamedTuple):
+    """A step of the filter: what it carries on, whether that is sound (...), and the row of a Hindsight."""
+
+    core: GaussianState
+    sound: Array
+    row: Hindsight
+
+
+def _seen(model: Plant, core: GaussianState, before: Any, now: Any, dt: float, y: Array, u: Array, use: Array) -> _Seen:
+    """A step of the filter over dt (s) to the readings y (..., N) of which some are used (..., N)."""
+    prior = FILTER.predict(model, core, before, u, dt, NO_DRAWS)
+    joint = FILTER.joint(model, prior, now, u)
+    after = condition(joint, y, use)
+    sound = ~prior.lost & np.all(np.isfinite(after.x), axis=-1) & np.all(np.isfinite(after.P), axis=(-2, -1))
+    w = np.where(use, np.diagonal(after.inverse, axis1=-2, axis2=-1), np.nan)
+    d = np.where(use, after.innovation, 0.0)
+    error, variance = (after.inverse @ d[..., None])[..., 0] / w, 1 / w
+    if np.any(left := ~np.all(use, axis=-1)):
+        x, P, given, unused = after.x[left], after.P[left], u[left], ~use[left]
+        h = model.output_jacobian_at(now, x, given)
+        error[left] = np.where(unused, y[left] - model.output(now, x, given), error[left])
+        variance[left] = np.where(unused, np.sum((h @ P) * h, axis=-1) + model.sensor_cov, variance[left])
+    sd = np.sqrt(variance)
+    normal = np.where(use, d / np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1)), np.nan)
+    return _Seen(GaussianState(after.x, after.P), sound, Hindsight(error, sd, normal, after.nis, np.sum(use, axis=-1)))
+
+
+def _keep(found: Hindsight, samples: Any, seen: _Seen, own: Any = ...) -> None:
+    for values, row in zip(found, seen.row, strict=True):
+        values[samples] = row[own]
+
+
+def _in_parts(
+    model: Plant,
+    steps: _Steps,
+    first: int,
+    parts: int,
+    core: GaussianState,
+    found: Hindsight,
+    each: Callable[[Sequence[int]], Iterable[int]],
+) -> tuple[int, GaussianState, bool]:
+    """Filter parts of equal length from step `first` and state `core` on as a batch; return the next step and its state.
+
+    A first sweep starts all parts but the first from the plant's x0. A second one starts them from the end of the part before,
+    until they have come to what the first sweep found, within SAME standard deviations: from there on the filter has forgotten
+    where it began. Further sweeps do so where a part had not forgotten by its end (Lions, Maday and Turinici 2001, with x0 in
+    place of a coarse solver). The first part that has not after SWEEPS, and all after it, are left. Also returned: whether
+    none had to go to its end again. A model that depends on time, so that parts cannot be one batch, or has no finite value,
+    is left from `first` on.
+    """
+    length = (steps.track.t.size - first) // parts if first else SHORTEST
+    x, P = (value.copy() for value in FILTER.start(model, (parts,), NO_DRAWS))
+    x[0], P[0] = core
+    ends, marks = GaussianState(x.copy(), P.copy()), {}
+    which, at, forgets = np.arange(parts), set(np.geomspace(8, length, MARKS).astype(int).tolist()), True
+    for sweep in range(SWEEPS):
+        now, running = GaussianState(x[which], P[which]), which
+        for k in each(range(length)) if sweep == 0 else range(length):
+            try:
+                now = _batch_step(model, steps, first + running * length + k, now, found)
+            except Exception:  # whatever a model of numbers raises for a time that is none
+                return first, core, False
+            if now is None:
+                return first, core, False
+            if k + 1 in at:
+                old = marks.setdefault(k, GaussianState(np.full_like(x, np.nan), np.full_like(P, np.nan)))
+                far = ~_same(now, GaussianState(old.x[running], old.P[running]))
+                old.x[running], old.P[running] = now
+                if not far.all():
+                    running, now = running[far], GaussianState(now.x[far], now.P[far])
+                    if not running.size:
+                        break
+        ends.x[running], ends.P[running] = now
+        forgets &= sweep == 0 or not running.size
+        which = running[running < parts - 1] + 1  # those whose beginning has changed
+        if not which.size:
+            break
+        x[which], P[which] = ends.x[which - 1], ends.P[which - 1]
+    done = int(which.min()) if which.size else parts
+    return first + done * length, GaussianState(ends.x[done - 1], ends.P[done - 1]), forgets
+
+
+def _batch_step(model: Plant, steps: _Steps, s: Array, core: GaussianState, found: Hindsight) -> GaussianState | None:
+    """The steps s (B,) of a batch, at once those of one length; None where one has no finite value."""
+    track, (x, P) = steps.track, core
+    if np.any(fresh := np.isfinite(track.begins[s])):
+        start = FILTER.start(model, (), NO_DRAWS)
+        x, P = np.where(fresh[:, None], start.x, x), np.where(fresh[:, None, None], start.P, P)
+    lengths = steps.even[s]
+    ahead = GaussianState(np.empty_like(x), np.empty_like(P))
+    for dt in np.unique(lengths):
+        same = lengths == dt
+        here = s[same]
+        part = GaussianState(x[same], P[same])
+        seen = _seen(model, part, ANY_TIME, ANY_TIME, float(dt), track.y[here], track.u[here], steps.use[here])
+        if not seen.sound.all():
+            return None
+        ahead.x[same], ahead.P[same] = seen.core
+        own = track.own[here]
+        _keep(found, steps.sample[here[own]], seen, own)
+    return ahead
+
+
+def _same(one: GaussianState, other: GaussianState) -> Array:
+    """Whether states and covariances differ by at most SAME standard deviations (...)."""
+    sd = np.sqrt(np.diagonal(one.P, axis1=-2, axis2=-1))
+    near = np.all(np.abs(one.x - other.x) <= SAME * sd, axis=-1)
+    return near & np.all(np.abs(one.P - other.P) <= SAME * sd[..., :, None] * sd[..., None, :], axis=(-2, -1))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.core.detector import Decision, Detector, chosen
 from fusion_sfdia.evaluation.absent import dropouts
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
@@ -28,6 +28,12 @@ def false_alarm_of(detector: Detector) -> float:
     """The rate of false alarms that a detector states, else 1e-3."""
     rate = getattr(detector, "false_alarm", 1e-3)
     return float(rate) if isinstance(rate, int | float) and 0 < rate < 1 else 1e-3
+
+
+def alarm_rate_of(detector: Detector) -> float:
+    """The rate of false alarms at which a detector acts: that for which its thresholds were fitted, else what it states."""
+    fitted = getattr(detector, "fitted_rate", None)
+    return false_alarm_of(detector) if fitted is None else float(fitted)
 
 
 def explained(
@@ -143,7 +149,8 @@ def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[
         probability = np.where(np.isfinite(decisions.probability[k]), decisions.probability[k], 0.0)
     else:
         q = ndtri(false_alarm_of(detector) / count / 2) * getattr(detector, "threshold_scale", 1.0)
-        score = np.where(np.isfinite(decisions.scores[k]), decisions.scores[k], 0.0)
+        score = chosen(decisions, k).scores
+        score = np.where(np.isfinite(score), score, 0.0)
         others = ~together[:count]
         others[i] = True
         half = np.where(others, np.minimum(np.abs(score * q), 1e6) ** 2 / 2, -np.inf)

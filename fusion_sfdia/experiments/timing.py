@@ -23,26 +23,40 @@ class Timing(NamedTuple):
 def best_times(
     calls: Mapping[Key, Callable[[], object]], seconds: float = 2.0, clock: Callable[[], float] = perf_counter
 ) -> dict[Key, Timing]:
-    """Return the least time of each call; each is called for about `seconds` (at least three times).
+    """Return the least time of each call, see `turns_of`.
+
+    The least is the time without disturbance: other processes can only add to it.
+    """
+    turns = turns_of(calls, seconds, clock)
+    return {name: Timing(min(map(min, times)), sum(map(len, times))) for name, times in turns.items()}
+
+
+def turns_of(
+    calls: Mapping[Key, Callable[[], object]], seconds: float = 2.0, clock: Callable[[], float] = perf_counter
+) -> dict[Key, list[list[float]]]:
+    """Return the times of each call by turn; each is called for about `seconds`, in at least three turns.
 
     They take turns, so that a busy machine slows all of them; the first call of each (compiling, first pages) is not counted.
-    The least is the time without disturbance: other processes can only add to it. clock: seconds, such as processor time by
-    time.thread_time, for calls that are always interrupted on a busy machine.
+    clock: seconds, such as processor time by time.thread_time, for calls that are always interrupted on a busy machine.
     """
     if not 0 < seconds < math.inf:
         raise ValueError(f"seconds is {seconds}; expected a positive time")
     for call in calls.values():
         call()
-    taken: dict[Key, list[float]] = {name: [] for name in calls}
+    taken: dict[Key, list[list[float]]] = {name: [] for name in calls}
+    total = dict.fromkeys(calls, 0.0)
     turns = 0
-    while waiting := [name for name, times in taken.items() if turns < FEWEST or sum(times) < seconds]:
+    while waiting := [name for name in calls if turns < FEWEST or total[name] < seconds]:
         for name in waiting:
-            times, stop = taken[name], clock() + min(TURN, seconds)
+            times: list[float] = []
+            stop = clock() + min(TURN, seconds)
             while True:
                 start = clock()
                 calls[name]()
                 times.append((end := clock()) - start)
                 if end >= stop:
                     break
+            taken[name].append(times)
+            total[name] += sum(times)
         turns += 1
-    return {name: Timing(min(times), len(times)) for name, times in taken.items()}
+    return taken

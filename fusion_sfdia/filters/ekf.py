@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.filters.gaussian import Joint, add, symmetrise
 from fusion_sfdia.filters.sparse import congruence
@@ -23,9 +24,9 @@ def predict(x: Array, P: Array, f: Model, F: Array | None, Q: Array, sparse: boo
     for the complex step's (f must then be analytic). sparse: whether most entries of F are 0.
     """
     F = complex_step_jacobian(f, x) if F is None else F
-    if sparse:
-        return f(x), add(congruence(F, P)[0], Q)
-    return f(x), add(symmetrise(F @ P @ np.swapaxes(F, -1, -2)), Q)
+    one = single(P)
+    both = congruence(F, one)[0] if sparse else symmetrise(F @ one @ np.swapaxes(F, -1, -2))
+    return f(x), repeated(add(both, Q), P)
 
 
 def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array, sparse: bool = False) -> Joint:
@@ -35,8 +36,11 @@ def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array, sparse: bool 
     for the complex step's (h must then be analytic). sparse: whether most entries of H are 0.
     """
     H = complex_step_jacobian(h, x) if H is None else H
+    one = single(P)
     if sparse:
-        HPH, HP = congruence(H, P)
-        return Joint(x, P, h(x), add(HPH, R), np.swapaxes(HP, -1, -2), H=H)
-    C = P @ np.swapaxes(H, -1, -2)
-    return Joint(x, P, h(x), add(symmetrise(H @ C), R), C, H=H)
+        HPH, HP = congruence(H, one)
+        C = np.swapaxes(HP, -1, -2)
+    else:
+        C = one @ np.swapaxes(H, -1, -2)
+        HPH = symmetrise(H @ C)
+    return Joint(x, P, h(x), repeated(add(HPH, R), P), repeated(C, P), H=H)

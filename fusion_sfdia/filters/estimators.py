@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import for_all
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.plant import Plant
@@ -108,8 +109,7 @@ class _Moments:
 
     def start(self, plant: Plant, batch: tuple[int, ...], rng: np.random.Generator) -> Core:
         n = plant.x0.size
-        p = gaussian.dense(plant.initial_cov)
-        return GaussianState(np.broadcast_to(plant.x0, (*batch, n)).copy(), np.broadcast_to(p, (*batch, n, n)).copy())
+        return GaussianState(np.broadcast_to(plant.x0, (*batch, n)).copy(), for_all(gaussian.dense(plant.initial_cov), batch))
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         return GaussianState(x, p)

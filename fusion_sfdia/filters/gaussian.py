@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtri
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.covariance import dense as dense
 
 Array = NDArray[Any]
@@ -157,10 +158,10 @@ class Joint(NamedTuple):
 
 def gain(joint: Joint, inverse: Array) -> Array:
     """K = C S^-1 (..., n, N) with S^-1 over the readings used; rows of considered states are 0."""
-    K = joint.C @ inverse
+    K = single(joint.C) @ single(inverse)
     if joint.considered is not None:
         K[..., joint.considered, :] = 0.0
-    return np.asarray(K)
+    return repeated(K, joint.C)
 
 
 def consider(joint: Joint, x: Array, P: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, require_unique
+from fusion_sfdia.core.gaps import parted
 from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.identification.recording import Scaled
@@ -109,9 +110,7 @@ def _parts(log: Log, dt: float) -> list[Log]:
     """The stretches of even steps and known inputs of at least two samples."""
     known = np.asarray(np.isfinite(log.u).all(axis=1))
     even = np.asarray(np.abs(np.diff(log.t) / dt - 1) <= JITTER)
-    breaks = np.flatnonzero(~even | ~known[1:] | ~known[:-1]) + 1
-    found = (np.arange(len(log.t))[a:b] for a, b in zip((0, *breaks), (*breaks, len(log.t)), strict=True))
-    return [Log(log.t[rows], log.y[rows], log.u[rows]) for rows in found if rows.size > 1]
+    return [part for part in parted(log, ~even | ~known[1:] | ~known[:-1]) if len(part.t) > 1]
 
 
 def groups_of(runs: Runs, folds: int) -> tuple[str, list[list[Log]]]:

@@ -47,6 +47,7 @@ class Trial(NamedTuple):
 class Tried(NamedTuple):
     """A detector on simulated runs. healthy: share of the samples before a fault in which it isolated a sensor. kept_out:
     sensors still isolated in every run, 40 samples after a bias of 10 sigma was over. left_out: why it was not tried, or "".
+    most_faults: how many sensors it isolates at once at most, 0 where it does not state that.
     """
 
     detector: str
@@ -54,6 +55,7 @@ class Tried(NamedTuple):
     healthy: float = np.nan
     kept_out: tuple[str, ...] = ()
     left_out: str = ""
+    most_faults: int = 0
 
     def best(self, sensor: str, kind: str) -> Trial | None:
         """The trial of the smallest size that was found, None where none was."""
@@ -100,7 +102,7 @@ def _one(plant: Plant, name: Any, each: list[tuple[int, str, float]], runs: int,
         if size == 10 and kind == "bias" and named[-1, c, :, i].all()
     ]
     healthy = float(np.mean(np.any(named[BEFORE // 4 : BEFORE], axis=-1)))
-    return Tried(shown, trials, healthy, tuple(kept))
+    return Tried(shown, trials, healthy, tuple(kept), most_faults=getattr(detector, "most_faults", 0))
 
 
 def _judged(plant: Plant, one: tuple[int, str, float], named: Array, names: list[str]) -> Trial:

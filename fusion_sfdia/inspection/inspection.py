@@ -116,7 +116,7 @@ def inspect_plant(
         usual = DETECTORS if len(found.sensors) <= SMALL else FAST
         of = partial(tried, found, usual if detectors is None else detectors, chosen)
         runs = _attempt(of, "simulation", remarks) or ()
-        remarks += of_runs(runs)
+        remarks += of_runs(runs, 0 if readings is None else readings.redundancy.faults)
     of_log = None if log is None else on_healthy(found, log, DETECTORS[0])
     remarks += [] if of_log is None else of_healthy(found, of_log)
     findings = sorted(remarks, key=lambda f: f.kind != MISTAKE)
@@ -174,9 +174,16 @@ def of_theory(theory: Identifiability) -> Iterator[Finding]:
         )
 
 
-def of_runs(runs: tuple[Tried, ...]) -> Iterator[Finding]:
-    """False alarms, and sensors that were not used again."""
+def of_runs(runs: tuple[Tried, ...], faults: int) -> Iterator[Finding]:
+    """False alarms, fewer sensors at once than the `faults` that the plant allows, and sensors that were not used again."""
     for of in runs:
+        if 0 < of.most_faults < faults:
+            yield Finding(
+                REMARK,
+                of.detector,
+                f"isolates at most {of.most_faults} sensor{'s' * (of.most_faults != 1)} at once, where the plant allows "
+                f"{faults}: of more faults it misses some, or names others; use another one where faults come together",
+            )
         if of.healthy > LATE:
             yield Finding(
                 REMARK,

@@ -52,6 +52,8 @@ def _model(found: Inspection) -> list[tuple[str, str]]:
         lines.append(
             ("at once", f"{r.redundancy.faults} of {len(found.plant.sensors)} sensors may fail: {r.redundancy.reason}")
         )
+        limits = ", ".join(f"{t.detector} {t.most_faults}" for t in found.detectors if t.most_faults)
+        lines += [("isolated", f"at once, at most: {limits}")] if limits else []
         lines.append(("readmission", f"never on their own: {', '.join(found.kept_out) or 'none'}"))
     if (pattern := found.structure) is not None:
         seen = pattern.left_out and f"not analysed: {pattern.left_out}"

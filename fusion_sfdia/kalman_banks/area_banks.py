@@ -11,7 +11,7 @@ nearly independent of the estimates of other areas.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -19,10 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import floats, probability
+from fusion_sfdia.core.arguments import floats, probability, shown
 from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.local_areas import LocalAreas
+from fusion_sfdia.core.references import did_you_mean
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.filters.estimators import GaussianState, Prior
@@ -178,6 +179,20 @@ class RobustAreas:
             after.append(now)
             decisions.append(decision)
         return tuple(after), self._joined(batch, sensors, decisions)
+
+    def readmit(self, state: tuple[State, ...], sensors: str | Iterable[str]) -> tuple[State, ...]:
+        """The state in which sensors, by name, are used again in all runs: after their repair, or where an isolation was wrong.
+
+        As `BatchDetector.readmit` of the bank of the area that judges each sensor. ValueError for an unknown sensor.
+        """
+        names = [sensors] if isinstance(sensors, str) else list(sensors)
+        if unknown := [name for name in names if name not in self.sensors]:
+            raise ValueError(f"unknown sensor {shown(unknown[0])}; {did_you_mean(unknown[0], self.sensors)}see `sensors`")
+        which = np.isin(self.sensors, names)
+        return tuple(
+            s._replace(memory=bank._readmitted(s.memory, float(s.t), which[g.sensors]))
+            for bank, g, s in zip(self.banks, self.areas.groups, state, strict=True)
+        )
 
     def _joined(self, batch: tuple[int, ...], sensors: int, decisions: list[Decision]) -> NetworkDecision:
         places, hypotheses = self._places

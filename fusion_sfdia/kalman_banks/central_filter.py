@@ -35,6 +35,11 @@ class CentralFilter(BatchDetector):
         require_filter(self.estimator)
         probability("false_alarm", self.false_alarm)
 
+    @property
+    def most_faults(self) -> int:
+        """One sensor: that with the largest innovation."""
+        return 1
+
     def _start(self, batch: tuple[int, ...], seed: int) -> Core:
         return self.estimator.start(self.plant, batch, step_stream(seed, 0))
 

@@ -75,16 +75,16 @@ class ExcludingBank(BatchDetector):
         return self.plant
 
     def _readmitted(self, memory: Any, t: float, which: Array) -> Any:
-        """In all runs, for each sensor that was out and alone sees a lasting mode: P + f^2 g g', f the size of its fault, and g
-        the least change of the state, in units of D = diag(state_scale), that its reading h g = 1 shows: D^2 h' / (h D^2 h').
+        """For each of `which` (..., N) that was out and alone sees a lasting mode: P + f^2 g g', f the size of its fault, g the
+        least change of the state, in units of D = diag(state_scale), that its reading h g = 1 shows: D^2 h' / (h D^2 h').
         """
         (x, p), exclusion, squared = memory.estimate, memory.exclusion, self.model.state_scale**2
         H = self.model.output_jacobian_at(t, x, self.model.input_at(t))
-        for i in [i for i in map(self.plant.sensor_index, redundancy(self.plant).indispensable) if which[i]]:
+        for i in [i for i in map(self.plant.sensor_index, redundancy(self.plant).indispensable) if np.any(which[..., i])]:
             h = H[..., i, :]
             shown = np.sum(squared * h**2, axis=-1, keepdims=True)
             g = squared * h / np.where(shown > 0, shown, 1.0)
-            size = np.where(exclusion.out[..., i], exclusion.size[..., i], 0.0)
+            size = np.where(exclusion.out[..., i] & which[..., i], exclusion.size[..., i], 0.0)
             p = p + (size**2)[..., None, None] * g[..., :, None] * g[..., None, :]
         return memory._replace(estimate=memory.estimate._replace(P=p), exclusion=restored(exclusion, which))
 

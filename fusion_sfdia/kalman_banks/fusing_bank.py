@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision, NotApplicableError, run
@@ -132,6 +133,11 @@ class FusingBank(BatchDetector):
             thresholds[members] = order_statistic(largest, share)
         return replace(self, thresholds=tuple(thresholds.tolist()), threshold_scale=1.0)
 
+    @property
+    def most_faults(self) -> int:
+        """One sensor: that whose filter is farthest from the others."""
+        return 1
+
     def _start(self, batch: tuple[int, ...], seed: int) -> Core:
         """The core of the filter, with an axis N after the batch when literal."""
         core = self.estimator.start(self.plant, batch, step_stream(seed, 0))
@@ -220,7 +226,14 @@ class FusingBank(BatchDetector):
         else:
             x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
         cores = [
-            est.assimilate(plant, prior, reading._replace(cov_gain=b / count), x, b * p, step_stream(now.seed, now.k + 2**32))
+            est.assimilate(
+                plant,
+                prior,
+                reading._replace(cov_gain=b / count),
+                x,
+                repeated(b * single(p), p),
+                step_stream(now.seed, now.k + 2**32),
+            )
             for prior, b in zip(priors, beta, strict=False)
         ]
         core = cores[0]

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, on_diagonal
 from fusion_sfdia.kalman_banks import bank_kernels
 
@@ -68,11 +69,12 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
             half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
             scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
         return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
-    half = half_inverse(joint.S) if np.all(used) else half_inverse(joint.S, used)
+    half = half_inverse(single(joint.S)) if np.all(used) else half_inverse(joint.S, used)
     half_t = np.swapaxes(half, -1, -2)
     s_inv = half @ half_t
     whitened = (s_inv @ d[..., None])[..., 0]
     scores = (half_t @ d[..., None])[..., 0]
+    s_inv, half = repeated(s_inv, d), repeated(half, d)
     return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half, scores)
 
 
@@ -99,19 +101,20 @@ def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     As `gaussian.condition`, with W = C U, and with considered states as there. Four times the rounding of P - W W' is added to
     its diagonal, so that it stays positive definite.
     """
-    x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
-    w = joint.C @ (found.half if found.half is not None else half_inverse(joint.S, found.used))
-    p = joint.P - w @ np.swapaxes(w, -1, -2)
-    floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
-    on_diagonal(p)[...] += floor * joint.P.diagonal(axis1=-2, axis2=-1)
-    return consider(joint, x, p)
+    C, P = single(joint.C), single(joint.P)
+    x = joint.x + (C @ found.whitened[..., None])[..., 0]
+    w = C @ (single(found.half) if found.half is not None else half_inverse(joint.S, found.used))
+    p = P - w @ np.swapaxes(w, -1, -2)
+    floor = 4 * np.finfo(float).eps * sum(C.shape[-2:])
+    on_diagonal(p)[...] += floor * P.diagonal(axis1=-2, axis2=-1)
+    return consider(joint, x, repeated(p, joint.P))
 
 
 def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     """Return x_i (..., N, n) of every local filter, and the columns K_i of the gain as rows (..., N, n)."""
-    x = joint.x + (joint.C @ found.whitened[..., None])[..., 0]
-    gains = np.swapaxes(joint.C @ found.inverse, -1, -2)
-    return x[..., None, :] - gains * found.innovation[..., None], gains
+    x = joint.x + (single(joint.C) @ found.whitened[..., None])[..., 0]
+    gains = np.swapaxes(single(joint.C) @ single(found.inverse), -1, -2)
+    return x[..., None, :] - gains * found.innovation[..., None], repeated(gains, x)
 
 
 def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:

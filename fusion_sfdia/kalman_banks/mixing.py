@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.filters.gaussian import Joint, cholesky
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
 
@@ -41,9 +42,10 @@ def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Arr
     sensor_cov: R as its diagonal (N,). Holds where S = H P H' + R and C = P H' (not for sigma points that lack Q).
     """
     count = sensor_cov.size
-    spread = Joint(joint.x, joint.P, joint.y, joint.S + np.diag(sensor_cov / (count - 1)), joint.C)
+    S = repeated(single(joint.S) + np.diag(sensor_cov / (count - 1)), joint.S)
+    spread = Joint(joint.x, joint.P, joint.y, S, joint.C)
     x, p = posterior(spread, statistics(spread, y, used))
-    return x, p / count
+    return x, repeated(single(p) / count, p)
 
 
 def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:

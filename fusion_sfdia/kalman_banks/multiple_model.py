@@ -76,6 +76,11 @@ class MultipleModel(BatchDetector):
             if not 1 < number(what, getattr(self, what)) < np.inf:
                 raise ValueError(f"{what} is {getattr(self, what)}; expected a number above 1")
 
+    @property
+    def most_faults(self) -> int:
+        """One sensor: that of the most probable mode."""
+        return 1
+
     def _start(self, batch: tuple[int, ...], seed: int) -> MultipleModelMemory:
         estimate = self.estimator.start(self.plant, batch, step_stream(seed, 0))
         count = len(self.plant.sensors)

@@ -135,8 +135,9 @@ class RobustBank(ExcludingBank):
     def _readmitted(self, memory: RobustMemory, t: float, which: Array) -> RobustMemory:
         used: RobustMemory = super()._readmitted(memory, t, which)
         out_for, led = (np.where(which, 0.0, a) for a in (memory.out_for, memory.led))
-        fresh = no_pairs(memory.led.shape[:-1], which.size)
-        pairs = Pairs(*(np.where(which, new, old) for new, old in zip(fresh, memory.pairs, strict=True)))
+        fresh = no_pairs(memory.led.shape[:-1], which.shape[-1])
+        first = np.where(which, fresh.first, memory.pairs.first)
+        pairs = Pairs(first, np.where(which[..., None, :], fresh.squares, memory.pairs.squares))
         return used._replace(out_for=out_for, led=led, pairs=pairs)
 
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:

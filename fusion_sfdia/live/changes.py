@@ -22,9 +22,11 @@ class Change(NamedTuple):
     """Something that a row decides, at its time t (s).
 
     id: 1, 2, ... in the order of the rows. what: "opened", where a hypothesis is isolated, accepted or suspected; "closed",
-    where it is no longer, with the id of the opening; "reset", where the detector has started anew, for the stated reason.
-    event: as `diagnose` has it, with the size at that time, when it opens with confidence and alternatives, and without the
-    kind of fault and its interval, which need a second look; None for a reset.
+    where it is no longer, with the id of the opening; "named", where a second look at the last samples states the kind of fault
+    and its size with an interval, or states them anew, with the id of the opening or, of a sensor that is silent or frozen
+    and not isolated, a new one; "health", where the verdict on the model has changed, with the line of `diagnose` as reason;
+    "reset", where the detector has started anew, for the stated reason. event: as `diagnose` has it, with the size at that
+    time, when it opens with confidence and alternatives; None for a reset and health.
     """
 
     id: int

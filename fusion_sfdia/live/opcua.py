@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import MissingPackageError
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.live.lines import sensor_verdicts, validated
 from fusion_sfdia.live.nodes import Nodes
 from fusion_sfdia.live.saving import SavedWatch
+from fusion_sfdia.live.values import Value, Values, real
 from fusion_sfdia.live.watch import Sample
-
-Array = NDArray[Any]
 
 
 def asyncua() -> Any:
@@ -61,9 +58,9 @@ class Bridge:
     def __init__(self, saved: SavedWatch, url: str, nodes: Nodes) -> None:
         self.ua, self.saved, self.url, self.nodes = asyncua().ua, saved, url, nodes
         self.plant: Plant = saved.watch.detector.plant
-        self.names = (*self.plant.sensor_names, *(s.name for s in self.plant.inputs))
+        self.values = Values(saved.watch, nodes.stale)
+        self.names = self.values.names
         self.read = [(i, self._id(nodes.read[name])) for i, name in enumerate(self.names) if name in nodes.read]
-        self.newest: datetime | None = None
 
     def _id(self, text: str) -> Any:
         try:
@@ -79,7 +76,8 @@ class Bridge:
             if not checked:
                 self.check(found)
                 checked = True
-            if (row := self._row(found)) is not None:
+            named = {self.names[i]: self._value(value) for (i, _), value in zip(self.read, found, strict=True)}
+            if (row := self.values.row(named)) is not None:
                 for sample in self.saved.take(*row):
                     await self._write(client, sample)
             await asyncio.sleep(period)
@@ -95,50 +93,20 @@ class Bridge:
         if not any(v.SourceTimestamp or v.ServerTimestamp for v in found):
             self.saved.watch.refused("no node has a time stamp: there are no rows")
 
-    def _row(self, found: list[Any]) -> tuple[datetime, Array, Array] | None:
-        """The time stamp, y (N,) and u (m,) of the values read; None where no node has a newer time stamp."""
-        stamps = [_aware(v.SourceTimestamp or v.ServerTimestamp) for v in found]
-        known = [s for s in stamps if s is not None]
-        if not known or (self.newest is not None and max(known) <= self.newest):
-            return None
-        self.newest = newest = max(known)
-        values = np.full(len(self.plant.sensors) + len(self.plant.inputs), np.nan)
-        for (i, _), value, stamp in zip(self.read, found, stamps, strict=True):
-            old = stamp is None or (newest - stamp).total_seconds() > (self.nodes.stale or np.inf)
-            if not old and self._counts(value.StatusCode) and value.Value is not None:
-                values[i] = _real(value.Value.Value)
-        count = len(self.plant.sensors)
-        return self.on_grid(newest), values[:count], values[count:]
+    def _value(self, found: Any) -> Value:
+        """What an OPC UA data value states; its quality decides whether it counts."""
+        counts = self._counts(found.StatusCode) and found.Value is not None
+        return Value(real(found.Value.Value) if counts else np.nan, _aware(found.SourceTimestamp or found.ServerTimestamp))
 
     def _counts(self, status: Any) -> bool:
         return status is None or status.is_good() or (self.nodes.uncertain == "use" and status.is_uncertain())
 
-    def on_grid(self, stamp: datetime) -> datetime:
-        """The stamp, of a plant that holds for steps of dt only the nearest one a number of steps after the first."""
-        start, dt = self.saved.watch.clock.start or stamp, self.plant.dt
-        if not self.plant.numerics.fixed_dt:
-            return stamp
-        return start + timedelta(seconds=round((stamp - start).total_seconds() / dt) * dt)
-
     async def _write(self, client: Any, sample: Sample) -> None:
         """Write what is asked for of a sample; nodes that refuse it are reported."""
-        value, sigma = validated(self.plant, sample)
-        verdicts = sensor_verdicts(self.plant, sample.y, sample.decision)
-        isolated = [h for h, i in zip(self.saved.watch.detector.hypotheses, sample.decision.isolated, strict=True) if i]
-        found: dict[str, Any] = {"alarm": bool(sample.decision.alarm), "verdict": ", ".join(isolated) or "none isolated"}
-        ids, values = [], []
-        for name, where in self.nodes.write.items():
-            if isinstance(where, str):
-                ids.append(where)
-                values.append(found[name])
-            else:
-                i = self.plant.sensor_index(name)
-                of_sensor = {"value": float(value[i]), "sigma": float(sigma[i]), "verdict": verdicts[i]}
-                ids += where.values()
-                values += [of_sensor[what] for what in where]
-        if not ids:
+        found = self.values.results(sample, self.nodes.write)
+        if not found:
             return
-        data = [self.ua.DataValue(self.ua.Variant(v)) for v in values]
+        ids, data = [node for node, _ in found], [self.ua.DataValue(self.ua.Variant(v)) for _, v in found]
         for node, status in zip(ids, await client.uaclient.write_attributes(list(map(self._id, ids)), data), strict=True):
             if not status.is_good():
                 self.saved.watch.refused(f"node {node} does not take its value: {status.name}")
@@ -166,8 +134,3 @@ async def connected(url: str, nodes: Nodes) -> Any:
 def _aware(stamp: datetime | None) -> datetime | None:
     """OPC UA has times in UTC; asyncua gives them without a zone."""
     return stamp if stamp is None or stamp.tzinfo is not None else stamp.replace(tzinfo=UTC)
-
-
-def _real(value: Any) -> float:
-    """A number as a float, anything else as missing."""
-    return float(value) if isinstance(value, int | float | np.number) and np.isfinite(value) else np.nan

@@ -34,8 +34,19 @@ class SavedWatch:
 
     def take(self, t: float | datetime, y: Any, u: Any) -> tuple[Sample, ...]:
         """Diagnose a row as `Watch.take`, write its lines, and save where it is time."""
-        watch, self.whole = self.watch, False
-        found = watch.take(t, y, u)
+        self.whole = False
+        return self._written(self.watch.take(t, y, u))
+
+    def rest(self) -> tuple[Sample, ...]:
+        """At the end of the input, the same for the rows that `Watch.rest` diagnoses, and the lines of `Watch.last`."""
+        self.whole = False
+        found = self._written(self.watch.rest())
+        for change in self.watch.last():
+            self.write(change_line(change, self.watch.clock))
+        return found
+
+    def _written(self, found: tuple[Sample, ...]) -> tuple[Sample, ...]:
+        watch = self.watch
         for sample in found:
             for change in sample.changes:
                 self.write(change_line(change, watch.clock))

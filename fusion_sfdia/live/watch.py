@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,21 +18,16 @@ from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
+from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.live.changes import KEPT, Change, Changes
+from fusion_sfdia.live.order import InOrder, Row
+from fusion_sfdia.live.second_look import SecondLook, Seen
 
 Array = NDArray[Any]
 
 
 class WatchWarning(UserWarning):
     """A row that a Watch did not take."""
-
-
-class Row(NamedTuple):
-    """Readings y (N,) at t (s), NaN where missing, and the inputs u (m,) as they came."""
-
-    t: float
-    y: Array
-    u: Array
 
 
 class Sample(NamedTuple):
@@ -54,17 +50,19 @@ class Watch:
     gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
     limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
     whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap:
-    seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. refused: called with a line
-    for each row or run of rows that is not taken; by default a WatchWarning.
+    seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. reorder: seconds for which
+    rows are held, so that those that come in another order are put in order; every row is diagnosed that much later. kinds:
+    whether faults are named and the model is tested, see `SecondLook`. refused: called with a line for each row or run of rows
+    that is not taken; by default a WatchWarning.
 
     Rows that are not as expected never end a watch:
 
     - A row whose numbers do not fit, or without an input, is not taken.
-    - A row not later than the one before, late, out of order or after a clock was set back, is not taken, one line for the
-      first and one for the number of them. Directly after `load` such rows are in the state already: no line.
+    - A row not later than the last one diagnosed, late, out of order or after a clock was set back, is not taken, one line for
+      the first and one for the number of them. Directly after `load` such rows are in the state already: no line.
     - The first row, and one later by more than longest_gap, wait for the next row. If that is later still, the time is right:
-      after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier, the waiting row is not
-      taken: its clock was wrong.
+      after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier by more than `reorder`,
+      the waiting row is not taken: its clock was wrong.
     - Where the estimate diverges, the detector starts anew with the next row, a "reset".
     """
 
@@ -77,6 +75,8 @@ class Watch:
         nominal_inputs: bool = False,
         at_sample: bool = False,
         longest_gap: float | None = None,
+        reorder: float = 0.0,
+        kinds: bool = True,
         refused: Callable[[str], None] = _warn,
     ) -> None:
         require_detector(detector)
@@ -84,7 +84,7 @@ class Watch:
         self.hold, self.nominal_inputs, self.at_sample = number("hold", hold), nominal_inputs, at_sample
         self.longest_step = longest_step(detector.plant)
         self.longest_gap = MOST_BRIDGES * detector.plant.dt if longest_gap is None else number("longest_gap", longest_gap)
-        for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap)):
+        for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap), ("reorder", reorder)):
             if not 0 <= seconds < np.inf:
                 raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
         self.changes = Changes(detector, whole("gap", gap, least=1))
@@ -96,10 +96,9 @@ class Watch:
         self.u = self.given = np.empty(0)  # the inputs that acted until then, and those of its row
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
-        self.waiting: Row | None = None
-        self.late = 0  # rows since the last one that was not
         self.lost = False  # whether the estimate of the last row had diverged
-        self.resumed = False  # whether no row was taken since load
+        self.look = SecondLook(detector, self.changes.gap) if kinds else None
+        self.order = InOrder(number("reorder", reorder), self.longest_gap, refused)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
         """What rows (t, y, u), see `take`, decide, each as soon as its row is taken."""
@@ -111,27 +110,30 @@ class Watch:
         """Diagnose the readings y (N,) at t, NaN where missing, with the inputs u (m,), see `at_sample`.
 
         t: in seconds, or all rows as time stamps, which become seconds since the first. Returns the rows diagnosed: this one,
-        none where it is not taken or waits, two after one that waited.
+        none where it is not taken or waits, more where others waited for it.
         """
         try:
             row = self._row(t, y, u)
         except (TypeError, ValueError) as error:
             self.refused(f"row at {t}: {error}; it is not taken")
             return ()
-        if self._is_late(row.t):
-            return ()
-        found: tuple[Sample, ...] = ()
-        if (waited := self.waiting) is not None:
-            self.waiting = None
-            if row.t > waited.t:
-                found = self._diagnosed(waited, row.t - waited.t)
-            else:
-                where = self.clock.at(waited.t)
-                self.refused(f"row at {where}: it is later than the row after it, at {self.clock.at(row.t)}; it is not taken")
-        if self.t is None or row.t - self.t > self.longest_gap:
-            self.waiting = row
-            return found
-        return found + self._diagnosed(row)
+        return self._in_turn(self.order.push(row, self.t, self.clock))
+
+    def rest(self) -> tuple[Sample, ...]:
+        """Diagnose the rows that are held for their order, at the end of the input; what comes later is late."""
+        return self._in_turn(self.order.rest())
+
+    def last(self) -> list[Change]:
+        """What the second look would report if no row came any more; the watch stays as it is."""
+        if self.look is None or self.t is None:
+            return []
+        count = self.changes.count
+        found = self._reports(self.t, *self.look.final(self.clock, count + 1))
+        self.changes.count = count
+        return found
+
+    def _in_turn(self, rows: list[tuple[Row, float]]) -> tuple[Sample, ...]:
+        return tuple(sample for row, ahead in rows for sample in self._diagnosed(row, ahead))
 
     def _row(self, t: float | datetime, y: Any, u: Any) -> Row:
         """The row as numbers; ValueError or TypeError where they do not fit."""
@@ -140,7 +142,7 @@ class Watch:
         for what, values, count in (("readings", y, len(plant.sensors)), ("inputs", u, len(plant.inputs))):
             if values.shape != (count,):
                 raise ValueError(f"{what} of shape {values.shape}; expected ({count},), NaN where missing")
-        begun = self.t is not None or self.waiting is not None
+        begun = self.t is not None or self.order.waiting is not None or bool(self.order.held)
         if begun and isinstance(t, datetime) != (start is not None):
             raise ValueError("give the time as in the rows before, in seconds or as a time stamp")
         if isinstance(t, datetime):
@@ -150,22 +152,6 @@ class Watch:
             raise ValueError("its time is not finite")
         return Row(seconds, np.where(np.isinf(y), np.nan, y), u)
 
-    def _is_late(self, t: float) -> bool:
-        """Whether a row at t is not later than the last one, and a line for a run of such rows."""
-        last = self.waiting.t if self.waiting is not None and t == self.waiting.t else self.t
-        if last is None or t > last:
-            if self.late and not self.resumed:
-                self.refused(f"{self.late} rows until {self.clock.at(t)} were not taken")
-            self.late, self.resumed = 0, False
-            return False
-        if not self.late and not self.resumed:
-            self.refused(
-                f"row at {self.clock.at(t)}: it is not later than the last one, at {self.clock.at(last)}; it is not taken, nor "
-                "is another until then; start with a new state if the clock was set back"
-            )
-        self.late += 1
-        return True
-
     def _diagnosed(self, row: Row, ahead: float = np.inf) -> tuple[Sample, ...]:
         """Step to a row; ahead: seconds from it to the next one, where that is known."""
         plant, state = self.detector.plant, self.state
@@ -174,22 +160,59 @@ class Watch:
         try:
             given, known_at = self._inputs(row)
             u = self.given if self.at_sample and self.t is not None else given
+            fresh, none, steps = state is None or too_long, np.zeros(len(plant.sensors), bool), []
+            lead = lead_in(plant, min(pause, ahead))
             if state is None or too_long:
-                state = self.detector.init((), row.t - lead_in(plant, min(pause, ahead)))
+                state = self.detector.init((), row.t - lead)
             elif self.t is not None:
-                for t, between in steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u)):
+                steps = steps_over(plant, self.longest_step, (self.t, self.u), (row.t, u))
+                for t, between in steps:
                     state, _ = self.detector.step(state, t, np.full(len(plant.sensors), np.nan), between)
             state, decision = self.detector.step(state, row.t, row.y, u)
         except (ValueError, ArithmeticError) as error:
             self.refused(f"row at {self.clock.at(row.t)}: {error}; it is not taken")
             return ()
-        changes = self.changes.reset(row.t, f"no rows for {pause:g} s") if too_long else []
-        changes += self.changes.after(row.t, decision)
+        changes = self._reset(row.t, f"no rows for {pause:g} s") if too_long else []
+        now = self.changes.after(row.t, decision)
+        changes += now
+        if self.look is not None:
+            begins = row.t - lead if fresh else np.nan
+            seen = Seen(row.t, *self._taken(row.y, u, decision), self.changes.recent[-1][1], begins, tuple(steps), none)
+            changes += self._named(row.t, now, seen)
         if (lost := bool(decision.diverged)) and not self.lost:
-            changes += self.changes.reset(row.t, "the estimate diverged")
+            changes += self._reset(row.t, "the estimate diverged")
         self.state, self.lost, self.t = None if lost else state, lost, row.t
         self.u, self.given, self.known_at = u, given, known_at
         return (Sample(row.t, row.y, u, decision, tuple(changes)),)
+
+    def _named(self, t: float, now: Sequence[Change], seen: Seen) -> list[Change]:
+        """What the second look reports after a row, which has decided `now`."""
+        if self.look is None:
+            return []
+        self.look.take(seen)
+        opened = [(c.id, c.event) for c in now if c.what == "opened" and c.event]
+        if any(c.what in ("opened", "closed") for c in now):
+            self.look.happened()
+        return self._reports(t, *self.look.changes(opened, self.clock, self.changes.count + 1))
+
+    def _reports(self, t: float, events: Sequence[tuple[int, Event]], health: str) -> list[Change]:
+        self.changes.count = max([self.changes.count, *(number for number, _ in events)])
+        found = [Change(number, "named", t, event) for number, event in events]
+        return [*found, Change(0, "health", t, reason=health)] if health else found
+
+    def _reset(self, t: float, reason: str) -> list[Change]:
+        found: list[Change] = []
+        if self.look is not None:
+            events, health = self.look.final(self.clock, self.changes.count + 1)
+            found = self._reports(t, [(number, replace(e, open=False)) for number, e in events], health)
+            self.look = self.look.anew()
+        return [*found, *self.changes.reset(t, reason)]
+
+    def _taken(self, y: Array, u: Array, decision: Decision) -> tuple[Array, Array]:
+        """Readings and inputs without those that the detector has found absurd."""
+        if decision.absurd_input.shape == u.shape and decision.absurd_input.any():
+            u = np.where(decision.absurd_input, self.detector.plant.input_at(self.t or 0.0), u)
+        return np.where(decision.absurd, np.nan, y), u
 
     def _inputs(self, row: Row) -> tuple[Array, Array]:
         """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of
@@ -213,14 +236,15 @@ class Watch:
     def save(self, path: str | Path) -> None:
         """Write the state of this watch to a file, whole or not at all, from which `load` goes on with the same bits.
 
-        A row that waits is not in it: it is to be given again. Before the first row was diagnosed nothing is written.
+        Rows that wait or are held are not in it: they are to be given again. Before the first row nothing is written.
         """
         if self.t is None:
             return
         own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
         own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
         state = {} if self.state is None else state_arrays(self.detector, self.state)
-        parts = {"watch": own, "changes": self.changes.arrays(), "state": state}
+        look = {} if self.look is None else self.look.arrays()
+        parts = {"watch": own, "changes": self.changes.arrays(), "state": state, "look": look}
         write_arrays(Path(path), {f"{part}/{name}": value for part, named in parts.items() for name, value in named.items()})
 
     @classmethod
@@ -231,7 +255,7 @@ class Watch:
         after the save it decides again, with the same ids. ValueError for another file, or another detector.
         """
         found = cls(detector, **settings)
-        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}}
+        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}, "look": {}}
         try:
             for name, value in read_arrays(Path(path)).items():
                 part, _, rest = name.partition("/")
@@ -239,8 +263,11 @@ class Watch:
             own = parts["watch"]
             found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
             found.changes = Changes.restored(detector, found.changes.gap, parts["changes"])
+            if found.look is not None and parts["look"]:
+                decisions = [decision for _, decision in found.changes.recent]
+                found.look = SecondLook.restored(detector, found.changes.gap, parts["look"], decisions)
             found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
-            found.known_at, found.lost, found.resumed = own["known_at"], bool(own["lost"]), True
+            found.known_at, found.lost, found.order.loaded = own["known_at"], bool(own["lost"]), found.t
         except (KeyError, ValueError) as error:
             raise ValueError(f"{path} is not the saved state of a watch ({error}); name another file") from error
         found.state = None if not parts["state"] else state_of(path, detector, parts["state"])

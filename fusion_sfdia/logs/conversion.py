@@ -42,7 +42,7 @@ def conversion(unit: str, target: str, scale: float = 1.0) -> Conversion:
     except pint.DimensionalityError as error:
         raise ValueError(f"unit {shown(unit)} does not convert to {target!r}; give the unit that the column is in") from error
     except Exception as error:  # pint raises errors of many kinds for texts that are no units
-        unknown = unit if _is_unknown(unit) else target
+        unknown = unit if is_unknown(unit) else target
         raise ValueError(
             f"unit {shown(unit)} does not convert to {target!r}: pint does not know {shown(unknown)}; write it as in "
             '"degC", "m3/h", "bar(g)", or give scale alone'
@@ -81,7 +81,8 @@ def _units(text: str) -> Any:
     return _registry().parse_units(plain)
 
 
-def _is_unknown(text: str) -> bool:
+def is_unknown(text: str) -> bool:
+    """Whether pint does not know a unit as it stands in exports."""
     try:
         _units(text)
     except Exception:  # see above

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,16 @@ from fusion_sfdia.logs.reading import load_log
 
 Array = NDArray[Any]
 
+BLOCK = 10_000  # rows in memory as text
 
-def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None) -> None:
-    """Write t (K,), y (K, N) and, if given, u (K, m) so that read_log returns the same bits. ValueError for other shapes."""
+
+def write_log(
+    path: str | Path, plant: Plant, t: Array, y: Array, u: Array | None = None, *, replaced: Array | None = None
+) -> None:
+    """Write t (K,), y (K, N) and, if given, u (K, m) so that read_log returns the same bits. ValueError for other shapes.
+
+    replaced (K, N): which sensors a last column names in each row.
+    """
     t, y = floats("t", t), floats("y", y)
     u = np.empty((t.size, 0)) if u is None else floats("u", u)
     inputs = plant.inputs if u.size else ()
@@ -31,12 +38,30 @@ def write_log(path: str | Path, plant: Plant, t: Array, y: Array, u: Array | Non
             f"t {t.shape}, y {y.shape}, u {u.shape} do not fit; expected (K,), (K, {len(plant.sensors)}) and "
             f"(K, {len(plant.inputs)}) of plant {plant.name!r}: one run, without a batch"
         )
-    with atomic_write(Path(path)) as file:
-        table = csv.writer(file, lineterminator="\n")
-        named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *inputs)
-        table.writerow([f"{c.name} [{c.unit}]" for c in named])
-        for row in np.column_stack([t, y, u]):
-            table.writerow(["" if np.isnan(v) else repr(float(v)) for v in row])
+    named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *inputs)
+    header, names = [f"{c.name} [{c.unit}]" for c in named], np.array(plant.sensor_names)
+
+    def lines(rows: slice) -> Iterator[str]:
+        numbers = (",".join(map(repr, row)) for row in np.column_stack([t[rows], y[rows], u[rows]]).tolist())
+        if replaced is None:
+            return (row.replace("nan", "") for row in numbers)
+        texts = ("" if not row.any() else quoted(";".join(names[row])) for row in replaced[rows])
+        return (f"{row.replace('nan', '')},{text}" for row, text in zip(numbers, texts, strict=True))
+
+    write_lines(Path(path), header if replaced is None else [*header, "replaced"], t.size, lines)
+
+
+def write_lines(path: Path, header: Sequence[str], count: int, lines: Callable[[slice], Iterable[str]]) -> None:
+    """Write a table of `count` rows in blocks, each as `lines` gives them for a slice of the rows."""
+    with atomic_write(path) as file:
+        file.write(",".join(map(quoted, header)) + "\n")
+        for k in range(0, count, BLOCK):
+            file.write("".join(f"{line}\n" for line in lines(slice(k, min(k + BLOCK, count)))))
+
+
+def quoted(text: str) -> str:
+    """A text as a cell."""
+    return f'"{text.replace(chr(34), 2 * chr(34))}"' if any(c in text for c in ',"\r\n') else text
 
 
 def read_log(

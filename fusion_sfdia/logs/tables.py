@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import MissingPackageError
-from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.log_map import PLAIN_MAP, LogMap
+from fusion_sfdia.logs.plain import plain_table
 
 PARQUET = (".parquet", ".pq")
 
@@ -53,7 +54,16 @@ def read_table(source: Any, log_map: LogMap) -> Table:
     path = Path(source)
     if path.suffix.casefold() in PARQUET:
         return _of_frame(str(path), _parquet(path), log_map)
-    return _of_text(path, log_map)
+    plain = plain_numbers(path) if log_map == PLAIN_MAP else None
+    return _of_text(path, log_map) if plain is None else plain
+
+
+def plain_numbers(path: Path) -> Table | None:
+    """The table of a CSV file that has nothing but plain numbers below its header, see `plain_table`; else None."""
+    if (found := plain_table(path)) is None:
+        return None
+    titles, values = found
+    return Table(str(path), _titles(str(path), titles), list(values.T), range(2, len(values) + 2), [""] * len(titles))
 
 
 def _of_text(path: Path, log_map: LogMap) -> Table:

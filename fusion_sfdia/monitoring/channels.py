@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.evaluation.events import Event, spans
+from fusion_sfdia.evaluation.absent import equal_readings, repeats
+from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.identification.autoregression import autoregression
 from fusion_sfdia.identification.choice import RIDGE
 from fusion_sfdia.identification.runs import Runs
@@ -21,7 +22,6 @@ Array = NDArray[Any]
 
 UNEXPLAINED = 0.1  # share of the variance below which no other channel explains a channel
 SAME = 0.9  # share of the variance of one channel that one other explains, beyond which both are redundant
-REPEATS = (2, 10)  # a reading that is repeated so many times as often as ever when healthy, and so many samples more, is frozen
 
 
 class Channel(NamedTuple):
@@ -35,11 +35,6 @@ class Channel(NamedTuple):
     partner: str
     shared: float
     repeats: int
-
-    @property
-    def frozen_after(self) -> int:
-        """Samples of one reading after which the sensor is reported as frozen."""
-        return REPEATS[0] * self.repeats + REPEATS[1]
 
     def __str__(self) -> str:
         if self.explained < UNEXPLAINED:
@@ -66,26 +61,18 @@ def channels_of(sensors: Sequence[Signal], runs: Runs, groups: Sequence[Sequence
     best = np.argmax(shared, axis=1)
     return tuple(
         Channel(s.name, float(explained[i]), sensors[best[i]].name, float(shared[i, best[i]]),
-                max(_longest(log.y[:, i]) for log in runs.logs))
+                max(int(np.max(equal_readings(log.y[:, i])[2], initial=1)) for log in runs.logs))
         for i, s in enumerate(sensors)
     )  # fmt: skip
 
 
-def frozen(channel: Channel, signal: Signal, t: Array, y: Array) -> list[Event]:
-    """The times (K,) at which a sensor repeats one reading y (K,) longer than healthy logs allow; missing readings are none."""
-    known = np.flatnonzero(np.isfinite(y))
-    found = []
-    for a, b in spans(np.concatenate([[False], np.diff(y[known]) == 0])):
-        if b - a + 2 > channel.frozen_after:
-            first, last = known[a - 1], known[b]
-            found.append(Event(channel.name, float(t[first]), float(t[last]), np.nan, signal.unit, bool(last == known[-1])))
-    return found
-
-
-def _longest(y: Array) -> int:
-    """The largest number of samples in a row with one reading."""
-    known = y[np.isfinite(y)]
-    return max((b - a + 2 for a, b in spans(np.concatenate([[False], np.diff(known) == 0]))), default=1)
+def frozen(channels: Sequence[Channel], sensors: Sequence[Signal], t: Array, y: Array) -> list[Event]:
+    """The times (K,) at which sensors repeat one reading of y (K, N) longer than healthy logs allow, see `absent.repeats`."""
+    return [
+        Event(s.name, float(t[a]), float(t[b]), np.nan, s.unit, not np.isfinite(y[b + 1 :, i]).any())
+        for i, (s, stretches) in enumerate(zip(sensors, repeats(y, [c.repeats for c in channels]), strict=True))
+        for a, b in stretches
+    ]
 
 
 def _parts(runs: Runs, logs: Sequence[Log]) -> list[tuple[Array, Array]]:

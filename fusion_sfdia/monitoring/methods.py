@@ -21,6 +21,7 @@ from fusion_sfdia.identification.runs import runs_of
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
 from fusion_sfdia.kalman_banks.sequential_rules import Ewma, Shewhart
+from fusion_sfdia.monitoring.partial_least_squares import PartialLeastSquares
 from fusion_sfdia.monitoring.since_start import SinceStart, changes
 
 Array = NDArray[Any]
@@ -57,6 +58,12 @@ class Methods:
         rules = (Shewhart(), Ewma(WEIGHT))
         return SinceStart(plant, SequentialBank(plant, rules, false_alarm=self.false_alarm), self.baseline)
 
+    def pls(self, logs: Sequence[Log]) -> Detector:
+        """As `predictors`, by partial least squares, whose number of components is chosen by cross-validation."""
+        moved = changes(logs, self.baseline)
+        plant = self._plant(STATIC, moved)
+        return SinceStart(plant, PartialLeastSquares.of_runs(plant, moved, self.false_alarm), self.baseline)
+
     def limits(self, logs: Sequence[Log]) -> Detector:
         """`FixedLimits` of each reading and of its change."""
         return FixedLimits.fit(self.choice.plant, joined(logs), self._rate(logs))
@@ -79,6 +86,7 @@ class Methods:
         return {
             "bank": self.bank,
             "predictors": self.predictors,
+            "pls": self.pls,
             "limits": self.limits,
             "pca": self.pca,
             "dynamic pca": self.dynamic_pca,

@@ -24,7 +24,7 @@ from fusion_sfdia.monitoring.methods import Methods
 
 Array = NDArray[Any]
 
-BESIDE = ("predictors", "limits", "dynamic pca")  # beside the bank, whose diagnosis is that of the monitor
+BESIDE = ("predictors", "pls", "limits", "dynamic pca")  # beside the bank, whose diagnosis is that of the monitor
 GAP = 3  # samples between events of one sensor that are one
 FALSE_ALARM = 1e-2  # of samples: some hundred healthy samples set no lower one
 
@@ -117,7 +117,7 @@ class Monitor:
         found = {"bank": diagnose_run(self.methods["bank"].detector, judged, clock=clock)}
         others = {name: c.detector for name, c in self.methods.items() if name != "bank"}
         found |= {name: beside(detector, judged, clock) for name, detector in others.items()}
-        fixed = [e for c, i in zip(self.channels, moving, strict=True) for e in frozen(c, self.sensors[i], t, y[:, i])]
+        fixed = frozen(self.channels, [self.sensors[i] for i in moving], t, judged.y)
         moved = [e for name, value in self.still.items() for e in self._moved(names.index(name), value, t, y)]
         missing = [name for name, column in zip(names, y.T, strict=True) if not np.isfinite(column).any()]
         return Monitored(found.pop("bank"), found, tuple(fixed), tuple(moved), tuple(missing), judged)

@@ -50,6 +50,11 @@ class SinceStart(BatchDetector):
         """The detector of changes with the thresholds of both."""
         return replace(self.detector, threshold_scale=self.detector.threshold_scale * self.threshold_scale)
 
+    @property
+    def most_faults(self) -> int:
+        """How many sensors the detector of changes isolates at once."""
+        return int(self.detector.most_faults)
+
     def _start(self, batch: tuple[int, ...], seed: int) -> SinceStartMemory:
         n, m = len(self.plant.sensors), len(self.plant.inputs)
         zero = np.zeros((*batch, n))

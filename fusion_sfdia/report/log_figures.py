@@ -16,7 +16,7 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, UndecidedEvent, listed
-from fusion_sfdia.report.plots import COLOURS
+from fusion_sfdia.report.plots import COLOURS, shade
 
 Array = NDArray[Any]
 
@@ -73,12 +73,11 @@ def time_line(axes: Axes, found: Diagnosis) -> None:
     named = {e.hypothesis: listed(e.suspects, " or ", most=2) for e in found.events if isinstance(e, UndecidedEvent)}
     shown = rows if len(rows) <= MOST_ROWS else rows[: MOST_ROWS - 1]
     step = _step(found.t)
-    for e in found.events:
-        if (e.kind, e.hypothesis) in shown:
-            bar = (float(at(e.start)), float(at(e.end + step) - at(e.start)))
-            axes.broken_barh([bar], (shown.index((e.kind, e.hypothesis)) - 0.35, 0.7), color=KINDS[e.kind][1])
-    for g in found.gaps:
-        axes.axvspan(float(at(g.start)), float(at(g.end)), color="0.85", zorder=0)
+    for row, one in enumerate(shown):
+        own = [e for e in found.events if (e.kind, e.hypothesis) == one]
+        bars = [(float(at(e.start)), float(at(e.end + step) - at(e.start))) for e in own]
+        axes.broken_barh(bars, (row - 0.35, 0.7), color=KINDS[one[0]][1])
+    shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=0)
     labels = [named.get(name, name) for _, name in shown]
     for row, (kind, name) in enumerate(shown):
         word = _kinds(found, name) if kind == "sensor" else KINDS[kind][0]
@@ -121,19 +120,13 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
         at(edges), np.arange(len(names) + 1) - 0.5, np.ma.masked_less(cells.T, 0.0), cmap="Blues", vmin=0, vmax=LOUD,
         rasterized=True,
     )  # fmt: skip
-    for e in found.events:
-        if e.hypothesis in names and e.kind == "sensor":
-            row = names.index(e.hypothesis) + 0.42
-            axes.plot(
-                [at(e.start), at(e.end + step)],
-                [row, row],
-                color=COLOURS[1],
-                linewidth=2.5,
-                solid_capstyle="butt",
-                clip_on=False,
-            )
-    for g in found.gaps:
-        axes.axvspan(float(at(g.start)), float(at(g.end)), color="0.85", zorder=3)
+    faults = [e for e in found.events if e.hypothesis in names and e.kind == "sensor"]
+    rows = [names.index(e.hypothesis) + 0.42 for e in faults]
+    starts, ends = (
+        [float(at(when)) for when in times] for times in ([e.start for e in faults], [e.end + step for e in faults])
+    )
+    axes.hlines(rows, starts, ends, color=COLOURS[1], linewidth=2.5, capstyle="butt", clip_on=False)
+    shade(axes, [(float(at(g.start)), float(at(g.end))) for g in found.gaps], color="0.85", zorder=3)
     faulty = {e.hypothesis for e in found.events}
     labels = [(i, name) for i, name in enumerate(names) if len(names) <= MOST_LABELS or name in faulty]
     axes.set_yticks([i for i, _ in labels], [name for _, name in labels], fontsize=7)
@@ -173,9 +166,8 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     lower.axhspan(-3, 3, color="0.9", zorder=0)
     step = _step(t)
     for axes in (upper, lower):
-        for j, e in enumerate(events):
-            label = "fault" if j == 0 and axes is upper else None
-            axes.axvspan(float(at(e.start)), float(at(e.end + step)), color=COLOURS[1], alpha=0.15, zorder=0, lw=0, label=label)
+        spans = [(float(at(e.start)), float(at(e.end + step))) for e in events]
+        shade(axes, spans, color=COLOURS[1], alpha=0.15, zorder=0, lw=0, label="fault" if axes is upper else None)
     upper.set_ylabel(f"{plant.sensor_names[i]} [{plant.sensors[i].unit}]")
     lower.set_ylabel("difference\n[sd]")
     lower.set_xlim(float(x[0]), float(at(t[window][-1] + step)))
@@ -202,8 +194,8 @@ def process_size(axes: Axes, found: Diagnosis, name: str) -> None:
     nominal = events[0].nominal
     share = np.isfinite(nominal) and nominal != 0
     scale = 1 / abs(nominal) if share else 1.0
-    at = time_axis(found)
-    x = at(found.t)
+    at, shown = time_axis(found), thinned(size)
+    x, size, sd = at(found.t[shown]), size[shown], sd[shown]
     axes.plot(x, size * scale, color=COLOURS[1], label="above the model")
     axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="+- 2 sd", lw=0)
     axes.axhline(0.0, color="0.4", linewidth=1)

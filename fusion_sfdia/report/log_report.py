@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -21,9 +21,9 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
 from fusion_sfdia.logs.check import check_log, without_suspects
-from fusion_sfdia.logs.csv_log import write_log
+from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.report.log_figures import process_size, time_line
+from fusion_sfdia.report.log_figures import process_size, thinned, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
@@ -95,21 +95,11 @@ def write_diagnosis(
     """Write FILES into the folder: y (K, N) the readings as they came, u (K, m) the inputs."""
     header, rows = found.table()
     _write_table(out / "events.csv", header, rows)
-    write_log(out / "reconstructed.csv", plant, found.t, found.decisions.reconstruction, u)
-    taken = np.where(found.decisions.absurd, np.nan, y)
-    _add_flags(out / "reconstructed.csv", plant, taken, found.decisions.reconstruction)
+    taken, made = np.where(found.decisions.absurd, np.nan, y), found.decisions.reconstruction
+    write_log(out / "reconstructed.csv", plant, found.t, made, u, replaced=np.isfinite(made) & (made != taken))
     _write_scores(out / "scores.csv", plant, found)
     write_figure(out, "diagnosis", lambda: draw(plant, taken, found))
     write_page(out / "report.html", plant, taken, found, about)
-
-
-def _add_flags(path: Path, plant: Plant, y: NDArray[np.float64], reconstruction: NDArray[np.float64]) -> None:
-    """Add a column to a log that names the sensors whose reading was replaced, as it was missing or faulty."""
-    replaced = np.isfinite(reconstruction) & (reconstruction != y)
-    with path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
-    names = [";".join(np.array(plant.sensor_names)[row]) for row in replaced]
-    _write_table(path, (*header, "replaced"), [(*row, name) for row, name in zip(rows, names, strict=True)])
 
 
 def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
@@ -117,14 +107,15 @@ def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
     scores = found.decisions.scores
     with np.errstate(invalid="ignore"):
         residuals = found.after.error / found.after.sd if found.after else np.full(scores.shape, np.nan)
-    names = plant.sensor_names
+    names, form = plant.sensor_names, ",".join(["%.4g"] * 2 * scores.shape[1])
     header = ("time_s", "time", *(f"{name} score" for name in names), *(f"{name} residual [sd]" for name in names))
-    values = np.concatenate([scores, residuals], axis=1)
-    rows = [
-        (repr(float(t)), found.clock.at(float(t)), *("" if np.isnan(v) else f"{v:.4g}" for v in row))
-        for t, row in zip(found.t, values.tolist(), strict=True)
-    ]
-    _write_table(path, header, rows)
+
+    def lines(rows: slice) -> Iterator[str]:
+        values = np.concatenate([scores[rows], residuals[rows]], axis=1).tolist()
+        for t, row in zip(found.t[rows].tolist(), values, strict=True):
+            yield f"{t!r},{found.clock.at(t)},{(form % tuple(row)).replace('nan', '')}"
+
+    write_lines(path, header, found.t.size, lines)
 
 
 def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -154,8 +145,10 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
     for axis, name in zip(axes[-len(names) :], names, strict=True):
         i = plant.sensor_index(name)
         spans = [(e.start, e.end) for e in found.events if e.hypothesis == name]
-        series = {"reading": y[:, i], "reconstructed": found.decisions.reconstruction[:, i]}
-        time_series(axis, found.t, series, ylabel=f"{name} [{plant.sensors[i].unit}]", spans=spans)
+        made = found.decisions.reconstruction[:, i]
+        shown = np.union1d(thinned(y[:, i]), thinned(made))
+        series = {"reading": y[shown, i], "reconstructed": made[shown]}
+        time_series(axis, found.t[shown], series, ylabel=f"{name} [{plant.sensors[i].unit}]", spans=spans)
         handles, labels = axis.get_legend_handles_labels()
         axis.legend(handles, ["isolated" if label == "fault acts" else label for label in labels], fontsize=8)
     if verdict:

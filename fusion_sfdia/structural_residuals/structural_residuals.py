@@ -156,6 +156,11 @@ class StructuralResiduals(BatchDetector):
         found[[variables.index(s.measures) for s in self.plant.sensors]] = (y / self.plant.sensor_scale).T
         return found
 
+    @property
+    def most_faults(self) -> int:
+        """How many sensors a diagnosis has at most."""
+        return min(self.max_faults, len(self.plant.sensors))
+
     def _start(self, batch: tuple[int, ...], seed: int) -> StructuralMemory:
         modules, n = modules_of(self.plant), self._nominal
         x = np.tile([modules.nominal[v] for v in modules.states], (len(self.residuals), 1))

@@ -10,6 +10,7 @@ from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.numerals import decimal
 
 PERIODS = {"second": 1.0, "minute": 60.0, "hour": 3600.0, "day": 86400.0, "week": 7 * 86400.0, "year": 365.25 * 86400.0}  # s
+SHORT = {"s": "second", "min": "minute", "h": "hour", "d": "day"}  # other ways to write them
 SAMPLE = "sample"
 
 
@@ -31,14 +32,14 @@ class Rate:
 
     @classmethod
     def of(cls, given: str | float | Rate) -> Rate:
-        """The rate that a text ("1/day", "2/hour", "1e-3") or a number (per sample) states; ValueError for anything else."""
+        """The rate that a text ("1/day", "2/h", "1e-3") or a number (per sample) states; ValueError for anything else."""
         if isinstance(given, Rate):
             return given
         if not isinstance(given, str):
             return cls(number("a rate of false alarms", given))
         count, _, per = (part.strip() for part in given.partition("/"))
         try:
-            return cls(decimal(count), per or SAMPLE)
+            return cls(decimal(count), SHORT.get(per, per) or SAMPLE)
         except ValueError as error:
             raise ValueError(f"the rate of false alarms is {shown(given)}; expected such as 1/day, 2/hour or 1e-3") from error
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.gaps import parted, stated_step
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 
@@ -28,7 +29,7 @@ def as_even_runs(plant: Plant, logs: Sequence[Log]) -> Log:
     if not parts:
         raise ValueError(
             f"no stretch of {LEAST} samples without a gap in the healthy logs; plant {plant.name!r} steps over "
-            f"{_longest_step(plant):g} s at most: give longer logs, or a plant with another max_dt"
+            f"{stated_step(plant):g} s at most: give longer logs, or a plant with another max_dt"
         )
     longest = max(parts, key=lambda p: len(p.t))
     even = [p for p in parts if np.max(np.abs(np.diff(p.t) - plant.dt)) <= EVEN * plant.dt]
@@ -42,12 +43,7 @@ def as_even_runs(plant: Plant, logs: Sequence[Log]) -> Log:
     return Log(first.t[:length], np.stack([y for y, _ in runs], axis=1), np.stack([u for _, u in runs], axis=1))
 
 
-def _longest_step(plant: Plant) -> float:
-    return plant.dt if plant.numerics.fixed_dt else plant.numerics.max_dt
-
-
 def _without_gaps(plant: Plant, log: Log) -> list[Log]:
     """The stretches between gaps that are too long for a step of the plant, or twice as long as usual."""
-    most = min(_longest_step(plant) * (1 + 1e-9), 2 * float(np.median(np.diff(log.t))) if len(log.t) > 1 else np.inf)
-    ends = np.flatnonzero(np.diff(log.t) > most) + 1
-    return [Log(*parts) for parts in zip(*(np.split(a, ends) for a in log), strict=True)]
+    most = min(stated_step(plant) * (1 + 1e-9), 2 * float(np.median(np.diff(log.t))) if len(log.t) > 1 else np.inf)
+    return parted(log, np.diff(log.t) > most)

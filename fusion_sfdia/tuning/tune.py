@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import __version__, registry
 from fusion_sfdia.commissioning.commission import Commissioning, as_runs, commissioned
+from fusion_sfdia.commissioning.parameters import moved
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import require_scale, silent, silent_scores
 from fusion_sfdia.tuning.delays import Delays, delays
+from fusion_sfdia.tuning.drift import require_no_drift
 from fusion_sfdia.tuning.rate import Rate, lasting
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
@@ -45,7 +47,7 @@ def tune(
     plant: Plant | str,
     *healthy: Any,
     false_alarm: str | float | Rate = "1/day",
-    detector: str = "loo-glr",
+    detector: str = registry.DEFAULT_DETECTOR,
     sources: Sequence[Source] = (),
     made: str = "",
 ) -> Tuned:
@@ -67,6 +69,9 @@ def tune(
     _require_enough(log, found.settle, rate, dt)
     clock = sources[0].clock if sources else Clock()
     settled, middle = log.t[found.settle :], found.middle - found.settle
+    at_the_mean = plant if found.parameters is None else moved(plant, found.parameters)
+    sigma = np.minimum(plant.sensor_sigma, found.plant.sensor_sigma)
+    require_no_drift(at_the_mean, log, found.settle, sigma, lambda k: clock.at(float(log.t[k])))
     residuals = [fit.single[found.settle :] for fit in found.fits]
     require_stationary(plant, (residuals[0], residuals[1]), middle, lambda k: clock.at(float(settled[k])))
 

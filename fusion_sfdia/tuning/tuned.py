@@ -108,6 +108,10 @@ class Tuned:
             if not isinstance(found := document.get(table), dict) or (lacking := [k for k in keys if k not in found]):
                 what = f"[{table}]" if not isinstance(found, dict) else f"{lacking[0]} in [{table}]"
                 raise ValueError(f"{path} has no {what}; expected a file that `fusion-sfdia tune` wrote")
+        for table, form in FORMS.items():
+            rows = document.get(table, form())
+            if not isinstance(rows, form) or not all(isinstance(r, dict) for r in (rows.values() if form is dict else rows)):
+                raise ValueError(f"{path}: [{table}] is not as `fusion-sfdia tune` writes it; restore the file, or tune again")
         beside = document["detector"].get("fitted")
         tuned = cls(document, None if beside is None else path.parent / str(beside))
         try:
@@ -125,6 +129,8 @@ NEEDED = {
     "sensors": (),
     "quality": (),
 }
+FORMS: dict[str, type] = {"sensors": dict, "parameters": dict, "disturbance": list}  # tables of tables
+LARGEST = 1e100  # of what is squared
 
 
 def scaled(detector: Any, scale: float, rate: float) -> Any:
@@ -230,11 +236,18 @@ def learnt_plant(document: dict[str, Any], plant: Plant) -> Plant:
             mean, sd, lasting = (number(f"{what} of a disturbance", d[what]) for what in ("mean", "sd", "time_constant"))
             plant = with_disturbance(plant, Found(state, reading, none, none, mean, sd, lasting, 1.0))
         groups, table = state_groups(plant), document.get("process_noise", {})
-        process = np.array([number(f"process noise in {unit}", table.get(unit, 1.0)) for unit in groups]) ** 2
-        sigma = np.array([number(f"sigma of {n}", document["sensors"][n]["sigma"]) for n in plant.sensor_names])
+        process = np.array([_positive(f"process noise in {unit}", table.get(unit, 1.0)) for unit in groups]) ** 2
+        sigma = np.array([_positive(f"sigma of {n}", document["sensors"][n]["sigma"]) for n in plant.sensor_names])
         plant = with_noise(plant, Noise(groups, process, process, (sigma / plant.sensor_sigma) ** 2, sigma))
         if start := document.get("start"):
             plant = with_start(plant, Start(*(np.array(start[what], dtype=float) for what in ("x0", "variance"))))
     except KeyError as error:
         raise ValueError(f"the tuned values have no {error}; tune again, or restore the file") from error
     return plant
+
+
+def _positive(what: str, value: Any) -> float:
+    """A deviation or a factor on one; ValueError unless it is positive and can be squared."""
+    if not 0 < (found := number(what, value)) < LARGEST:
+        raise ValueError(f"{what} is {found}; expected a positive number, as `fusion-sfdia tune` writes it")
+    return found

@@ -135,7 +135,7 @@ def friction_factor(m: Any, c: PipelineParameters) -> Any:
 
 @equation
 def rates(p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, f: Any, c: PipelineParameters) -> tuple[Any, ...]:
-    """p_t (Pa/s), m_t (kg/s2), T_t (K/s), and v, v_t, rho, a, alpha_1, alpha_2, C_p for the boundaries; f = friction_factor."""
+    """p_t (Pa/s), m_t (kg/s2), T_t (K/s), and v, rho, a^2, alpha_1, alpha_2, C_p for the boundaries; f = friction_factor."""
     z, alpha_1, alpha_2, cp = gas(p, T, c)
     area = 0.25 * np.pi * c.diameter * c.diameter
     rho = p / (z * c.gas_constant * T)
@@ -148,27 +148,33 @@ def rates(p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, f: Any, c: Pipel
     p_t = -v * p_s - rho * a2 * v_s + alpha_1 * source / T
     m_t = -v * m_s - m * v_s - area * p_s - w
     T_t = -v * T_s - a2 * alpha_1 / cp * v_s + alpha_2 * source / p
-    v_t = m_t / (rho * area) + v * (alpha_1 * T_t / T - alpha_2 * p_t / p)
-    return p_t, m_t, T_t, v, v_t, rho, np.sqrt(a2), alpha_1, alpha_2, cp
+    return p_t, m_t, T_t, v, rho, a2, alpha_1, alpha_2, cp
+
+
+@equation
+def acceleration(p: Any, T: Any, local: tuple[Any, ...], c: PipelineParameters) -> Any:
+    """v_t, m/s2, of a node with local = rates(...)."""
+    p_t, m_t, T_t, v, rho, _, alpha_1, alpha_2, _ = local
+    area = 0.25 * np.pi * c.diameter * c.diameter
+    return m_t / (rho * area) + v * (alpha_1 * T_t / T - alpha_2 * p_t / p)
 
 
 @equation
 def inlet_rates(
-    p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, f: Any, p_given: Any, T_given: Any, c: PipelineParameters
+    p: Any, T: Any, local: tuple[Any, ...], p_given: Any, T_given: Any, c: PipelineParameters
 ) -> tuple[Any, Any, Any]:
-    """Rates at the inlet, where p_t and T_t are given; m_t from the wave v - a."""
-    p_t, _, _, v, v_t, rho, a, alpha_1, alpha_2, _ = rates(p, m, T, p_s, m_s, T_s, f, c)
-    v_t = v_t + (p_given - p_t) / (rho * a)
+    """Rates at the inlet, where p_t and T_t are given; m_t from the wave v - a. local: `rates` there without a boundary."""
+    p_t, _, _, v, rho, a2, alpha_1, alpha_2, _ = local
+    v_t = acceleration(p, T, local, c) + (p_given - p_t) / (rho * np.sqrt(a2))
     area = 0.25 * np.pi * c.diameter * c.diameter
     return p_given, rho * area * (v_t - v * (alpha_1 * T_given / T - alpha_2 * p_given / p)), T_given
 
 
 @equation
-def outlet_rates(
-    p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, f: Any, m_given: Any, c: PipelineParameters
-) -> tuple[Any, Any, Any]:
-    """Rates at the outlet, where m_t is given; p_t and T_t from the waves v + a and v."""
-    p_t, _, T_t, v, v_t, rho, a, alpha_1, alpha_2, cp = rates(p, m, T, p_s, m_s, T_s, f, c)
+def outlet_rates(p: Any, T: Any, local: tuple[Any, ...], m_given: Any, c: PipelineParameters) -> tuple[Any, Any, Any]:
+    """Rates at the outlet, where m_t is given; p_t and T_t from the waves v + a and v. local: `rates` without a boundary."""
+    p_t, _, T_t, v, rho, a2, alpha_1, alpha_2, cp = local
+    a, v_t = np.sqrt(a2), acceleration(p, T, local, c)
     area = 0.25 * np.pi * c.diameter * c.diameter
     kappa = alpha_1 / (rho * cp)
     entropy = T_t - kappa * p_t
@@ -178,15 +184,17 @@ def outlet_rates(
 
 
 # The driver takes states in lanes of up to LANES, (3n, LANES) with the lane last, and a node's operands lie in one flat array
-# `w` at known distances: the compiler vectorises the loops over lanes, and a lane has the bits that it has alone.
+# `w` at known distances: the compiler vectorises the loops over lanes, and a lane has the bits that it has alone. The equations
+# are inlined where they are called: `rates` stands in each driver once, as most of the time of its compilation is theirs.
 LANES = 32
+ROOM = 19  # rows of w
 
 
 @compiled
 def slope(lanes: int, x: Any, given: Any, c: PipelineParameters, stencil: Array, w: Any, out: Any) -> None:
     """Write to out (3n, LANES) dx/dt of states [p, m, T], with the rates `given` (3, LANES) at the boundaries (p, T in, m out).
 
-    w (13 LANES,) is workspace for a node's p, m, T, p_s, m_s, T_s, f, given rates and result.
+    w (ROOM LANES,) is workspace for a node's p, m, T, p_s, m_s, T_s, f, given rates and what `rates` returns.
     """
     n = x.shape[0] // 3
     for i in range(n):
@@ -206,41 +214,50 @@ def slope(lanes: int, x: Any, given: Any, c: PipelineParameters, stencil: Array,
                 )
         for k in range(lanes):
             w[6 * LANES + k] = friction_factor(w[LANES + k], c)
-        if i == 0:
+        for k in range(lanes):
+            (
+                w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k], w[13 * LANES + k], w[14 * LANES + k],
+                w[15 * LANES + k], w[16 * LANES + k], w[17 * LANES + k], w[18 * LANES + k],
+            ) = rates(
+                w[k], w[LANES + k], w[2 * LANES + k], w[3 * LANES + k], w[4 * LANES + k], w[5 * LANES + k],
+                w[6 * LANES + k], c,
+            )  # fmt: skip
+        if i == 0 or i == n - 1:
             for k in range(lanes):
-                w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k] = inlet_rates(
-                    w[k], w[LANES + k], w[2 * LANES + k], w[3 * LANES + k], w[4 * LANES + k], w[5 * LANES + k],
-                    w[6 * LANES + k], w[7 * LANES + k], w[8 * LANES + k], c,
+                local = (
+                    w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k], w[13 * LANES + k], w[14 * LANES + k],
+                    w[15 * LANES + k], w[16 * LANES + k], w[17 * LANES + k], w[18 * LANES + k],
                 )  # fmt: skip
-        elif i == n - 1:
-            for k in range(lanes):
-                w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k] = outlet_rates(
-                    w[k], w[LANES + k], w[2 * LANES + k], w[3 * LANES + k], w[4 * LANES + k], w[5 * LANES + k],
-                    w[6 * LANES + k], w[9 * LANES + k], c,
-                )  # fmt: skip
-        else:
-            for k in range(lanes):
-                w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k], _, _, _, _, _, _, _ = rates(
-                    w[k], w[LANES + k], w[2 * LANES + k], w[3 * LANES + k], w[4 * LANES + k], w[5 * LANES + k],
-                    w[6 * LANES + k], c,
-                )  # fmt: skip
+                if i == 0:
+                    w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k] = inlet_rates(
+                        w[k], w[2 * LANES + k], local, w[7 * LANES + k], w[8 * LANES + k], c
+                    )
+                else:
+                    w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k] = outlet_rates(
+                        w[k], w[2 * LANES + k], local, w[9 * LANES + k], c
+                    )
         for v in range(3):
             for k in range(lanes):
                 out[v * n + i, k] = w[(10 + v) * LANES + k]
 
 
 @compiled
-def advance(states: Any, inputs: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array) -> Array:
-    """RK4 for a batch of states (B, 3n), inputs (B, 3) = (p_in, T_in, m_out) that the boundary reaches at the end of dt."""
+def advance(states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array) -> Array:
+    """RK4 for a batch of states (B, 3n), inputs (B, 3) = (p_in, T_in, m_out) that the boundary reaches at the end of dt.
+
+    theta: the parameters UNKNOWN, (1, 4) for all states, or (B, 4), with which each state is taken by itself.
+    """
     size = states.shape[1]
     n = size // 3
     result: Array = np.empty_like(states)
-    x, stage = np.empty((size, LANES), states.dtype), np.empty((size, LANES), states.dtype)
+    x, at = np.empty((size, LANES), states.dtype), np.empty((size, LANES), states.dtype)
     rate, total = np.empty((size, LANES), states.dtype), np.empty((size, LANES), states.dtype)
-    given, w = np.empty((3, LANES), states.dtype), np.empty(13 * LANES, states.dtype)
+    given, w = np.empty((3, LANES), states.dtype), np.empty(ROOM * LANES, states.dtype)
     h = dt / substeps
-    for b in range(0, states.shape[0], LANES):
-        lanes = min(LANES, states.shape[0] - b)
+    together = LANES if theta.shape[0] == 1 else 1
+    for b in range(0, states.shape[0], together):
+        lanes = min(together, states.shape[0] - b)
+        d = with_unknown(c, theta[min(b, theta.shape[0] - 1)])
         for k in range(lanes):
             for j in range(size):
                 x[j, k] = states[b + k, j]
@@ -248,18 +265,16 @@ def advance(states: Any, inputs: Any, dt: float, substeps: int, c: PipelineParam
             given[1, k] = (inputs[b + k, 1] - x[2 * n, k]) / dt
             given[2, k] = (inputs[b + k, 2] - x[2 * n - 1, k]) / dt
         for _ in range(substeps):
-            slope(lanes, x, given, c, stencil, w, rate)
-            for j in range(size):
-                for k in range(lanes):
-                    total[j, k] = rate[j, k]
-            for ahead, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+            for stage in range(4):
+                ahead = 1.0 if stage == 3 else 0.5
+                weight = 2.0 if 0 < stage < 3 else 1.0
                 for j in range(size):
                     for k in range(lanes):
-                        stage[j, k] = x[j, k] + ahead * h * rate[j, k]
-                slope(lanes, stage, given, c, stencil, w, rate)
+                        at[j, k] = x[j, k] if stage == 0 else x[j, k] + ahead * h * rate[j, k]
+                slope(lanes, at, given, d, stencil, w, rate)
                 for j in range(size):
                     for k in range(lanes):
-                        total[j, k] += weight * rate[j, k]
+                        total[j, k] = rate[j, k] if stage == 0 else total[j, k] + weight * rate[j, k]
             for j in range(size):
                 for k in range(lanes):
                     x[j, k] += h / 6.0 * total[j, k]
@@ -274,7 +289,8 @@ def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameter
     """Write to k dx/dt (3n,) as `slope`, and to dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M).
 
     Each node depends on its own p, m, T and their gradients: nine complex steps at most give its small Jacobian, which is
-    exact to rounding; the stencil does the rest.
+    exact to rounding; the stencil does the rest. Only what depends on the variable of a step is complex there: the polynomials
+    of the gas, most of the work, for T alone.
     """
     n = x.shape[0] // 3
     columns = dx.shape[1]
@@ -284,8 +300,10 @@ def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameter
     for i in range(n):
         first = min(max(i - 2, 0), n - 5)
         row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
-        gradient[:] = 0.0
         for v in range(3):
+            for j in range(columns):
+                gradient[v, j] = 0.0
+                dk[v * n + i, j] = 0.0
             local[v] = x[v * n + i]
             s = 0.0
             for near in range(5):
@@ -295,18 +313,25 @@ def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameter
                     gradient[v, j] += d * dx[v * n + first + near, j]
             local[3 + v] = s
             local[6 + v] = given[v]
-            dk[v * n + i] = 0.0
         last = 9 if i == 0 or i == n - 1 else 6
-        still = friction_factor(local[1], c)
+        p, m, T = local[0].real, local[1].real, local[2].real
+        p_s, m_s, T_s = local[3].real, local[4].real, local[5].real
+        still = friction_factor(m, c)
         for a in range(last):
             local[a] += 1j * tiny
-            f = friction_factor(local[1], c) if a == 1 else still
-            if i == 0:
-                r0, r1, r2 = inlet_rates(local[0], local[1], local[2], local[3], local[4], local[5], f, local[6], local[7], c)
-            elif i == n - 1:
-                r0, r1, r2 = outlet_rates(local[0], local[1], local[2], local[3], local[4], local[5], f, local[8], c)
+            f = friction_factor(local[1], c) if a == 1 else still + 0j
+            if a < 2:
+                here = rates(local[0], local[1], T, p_s, m_s, T_s, f, c)
+            elif a == 2:
+                here = rates(p, m, local[2], p_s, m_s, T_s, f, c)
             else:
-                r0, r1, r2, _, _, _, _, _, _, _ = rates(local[0], local[1], local[2], local[3], local[4], local[5], f, c)
+                p_t, m_t, T_t, v, rho, a2, alpha_1, alpha_2, cp = rates(p, m, T, local[3], local[4], local[5], still, c)
+                here = p_t, m_t, T_t, v + 0j, rho + 0j, a2 + 0j, alpha_1 + 0j, alpha_2 + 0j, cp + 0j
+            r0, r1, r2 = here[0], here[1], here[2]
+            if i == 0:
+                r0, r1, r2 = inlet_rates(local[0], local[2], here, local[6], local[7], c)
+            elif i == n - 1:
+                r0, r1, r2 = outlet_rates(local[0], local[2], here, local[8], c)
             local[a] = local[a].real
             if a == 0:
                 k[i], k[n + i], k[2 * n + i] = r0.real, r1.real, r2.real
@@ -319,53 +344,13 @@ def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameter
 
 
 @compiled
-def advance_tangent(states: Any, inputs: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array) -> Array:
-    """Jacobians (B, 3n, 3n) of `advance` with respect to the states, by the chain rule through its stages."""
-    size = states.shape[1]
-    n = size // 3
-    result = np.empty((states.shape[0], size, size))
-    given = np.empty(3)
-    ks, dks = np.empty((4, size)), np.empty((4, size, size))
-    weights = np.array([0.0, 0.5, 0.5, 1.0])
-    h = dt / substeps
-    for b in range(states.shape[0]):
-        x = states[b].copy()
-        given[0] = (inputs[b, 0] - x[0]) / dt
-        given[1] = (inputs[b, 1] - x[2 * n]) / dt
-        given[2] = (inputs[b, 2] - x[2 * n - 1]) / dt
-        dx = np.eye(size)
-        dgiven = np.zeros((3, size))
-        dgiven[0, 0] = dgiven[1, 2 * n] = dgiven[2, 2 * n - 1] = -1.0 / dt
-        for _ in range(substeps):
-            for s in range(4):
-                if s == 0:
-                    tangent_slope(x, given, dx, dgiven, c, stencil, ks[0], dks[0])
-                else:
-                    g = weights[s] * h
-                    tangent_slope(x + g * ks[s - 1], given, dx + g * dks[s - 1], dgiven, c, stencil, ks[s], dks[s])
-            x = x + h / 6.0 * (ks[0] + 2.0 * ks[1] + 2.0 * ks[2] + ks[3])
-            dx = dx + h / 6.0 * (dks[0] + 2.0 * dks[1] + 2.0 * dks[2] + dks[3])
-        result[b] = dx
-    return result
-
-
-@compiled
-def advance_each(
-    states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
-) -> Array:
-    """`advance` with the parameters theta (B, 4) of each state."""
-    result: Array = np.empty_like(states)
-    for b in range(states.shape[0]):
-        result[b] = advance(states[b : b + 1], inputs[b : b + 1], dt, substeps, with_unknown(c, theta[b]), stencil)[0]
-    return result
-
-
-@compiled
 def parameter_slope(x: Any, given: Any, which: Any, theta: Any, c: PipelineParameters, stencil: Array, dk: Any) -> None:
     """Add to the last columns of dk (3n, M) the derivatives of dx/dt with respect to parameters `which` (p,) of theta (4,)."""
     n, first_column = x.shape[0] // 3, dk.shape[1] - which.shape[0]
     tiny = 1e-30
-    at, local = theta + 0j, np.empty(6)
+    at, local = np.empty(4, np.complex128), np.empty(6)
+    for j in range(4):
+        at[j] = theta[j]
     nominal = with_unknown(c, theta)
     for i in range(n):
         first = min(max(i - 2, 0), n - 5)
@@ -383,49 +368,62 @@ def parameter_slope(x: Any, given: Any, which: Any, theta: Any, c: PipelineParam
             d = with_unknown(c, at)
             at[which[j]] = theta[which[j]]
             f = friction_factor(m, d) if which[j] == 0 else still  # the roughness alone changes it
+            here = rates(p, m, T, p_s, m_s, T_s, f, d)
             if i == 0:
-                _, m_t, _ = inlet_rates(p, m, T, p_s, m_s, T_s, f, given[0], given[1], d)
+                _, m_t, _ = inlet_rates(p, T, here, given[0], given[1], d)
                 dk[n + i, first_column + j] += m_t.imag / tiny
             elif i == n - 1:
-                p_t, _, T_t = outlet_rates(p, m, T, p_s, m_s, T_s, f, given[2], d)
+                p_t, _, T_t = outlet_rates(p, T, here, given[2], d)
                 dk[i, first_column + j] += p_t.imag / tiny
                 dk[2 * n + i, first_column + j] += T_t.imag / tiny
             else:
-                s0, s1, s2, _, _, _, _, _, _, _ = rates(p, m, T, p_s, m_s, T_s, f, d)
-                dk[i, first_column + j] += s0.imag / tiny
-                dk[n + i, first_column + j] += s1.imag / tiny
-                dk[2 * n + i, first_column + j] += s2.imag / tiny
+                dk[i, first_column + j] += here[0].imag / tiny
+                dk[n + i, first_column + j] += here[1].imag / tiny
+                dk[2 * n + i, first_column + j] += here[2].imag / tiny
 
 
 @compiled
-def advance_sensitivity(
+def advance_tangent(
     states: Any, inputs: Any, theta: Any, which: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
 ) -> Array:
-    """Derivatives (B, 3n, 3n + 3 + p) of `advance_each` with respect to states, inputs and the parameters `which` (p,)."""
+    """Derivatives (B, 3n, 3n + 3 + p) of `advance` with respect to states, inputs and the parameters `which` (p,), by the chain
+    rule through its stages.
+    """
     size = states.shape[1]
     n, width = size // 3, size + 3 + which.shape[0]
-    result = np.empty((states.shape[0], size, width))
-    given = np.empty(3)
-    ks, dks = np.empty((4, size)), np.empty((4, size, width))
-    weights = np.array([0.0, 0.5, 0.5, 1.0])
+    result = np.zeros((states.shape[0], size, width))
+    x, at, rate, total = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    along, drate, dtotal = np.empty((size, width)), np.empty((size, width)), np.empty((size, width))
+    given, dgiven = np.empty(3), np.zeros((3, width))
+    dgiven[0, 0] = dgiven[1, 2 * n] = dgiven[2, 2 * n - 1] = -1.0 / dt
+    dgiven[0, size] = dgiven[1, size + 1] = dgiven[2, size + 2] = 1.0 / dt
     h = dt / substeps
     for b in range(states.shape[0]):
-        d = with_unknown(c, theta[b])
-        x = states[b].copy()
+        own = theta[min(b, theta.shape[0] - 1)]
+        d = with_unknown(c, own)
+        dx = result[b]
+        for i in range(size):
+            x[i] = states[b, i]
+            dx[i, i] = 1.0
         given[0] = (inputs[b, 0] - x[0]) / dt
         given[1] = (inputs[b, 1] - x[2 * n]) / dt
         given[2] = (inputs[b, 2] - x[2 * n - 1]) / dt
-        dx = np.eye(size, width)
-        dgiven = np.zeros((3, width))
-        dgiven[0, 0] = dgiven[1, 2 * n] = dgiven[2, 2 * n - 1] = -1.0 / dt
-        dgiven[0, size] = dgiven[1, size + 1] = dgiven[2, size + 2] = 1.0 / dt
         for _ in range(substeps):
-            for s in range(4):
-                ahead = x.copy() if s == 0 else x + weights[s] * h * ks[s - 1]
-                along = dx.copy() if s == 0 else dx + weights[s] * h * dks[s - 1]
-                tangent_slope(ahead, given, along, dgiven, d, stencil, ks[s], dks[s])
-                parameter_slope(ahead, given, which, theta[b], c, stencil, dks[s])
-            x = x + h / 6.0 * (ks[0] + 2.0 * ks[1] + 2.0 * ks[2] + ks[3])
-            dx = dx + h / 6.0 * (dks[0] + 2.0 * dks[1] + 2.0 * dks[2] + dks[3])
-        result[b] = dx
+            for stage in range(4):
+                ahead = 1.0 if stage == 3 else 0.5
+                weight = 2.0 if 0 < stage < 3 else 1.0
+                for i in range(size):
+                    at[i] = x[i] if stage == 0 else x[i] + ahead * h * rate[i]
+                    for j in range(width):
+                        along[i, j] = dx[i, j] if stage == 0 else dx[i, j] + ahead * h * drate[i, j]
+                tangent_slope(at, given, along, dgiven, d, stencil, rate, drate)
+                parameter_slope(at, given, which, own, c, stencil, drate)
+                for i in range(size):
+                    total[i] = rate[i] if stage == 0 else total[i] + weight * rate[i]
+                    for j in range(width):
+                        dtotal[i, j] = drate[i, j] if stage == 0 else dtotal[i, j] + weight * drate[i, j]
+            for i in range(size):
+                x[i] += h / 6.0 * total[i]
+                for j in range(width):
+                    dx[i, j] += h / 6.0 * dtotal[i, j]
     return result

@@ -82,7 +82,7 @@ def steady_state(
 
     def along(s: float, y: Array) -> Array:
         p, T = y
-        p_t, m_t, T_t, v, _, rho, _, alpha_1, alpha_2, cp = equations.rates(
+        p_t, m_t, T_t, v, rho, _, alpha_1, alpha_2, cp = equations.rates(
             p, flow, T, 0.0, 0.0, 0.0, equations.friction_factor(flow, c), c
         )
         kappa = alpha_1 / (rho * cp)
@@ -94,8 +94,8 @@ def steady_state(
         return float(y[0] - PRESSURES[0])
 
     def chokes(s: float, y: Array) -> float:
-        _, _, _, v, _, _, a, *_ = equations.rates(y[0], flow, y[1], 0.0, 0.0, 0.0, equations.friction_factor(flow, c), c)
-        return float(a - v)
+        _, _, _, v, _, a2, *_ = equations.rates(y[0], flow, y[1], 0.0, 0.0, 0.0, equations.friction_factor(flow, c), c)
+        return float(np.sqrt(a2) - v)
 
     leaves.terminal = chokes.terminal = True  # type: ignore[attr-defined]
     where = np.linspace(0.0, c.length, nodes)
@@ -183,13 +183,14 @@ def pipeline_physics(nodes: int, parameters: PipelineParameters, flow: float = 3
     def f(t: float, x: Array, z: Array, u: Array, c: PipelineParameters) -> Array:
         p, m, T = (x[..., v * nodes : (v + 1) * nodes] for v in range(3))
         local = (p, m, T, p @ derivative.T, m @ derivative.T, T @ derivative.T, equations.friction_factor(m, c))
-        inner = equations.rates(*local, c)[:3]
-        inlet = equations.inlet_rates(*[a[..., 0] for a in local], u[..., 0], u[..., 1], c)  # type: ignore[arg-type, call-arg]
-        outlet = equations.outlet_rates(*[a[..., -1] for a in local], u[..., 2], c)  # type: ignore[arg-type, call-arg]
+        inner = equations.rates(*local, c)
+        first, last = (tuple(a[..., end] for a in inner) for end in (0, -1))
+        inlet = equations.inlet_rates(p[..., 0], T[..., 0], first, u[..., 0], u[..., 1], c)
+        outlet = equations.outlet_rates(p[..., -1], T[..., -1], last, u[..., 2], c)
         edge = p.shape[:-1]
         parts = [
             np.concatenate([np.broadcast_to(a, edge)[..., None], r[..., 1:-1], np.broadcast_to(b, edge)[..., None]], axis=-1)
-            for a, r, b in zip(inlet, inner, outlet, strict=True)
+            for a, r, b in zip(inlet, inner[:3], outlet, strict=True)
         ]
         return np.concatenate(parts, axis=-1)
 

@@ -168,11 +168,12 @@ class _Pipe:
     stencil: Array
 
     def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        return self._advance(equations.advance, x, u, dt)
+        return self._advance(equations.advance, x, u, dt, self.nominal)
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         require_dense(self.nodes)
-        return self._advance(equations.advance_tangent, x, u, dt)
+        found = self._advance(equations.advance_tangent, x, u, dt, self.nominal, self.unknown[:0])
+        return np.ascontiguousarray(found[..., : x.shape[-1]])
 
     @cached_property
     def unknown(self) -> Array:
@@ -185,11 +186,17 @@ class _Pipe:
         return np.array([getattr(self.c, name) for name in equations.UNKNOWN])
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self._advance(equations.advance_each, x, u, dt, theta)
+        return self._advance(equations.advance, x, u, dt, self._of(theta))
 
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         require_dense(self.nodes)
-        return self._advance(equations.advance_sensitivity, x, u, dt, theta, self.unknown)
+        return self._advance(equations.advance_tangent, x, u, dt, self._of(theta), self.unknown)
+
+    def _of(self, theta: Array) -> Array:
+        """The parameters equations.UNKNOWN (..., 4) with the values theta (..., p)."""
+        found = np.broadcast_to(self.nominal, (*theta.shape[:-1], self.nominal.size)).astype(theta.dtype)
+        found[..., self.unknown] = theta
+        return found
 
     def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
         return by_states_alone(self._readout, u, theta)
@@ -207,18 +214,20 @@ class _Pipe:
         selection[np.arange(self.picks.size), self.picks] = 1.0
         return selection
 
-    def _advance(self, function: Any, x: Array, u: Array, dt: float, theta: Array | None = None, *which: Array) -> Array:
-        """The function of states, inputs and, where given, parameters theta (..., p), as matrices with a row for each."""
-        rows = [x, u]
-        if theta is not None:
-            rows.append(np.broadcast_to(self.nominal, (*theta.shape[:-1], self.nominal.size)).astype(theta.dtype))
-            rows[-1][..., self.unknown] = theta
+    def _advance(self, function: Any, x: Array, u: Array, dt: float, theta: Array, *which: Array) -> Array:
+        """The function of states, inputs and parameters theta, (4,) for all or (..., 4), as matrices with a row for each."""
+        rows = [x, u, theta]
         kind, batch = np.result_type(*rows, float), np.broadcast_shapes(*(a.shape[:-1] for a in rows))
-        flat = (
-            np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1]) for a in rows
-        )
+        flat = [_rows(a, batch if a.ndim > 1 or a is not theta else (), kind) for a in rows]
         result: Array = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
         return result.reshape(*batch, *result.shape[1:])
+
+
+def _rows(a: Array, batch: tuple[int, ...], kind: Any) -> Array:
+    """The batch of a (..., n) as a matrix with a row for each, all of them of one type: nothing is compiled twice."""
+    rows = np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1])
+    rows.flags.writeable = False
+    return rows
 
 
 def _finer(model: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Array], Array]]:

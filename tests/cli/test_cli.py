@@ -71,6 +71,13 @@ def test_the_list_marks_detectors_that_test_the_process(
     assert (listed["loo-glr"], listed["process-bank"]) == ("sensors", "sensors and process")
 
 
+def test_the_list_states_how_many_sensors_a_detector_isolates_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    _, out, _ = call(capsys, "list", "detectors")
+    assert re.search(r"^  kf-chi2 .* \[at most 1 sensor at once\]$", out, re.MULTILINE)
+    assert re.search(r"^  pca .* \[at most 3 sensors at once\]$", out, re.MULTILINE)
+    assert not re.search(r"^  (loo-glr|limits) .*at once", out, re.MULTILINE)
+
+
 def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     once = ("run", "toy/*", "--seeds", "2", "--workers", "1", "--set", "size=5", "--set", "figure=no")
     code, out, err = call(capsys, *once, "--json")
@@ -298,7 +305,7 @@ def test_a_model_without_numbers_fails_the_diagnosis(
 
 
 def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, *_: object) -> NoReturn:
+    def full(path: Path, *_: object, **__: object) -> NoReturn:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     altered(len)

@@ -56,6 +56,14 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     code, out, _ = call(capsys, *diagnose, "--healthy", "..220")
     assert code == 0 and [e["hypothesis"] for e in json.loads(out) if e["start"] == 230] == ["s0"]
 
+    code, out, _ = call(capsys, "inspect", *plant, "--tuned", "tuned.toml", "--data", "b.csv", "--no-simulation", "--json")
+    nis = [json.loads(out)["healthy"]["white"]["nis"]]
+    code, out, _ = call(capsys, "inspect", *plant, "--data", "b.csv", "--no-simulation", "--json")
+    nis.append(json.loads(out)["healthy"]["white"]["nis"])
+    assert code == 0 and nis[0] != nis[1]
+    code, _, err = call(capsys, "inspect", "--plant", "two-tanks", "--tuned", "tuned.toml")
+    assert code == 2 and "tuned.toml: it was tuned for another plant than 'two-tanks'" in err
+
     for arguments, reason in (
         (("--tuned", "tuned.toml", "--healthy", "0..100"), "--tuned and --healthy both state what is healthy; give one"),
         (("--tuned", "tuned.toml", "--detector", "pca"), "tuned.toml was tuned for robust-glr, not pca; leave --detector out"),

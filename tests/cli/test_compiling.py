@@ -1,4 +1,4 @@
-"""Compiling is announced once."""
+"""Compiling is announced."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import pytest
 from fusion_sfdia.cli.compiling import announced
 
 
-def test_the_first_function_that_is_compiled_is_announced(capsys: pytest.CaptureFixture[str]) -> None:
-    one, two = (numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2))
+def test_a_module_of_which_something_is_compiled_is_announced_once(capsys: pytest.CaptureFixture[str]) -> None:
+    one, two, other = (numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2), numba.njit(lambda x: x + 3))
+    other.py_func.__module__ = "fusion_sfdia.core.other"
     with announced():
-        assert (one(1), two(1)) == (2, 3)
-    assert capsys.readouterr().err == "fusion-sfdia: compiling, once (up to a minute)\n"
+        assert (one(1), two(1), other(1)) == (2, 3, 4)
+    lines = "fusion-sfdia: compiling, once: {}\n"
+    assert capsys.readouterr().err == lines.format(__name__) + lines.format("core.other")
     with announced():
         one(2)
     numba.njit(lambda x: x + 3)(1)  # outside

@@ -59,6 +59,25 @@ def test_a_healthy_log_is_examined(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "100 readings, normalised innovation squared" in capsys.readouterr().out
 
 
+def test_a_log_with_a_map_is_read_as_diagnose_reads_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    plant = two_tanks()
+    recording = simulate(plant, 100, seeds=[4])
+    write_log(tmp_path / "log.csv", plant, recording.t, recording.y[:, 0], recording.u_of_runs[:, 0])
+    header, *rows = (tmp_path / "log.csv").read_text().splitlines()
+    titles = [title.split(" [")[0] for title in header.split(",")]
+    (tmp_path / "plain.csv").write_text("\n".join([",".join([*titles, "tag"]), *(f"{row},1" for row in rows)]) + "\n")
+    (tmp_path / "own.csv").write_text("\n".join([";".join([titles[0], "LT1", *titles[2:]]), *rows]).replace(",", ";") + "\n")
+    (tmp_path / "map.toml").write_text(
+        '[log]\nseparator = ";"\ninputs = "until the sample"\n[columns]\nLT1 = { sensor = "l1" }\n'
+    )
+    of = ["inspect", "--plant", "two-tanks", "--no-simulation", "--json", "--data"]
+    found = []
+    for arguments in (["log.csv"], ["plain.csv", "--other-columns"], ["own.csv", "--map", str(tmp_path / "map.toml")]):
+        assert main([*of, str(tmp_path / arguments[0]), *arguments[1:]]) == 0
+        found.append(json.loads(capsys.readouterr().out)["healthy"])
+    assert found[0]["samples"] == 100 and found[0] == found[1] == found[2]
+
+
 def test_what_is_unknown_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", "--plant", "two-tanks", "--sensors", "l9"]) == 2
     assert capsys.readouterr().err == "fusion-sfdia: unknown sensor 'l9' of plant 'two-tanks'; known: l1, l2, q12, q2\n"

@@ -26,7 +26,8 @@ FOLDERS: dict[str, set[str]] = {
     "evaluation": {"core", "filters"},
     "identification": {"core", "filters"},
     "monitoring": {"logs", "core", "evaluation", "identification", "kalman_banks", "data_driven"},
-    "registry": {"core", "detectors", "models"},  # of the last two only names, until one is used
+    "fmu": {"core", "logs"},  # of the last its reader of units
+    "registry": {"core", "detectors", "fmu", "models"},  # of the last three only names, until one is used
     "detectors": {"registry"},
     "models": {"core", "evaluation", "registry"},
     "builders": {"core", "filters", "evaluation", "detectors", *SCHOOLS},
@@ -34,7 +35,7 @@ FOLDERS: dict[str, set[str]] = {
     "tuning": {"core", "commissioning", "registry"},
     "checks": {"core", "evaluation", "registry"},
     "report": {"core", "evaluation", "logs"},
-    "live": {"core", "evaluation", "logs"},
+    "live": {"core", "filters", "evaluation", "logs"},
     "inspection": {"core", "evaluation", "registry", "checks", "identification", "kalman_banks"},
     "experiments": {"core", "evaluation", "report", "models", "benchmarks"},  # of the last two their files alone
 }

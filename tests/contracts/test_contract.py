@@ -170,6 +170,23 @@ def test_a_detector_that_tests_the_process_is_registered_as_such(name: str) -> N
 
 
 @pytest.mark.parametrize("name", registry.detectors())
+def test_a_detector_isolates_no_more_sensors_at_once_than_it_states(name: str) -> None:
+    if name in WITHOUT:
+        pytest.skip("needs faultdiagnosistoolbox")
+    detector: Any = detector_of("two-tanks", name)
+    count = len(detector.plant.sensors)
+    t, y, u = healthy("two-tanks", 50, 8)
+    y = y.copy()
+    for b in range(8):  # one to four sensors off, in either direction
+        wrong = np.arange(b, b + b % 4 + 1) % count
+        y[SETTLED + 10 :, b, wrong] += 40 * (-1) ** b * detector.plant.sensor_sigma[wrong] * (1 + np.arange(wrong.size))
+    _, d = run(detector, detector.init((8,)), t, y, u)
+    at_once = d.isolated[..., :count].sum(axis=-1).max()
+    stated = registry.detectors()[name].most_faults
+    assert at_once <= detector.most_faults == min(detector.most_faults if stated is None else stated, count)
+
+
+@pytest.mark.parametrize("name", registry.detectors())
 def test_a_state_has_named_and_documented_fields_and_the_time_of_the_last_reading(name: str, tmp_path: Path) -> None:
     if name in WITHOUT:
         pytest.skip("needs faultdiagnosistoolbox")

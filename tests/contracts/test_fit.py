@@ -155,6 +155,8 @@ def test_diagnose_takes_a_class_or_function_that_builds_a_detector() -> None:
     for build in (CentralFilter, lambda plant: CentralFilter(plant), registry.NamedDetector("mine", "", CentralFilter)):
         found = diagnose(build, recording, plant=PLANT)
         np.testing.assert_array_equal(found.decisions.residual, expected.decisions.residual)
+    with pytest.raises(ValueError, match=r"CentralFilter is a class; build it on a plant first, as in CentralFilter\(plant\)"):
+        run(CentralFilter, CentralFilter(tanks()).init(), recording)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"detector CentralFilter is not built: it needs its plant; pass plant="):
         diagnose(CentralFilter, recording)
     for wrong in (tanks(), None):

@@ -10,10 +10,22 @@ import numpy as np
 import pytest
 from toy_plants import Array, tanks
 
-from fusion_sfdia import LeaveOneOutBank, Plant, RobustBank, Sensor, Signal, linear_plant, registry, run, simulate
+from fusion_sfdia import (
+    BatchDetector,
+    LeaveOneOutBank,
+    Plant,
+    RobustBank,
+    Sensor,
+    Signal,
+    linear_plant,
+    registry,
+    run,
+    simulate,
+)
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.core.state import leaves
+from fusion_sfdia.models.two_tanks.plant import two_tanks
 
 FAULT, OUT_UNTIL = 20, 40
 
@@ -73,7 +85,17 @@ def test_readmission_is_undone_by_a_fault_that_is_still_there() -> None:
     assert found.isolated[-1, 0].tolist() == [True, False, False, False]
 
 
+KEEPING = {"LeaveOneOutBank", "SequentialBank", "MovingHorizon", "UnknownInputFilter", "RobustBank", "Chebyshev"}
 LATCHING = ["adaptive-threshold", "virtual-sensors"]
+
+
+def test_no_detector_that_keeps_sensors_out_is_left_out_here() -> None:
+    keeping = {
+        type(built).__name__
+        for name, entry in registry.detectors().items()
+        if not entry.learns and type(built := registry.detector(name, two_tanks()))._readmitted is not BatchDetector._readmitted
+    }
+    assert keeping == {*KEEPING, "AdaptiveThreshold", "VirtualSensors"}
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from fusion_sfdia.core.equation import argument_names, complex_step_jacobian, difference_jacobian, equation
+from fusion_sfdia.core.equation import argument_names, compiled, complex_step_jacobian, difference_jacobian, equation
 
 EPS = np.finfo(float).eps
 
@@ -72,3 +72,8 @@ def test_an_equation_is_python_and_compiles_into_its_caller_with_the_same_number
 
 def test_argument_names_are_the_row_of_the_structure() -> None:
     assert argument_names(discharge) == ("coefficient", "p_in", "p_out")
+
+
+def test_code_is_compiled_where_no_folder_can_be_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("numba.core.caching.CompileResultCacheImpl._locator_classes", [])
+    assert compiled(lambda x: x + 1.0)(1.0) == 2.0

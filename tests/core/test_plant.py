@@ -151,6 +151,8 @@ def test_another_unit_scales_bounds_and_stated_jacobians_and_refuses_no_scale() 
             bounded.in_units({"a": ("V", scale)})
     with pytest.raises(ValueError, match="unknown sensor 'c'"):
         bounded.in_units({"c": ("V", 1.0)})
+    with pytest.raises(ValueError, match=r"units are 'mV'; expected those of sensors by name, as in "):
+        bounded.in_units("mV")  # type: ignore[arg-type]
 
 
 def test_guard_moves_states_into_the_limits_and_reports_it() -> None:

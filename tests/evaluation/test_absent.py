@@ -56,6 +56,14 @@ def test_equal_readings_are_frozen_unless_the_log_holds_them() -> None:
     assert repeats(np.full((20, 1), np.nan)) == [[]]
 
 
+def test_how_long_a_healthy_sensor_repeats_a_reading_sets_the_limit() -> None:
+    y = NOISE.copy()
+    y[60:90] = 0.0
+    assert repeats(y, [1, 15, 16]) == [[(60, 89)], [(60, 89)], []]
+    y[60:76] = 1.0
+    assert repeats(y[:80], [1, 8, 9]) == [[(60, 75)], [(60, 75)], []]
+
+
 def test_a_dead_and_a_frozen_sensor_are_events() -> None:
     plant = tanks()
     t, _, y, u = readings(plant, 60, 1, seed=0)

@@ -16,7 +16,7 @@ from fusion_sfdia.kalman_banks.central_filter import CentralFilter
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
-from fusion_sfdia.named import diagnose
+from fusion_sfdia.named import diagnose, fit
 from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
 
 
@@ -139,6 +139,27 @@ def test_a_long_gap_is_stepped_through_without_readings(limits: dict) -> None:
     milliseconds = 1000 * np.arange(1.0, 21.0) * plant.dt
     with pytest.raises(ValueError, match=r"20 readings take 19001 steps of 5 s, .* up to 5000 s apart; give times in seconds"):
         diagnose(detector, milliseconds, np.ones((20, 4)), np.ones((20, 1)))
+
+
+@pytest.mark.parametrize("name", ["pca", "one-class"])
+def test_a_detector_whose_model_is_no_plant_diagnoses_a_log(name: str) -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 60, 1, seed=0)
+    biased = y[:, 0] + np.array([0.0, 20.0, 0.0, 0.0]) * plant.sensor_sigma * (t > 150)[:, None]
+    times, _, healthy, inputs = readings(plant, 200, 2, seed=1)
+    found = diagnose(fit(name, plant, (times, healthy, inputs), 0.02), t, biased, u[:, 0])
+    assert "l2" in {e.hypothesis for e in found.events} and found.health is not None
+
+
+def test_a_plant_of_which_fewer_than_half_of_the_sensors_can_be_isolated_says_so() -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 30, 1, seed=0)
+    for detector, limit in (
+        (LeaveOneOutBank(plant), []),
+        (LeaveOneOutBank(plant, max_faults=1), ["at most 1 of 4 sensors can be isolated at once: as max_faults states"]),
+        (CentralFilter(plant), ["at most 1 of 4 sensors can be isolated at once: the method of CentralFilter names no more"]),
+    ):
+        assert diagnose(detector, t, y[:, 0], u[:, 0]).remarks == limit
 
 
 def test_limits_of_a_diagnosis_are_warned_of() -> None:

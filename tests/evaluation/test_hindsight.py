@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 from rounding import rounding
 from toy_plants import readings, tanks
 
-from fusion_sfdia.core.gaps import bridged
+from fusion_sfdia.core.gaps import Track, bridged
 from fusion_sfdia.core.log import Log
-from fusion_sfdia.evaluation.hindsight import hindsight, left_out
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
+from fusion_sfdia.evaluation.hindsight import _batch_step as batch_step
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import condition
 
+Array = NDArray[Any]
 PLANT = tanks()
 
 
@@ -72,3 +80,68 @@ def test_after_the_filter_breaks_down_nothing_is_known() -> None:
     broken = track._replace(u=np.where(track.t[:, None] > 30, np.nan, track.u))
     found = hindsight(PLANT, broken, np.zeros((12, 4), bool))
     assert np.isfinite(found.error[:6]).all() and np.isnan(found.error[6:]).all() and found.used[6:].sum() == 0
+
+
+def of_parts(monkeypatch: pytest.MonkeyPatch, plant: Plant, track: Track, out: Array) -> tuple[Hindsight, Hindsight, int]:
+    """In parts and in order, and how many steps were batches."""
+    module, batches = "fusion_sfdia.evaluation.hindsight", []
+
+    def counted(*arguments: Any) -> Any:
+        batches.append(1)
+        return batch_step(*arguments)
+
+    monkeypatch.setattr(f"{module}._batch_step", counted)
+    monkeypatch.setattr(f"{module}.FEWEST", 10**9)
+    in_order = hindsight(plant, track, out)
+    assert not batches
+    monkeypatch.setattr(f"{module}.FEWEST", 4)
+    monkeypatch.setattr(f"{module}.SHORTEST", 100)
+    return hindsight(plant, track, out), in_order, len(batches)
+
+
+def test_a_long_log_is_filtered_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Missing readings, readings left out, an uneven step and a fresh start; the filter forgets within a part."""
+    t, _, y, u = readings(PLANT, 1000, 1, seed=0)
+    y, u, t = y[:, 0].copy(), u[:, 0], t.copy()
+    y[150:170, 1], y[420] = np.nan, np.nan
+    t[500:] += 0.4 * PLANT.dt
+    t[700:] += 2e5 * PLANT.dt
+    track, _ = bridged(PLANT, Log(t, y, u))
+    out = np.zeros(y.shape, bool)
+    out[300:350, 0] = True
+    found, expected, batches = of_parts(monkeypatch, PLANT, track, out)
+    assert 100 < batches < 500
+    np.testing.assert_array_equal(found.used, expected.used)
+    for one, other in zip(found[:4], expected[:4], strict=True):  # SAME, amplified by what a residual is of its parts
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-7 * np.nanmax(np.abs(other)))
+
+
+def test_a_model_that_looks_at_the_time_is_filtered_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    t, _, y, u = readings(PLANT, 500, 1, seed=0)
+    track, _ = bridged(PLANT, Log(t, y[:, 0], u[:, 0]))
+
+    def step(t_start: float, x: Array, u: Array, dt: float) -> Array:
+        return PLANT.step(t_start, x, u, dt) * (1.01 if t_start > 1000 else 1.0)
+
+    found, expected, batches = of_parts(monkeypatch, replace(PLANT, step=step), track, np.zeros((500, 4), bool))
+    assert batches == 1
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_filter_that_forgets_nothing_is_continued_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant = replace(PLANT, process_cov=1e-12 * PLANT.process_cov, initial_cov=1e-4 * PLANT.initial_cov)
+    t, _, y, u = readings(PLANT, 500, 1, seed=0)
+    track, _ = bridged(PLANT, Log(t, y[:, 0], u[:, 0]))
+    found, expected, batches = of_parts(monkeypatch, plant, track, np.zeros((500, 4), bool))
+    assert batches == 200
+    for one, other in zip(found[:4], expected[:4], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-7 * np.nanmax(np.abs(other)))
+
+
+def test_in_parts_nothing_is_known_after_the_filter_breaks_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    t, _, y, u = readings(PLANT, 1000, 1, seed=0)
+    track, _ = bridged(PLANT, Log(t, y[:, 0], u[:, 0]))
+    broken = track._replace(u=np.where(np.arange(1000)[:, None] >= 650, np.nan, track.u))
+    found, _, _ = of_parts(monkeypatch, PLANT, broken, np.zeros((1000, 4), bool))
+    assert np.isfinite(found.error[:650]).all() and np.isnan(found.error[650:]).all() and found.used[650:].sum() == 0

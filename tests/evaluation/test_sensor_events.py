@@ -15,7 +15,8 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
-from fusion_sfdia.evaluation.sensor_events import false_alarm_of, rivals_at
+from fusion_sfdia.evaluation.model_health import limit_of
+from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, false_alarm_of, rivals_at
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.named import diagnose
 
@@ -85,4 +86,13 @@ def test_the_rate_is_that_of_the_detector() -> None:
     class Plain:
         plant = PLANT
 
-    assert false_alarm_of(Plain()) == 1e-3  # type: ignore[arg-type]
+    assert false_alarm_of(Plain()) == alarm_rate_of(Plain()) == 1e-3  # type: ignore[arg-type]
+
+
+def test_the_health_of_the_model_is_judged_at_the_rate_that_thresholds_were_fitted_to() -> None:
+    fitted = replace(BANK, fitted_rate=1e-2, threshold_scale=0.8)
+    assert (false_alarm_of(fitted), alarm_rate_of(fitted), alarm_rate_of(BANK)) == (1e-4, 1e-2, 1e-4)
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    found = [diagnose(detector, t, y[:, 0], u[:, 0]).health for detector in (BANK, fitted)]
+    limits = [limit_of(rate, len(PLANT.sensors)) for rate in (1e-4, 1e-2)]
+    assert [h.limit for h in found if h is not None] == limits and limits[0] < limits[1]

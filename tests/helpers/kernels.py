@@ -22,12 +22,14 @@ from threadpoolctl import threadpool_info
 # kernel of OpenBLAS: NumPy's names, old and new, of what it needs of the processor
 KERNELS = {"Prescott": ("SSE3", "X86_V2"), "Haswell": ("AVX2", "X86_V3"), "SkylakeX": ("AVX512_SKX", "X86_V4")}
 
-# folders and files with little arithmetic of their own: the command line, reports, scenario runs, files and processes
+# folders and files with little arithmetic of their own: the command line, reports, scenario runs, files and processes,
+# FMUs, which calculate by themselves
 NOT_NUMERICAL = (
-    "benchmarks", "cli", "comparison", "experiments", "live", "logs", "report", "robustness",
+    "benchmarks", "cli", "comparison", "experiments", "fmu", "live", "logs", "report", "robustness",
     "test_architecture.py", "test_diagnose.py", "test_engine_virtual_sensors.py", "test_entry_points.py", "test_events.py",
     "test_files.py", "test_kind_trials.py", "test_nomenclature.py", "test_notebooks.py", "test_package.py", "test_readme.py",
-    "test_references.py", "test_registry.py", "test_results_pages.py", "test_scenarios.py", "test_storage.py",
+    "test_references.py", "test_registry.py", "test_results_pages.py", "test_scenarios.py", "test_site.py",
+    "test_site_examples.py", "test_storage.py",
     "test_valve_log.py",
 )  # fmt: skip
 

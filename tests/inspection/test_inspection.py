@@ -144,6 +144,14 @@ def test_a_detector_whose_alarms_latch_is_named_with_readmit() -> None:
     assert any(f.about == "q2" and "state = detector.readmit(state, sensor)" in f.text for f in found.remarks)
 
 
+def test_a_detector_that_isolates_fewer_sensors_than_the_plant_allows_is_named() -> None:
+    found = inspect_plant(plant(levels), detectors=["kf-chi2", "loo-glr", "pca"], sensors=["upper_1"])
+    assert [of.most_faults for of in found.detectors] == [1, 2, 3]
+    assert "at once, at most: kf-chi2 1, loo-glr 2, pca 3" in str(found)
+    (limited,) = [f for f in found.remarks if "at once, where the plant allows 2" in f.text]
+    assert limited.about == "kf-chi2" and "isolates at most 1 sensor" in limited.text
+
+
 def test_theory_and_simulation_agree_on_the_tanks() -> None:
     found = inspect_plant("two-tanks", detectors=["loo-glr", "robust-glr"])
     assert not found.mistakes and found.verdict == "two-tanks: ready for diagnosis"

@@ -204,6 +204,25 @@ def test_a_sensor_of_a_neighbour_is_isolated_by_the_area_whose_angle_it_reads() 
     assert np.sum(found) == np.sum(found[..., of.sensors.index(sensor)])
 
 
+def test_a_repaired_sensor_is_used_again_in_its_area_alone() -> None:
+    of, end = banks(), 40
+    r, names = usual(), ["omega_2", next(name for name in banks().sensors if name.startswith("theta_4@"))]
+    at = [of.sensors.index(name) for name in names]
+    for name in names:
+        r = biased(r, name, 0.05)
+    state = of.init((2,), -1.0)
+    for t, y, u in zip(r.t[:end], r.y, r.u, strict=False):
+        state, decision = of.step(state, float(t), y, u)
+    assert decision.isolated[:, at].all()
+    t, y, u = float(r.t[end]), usual().y[end], r.u[end]
+    for repaired in (names[0], [names[1]], names):
+        _, after = of.step(of.readmit(state, repaired), t, y, u)
+        assert after.isolated[:, at].all(axis=0).tolist() == [name not in repaired for name in names]
+        assert after.isolated.sum() == 2 * sum(name not in repaired for name in names)
+    with pytest.raises(ValueError, match=r"unknown sensor 'omega_9'; did you mean 'omega_\d'\?"):
+        of.readmit(state, "omega_9")
+
+
 def test_a_lost_load_is_attributed_to_its_area() -> None:
     of = banks()
     r = readings(SMALL, 80, SEEDS, (AreaFault("load-loss", "4", 0.2, 30.0),))

@@ -155,7 +155,7 @@ def test_times_of_a_plant_of_fixed_steps_are_put_on_its_grid(tmp_path: Path) -> 
     watch, start = Watch(LeaveOneOutBank(plant, window=1)), datetime(2026, 3, 1, tzinfo=UTC)
     bridge = opcua.Bridge(SavedWatch(watch, print), "", nodes)
     for seconds in (0.0, 5.2, 9.9):
-        watch.take(bridge.on_grid(start + timedelta(seconds=seconds)), [1.0, 1.0, 6e-4, 6e-4], [6e-4])
+        watch.take(bridge.values.on_grid(start + timedelta(seconds=seconds)), [1.0, 1.0, 6e-4, 6e-4], [6e-4])
     assert watch.t == 10.0
 
 
@@ -167,7 +167,7 @@ def test_a_file_of_nodes_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         (('"missing"', '"bad"'), "uncertain is 'bad'; expected 'use' or 'missing'"),
         (('"ns=2;s=l1"', '"l1"'), "l1 is 'l1'; expected the id of a node"),
         (("l2 =", "l3 ="), r"\[read\]: unknown name 'l3'; known: l1, l2"),
-        (("inflow =", "#"), "no node of the inputs inflow"),
+        (("inflow =", "#"), "nothing for the inputs inflow"),
         (("{ value =", "{ size ="), r"\[write.l1\]: unknown name 'size'"),
         (("[read]", "[read"), "is not TOML"),
         (("[write]", "user = 1\n[write]"), r"\[read\]: unknown name 'user'"),

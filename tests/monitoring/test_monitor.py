@@ -17,7 +17,7 @@ from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.diagnose import DiagnosisWarning
 from fusion_sfdia.identification.choice import Candidate
 from fusion_sfdia.logs.log_map import Column, LogMap
-from fusion_sfdia.monitoring.channels import REPEATS, Channel
+from fusion_sfdia.monitoring.channels import Channel
 from fusion_sfdia.monitoring.logs import load, signals_of
 from fusion_sfdia.monitoring.monitor import Monitor, learn_monitor, on_grid
 
@@ -109,7 +109,6 @@ def test_a_sensor_that_repeats_its_readings_when_healthy_is_not_frozen() -> None
     logs = [repeated(seed) for seed in range(3)]
     found = learn_monitor(SENSORS, logs, inputs=[LOAD], false_alarm=0.05, candidates=[Candidate("factors", 1)], beside=())
     assert [c.repeats for c in found.channels] == [1, 1, 5, 1]
-    assert found.channels[2].frozen_after == 5 * REPEATS[0] + REPEATS[1]
     assert not found.diagnose(repeated(9)).frozen
 
 

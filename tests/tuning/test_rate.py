@@ -17,6 +17,9 @@ from fusion_sfdia.tuning.rate import Rate, lasting
         ("1e-3", 7.0, 1e-3),
         ("1e-3/sample", 7.0, 1e-3),
         (" 3 / minute ", 2.0, 0.1),
+        ("3/min", 2.0, 0.1),
+        ("2/h", 5.0, 10 / 3600),
+        ("1/d", 60.0, 60 / 86400),
     ],
 )
 def test_a_rate_is_converted_with_the_sampling_step(text: str, dt: float, per_sample: float) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import random
 import re
 from dataclasses import replace
 from functools import cache
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from toy_plants import chain, readings
 
+from fusion_sfdia import registry
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
@@ -142,6 +145,10 @@ def test_a_log_with_a_fault_is_refused(log: Log, reason: str) -> None:
         tune(PLANT, log, false_alarm=RATE)
 
 
+def test_the_default_detector_is_that_of_the_commands() -> None:
+    assert inspect.signature(tune).parameters["detector"].default == registry.DEFAULT_DETECTOR == "robust-glr"
+
+
 def test_a_log_that_is_too_short_is_refused_with_the_shortest() -> None:
     with pytest.raises(ValueError, match=r"too short for 1/day .*: 1200 samples .* expected at least 2880 \(48\.0 minutes\)"):
         tune(PLANT, healthy(), false_alarm="1/day")
@@ -151,11 +158,50 @@ def test_a_log_that_is_too_short_is_refused_with_the_shortest() -> None:
 
 @pytest.mark.slow
 def test_a_rate_that_the_log_cannot_count_is_extrapolated_and_stated() -> None:
-    found = tune(PLANT, healthy(), false_alarm="2/hour")
+    found = tune(PLANT, healthy(), false_alarm="2/hour", detector="loo-glr")
     assert found.rate == Rate(2.0, "hour")
     assert found.quality["expected_above"] < 1 and "Pareto" in found.quality["threshold"]
     assert "cannot be counted on so short a log" in as_text(found)
     assert found.threshold_scale > tuned().quality["threshold_interval"][1]
+
+
+JUNK = (
+    "", "x", '"x"', "true", "[]", "{}", "-1", "0", "nan", "inf", "1e300", "1e999", "1979-05-27", "[1, 2]", '"nan"', "1_0",
+    "0x10", '"a" = 1', "'", "9" * 30,
+)  # fmt: skip
+
+
+def spoiled(lines: list[str], seed: int) -> list[str]:
+    """One mistake in a file: another value, a line too few or too many, the end cut off."""
+    rng = random.Random(seed)
+    k, kind = rng.randrange(len(lines)), rng.randrange(6)
+    if kind < 3 and "=" in lines[k] and not lines[k].startswith("#"):
+        key, value = lines[k].split("=", 1)
+        old = rng.choice(re.findall(r"[^\s{},=]+(?=\s*[,}])", value) or [value])
+        return [*lines[:k], f"{key}={value.replace(old, f' {rng.choice(JUNK)}', 1)}", *lines[k + 1 :]]
+    if kind == 4:
+        return lines[:k]
+    return [
+        *lines[:k],
+        *([] if kind == 3 else [rng.choice((*JUNK, "[extra]", "[sensors]", "key = 1"))]),
+        *lines[k + (kind == 3) :],
+    ]
+
+
+@pytest.mark.slow
+def test_generated_mistakes_in_a_file_are_refused_in_one_line_or_change_nothing_that_is_used(tmp_path: Path) -> None:
+    tuned().write(tmp_path / "right.toml")
+    lines, file = (tmp_path / "right.toml").read_text().splitlines(), tmp_path / "spoiled.toml"
+    refused = 0
+    for seed in range(500):
+        file.write_text("\n".join(spoiled(lines, seed)) + "\n")
+        try:
+            sigma = Tuned.read(file).detector(PLANT).plant.sensor_sigma
+            assert np.all((sigma > 0) & (sigma < 1e100)), seed
+        except ValueError as error:
+            refused += 1
+            assert "\n" not in str(error) and len(str(error)) < 500, (seed, error)
+    assert refused > 200
 
 
 @pytest.mark.parametrize(

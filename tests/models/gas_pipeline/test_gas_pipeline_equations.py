@@ -134,9 +134,10 @@ def test_boundaries_keep_the_waves_that_leave(p: float, m: float, T: float, p_s:
     scale = np.array([1e6, 1e3, 1e2])
     values, left = np.linalg.eig((gradient_matrix(p, m, T) * scale / scale[:, None]).T)
     backward, still, forward = left[:, np.argsort(values.real)].T.real
-    inner = np.array(equations.rates(p, m, T, p_s, m_s, T_s, equations.friction_factor(m, C), C)[:3]) / scale
-    inlet = np.array(equations.inlet_rates(p, m, T, p_s, m_s, T_s, equations.friction_factor(m, C), 1e3, 0.1, C)) / scale
-    outlet = np.array(equations.outlet_rates(p, m, T, p_s, m_s, T_s, equations.friction_factor(m, C), 5.0, C)) / scale
+    local = equations.rates(p, m, T, p_s, m_s, T_s, equations.friction_factor(m, C), C)
+    inner = np.array(local[:3]) / scale
+    inlet = np.array(equations.inlet_rates(p, T, local, 1e3, 0.1, C)) / scale
+    outlet = np.array(equations.outlet_rates(p, T, local, 5.0, C)) / scale
     size = 1e-9 * max(np.abs(inner).max(), np.abs(inlet).max(), np.abs(outlet).max())
     assert abs(backward @ (inlet - inner)) < size
     assert abs(still @ (outlet - inner)) < size
@@ -194,7 +195,7 @@ def test_driver_and_arrays_are_one_source(nodes: int) -> None:
     given = rng.normal(size=(4, 3)) * [100.0, 0.01, 1.0]
     by_arrays = physics.f(0.0, x, NO_ALGEBRAIC, given, C)
     lanes = np.zeros((3 * nodes, equations.LANES))
-    boundary, rate, room = np.zeros((3, equations.LANES)), np.zeros_like(lanes), np.zeros(13 * equations.LANES)
+    boundary, rate, room = np.zeros((3, equations.LANES)), np.zeros_like(lanes), np.zeros(equations.ROOM * equations.LANES)
     lanes[:, :4], boundary[:, :4] = x.T, given.T
     equations.slope(4, lanes, boundary, C, STENCIL / (12 * C.length / (nodes - 1)), room, rate)
     by_driver = rate[:, :4].T

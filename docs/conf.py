@@ -1,0 +1,121 @@
+"""Settings of the site, which `make docs` builds from this folder: pages with code run when it is built."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+
+import fusion_sfdia
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+
+# pages run commands and copy files of docs/examples
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+os.environ["DOCS_EXAMPLES"] = str(HERE / "examples")
+os.environ["DOCS_RESULTS"] = str(HERE / "results")
+os.environ["DOCS_HELPERS"] = str(ROOT / "tests" / "helpers")
+os.environ["COLUMNS"] = "100"
+os.environ["TTY_COMPATIBLE"] = "0"  # no progress bars of commands
+os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
+
+project = "fusion-sfdia"
+author = "fusion-sfdia authors"
+version = release = fusion_sfdia.__version__
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "sphinx_design"]
+exclude_patterns = ["_build", "README.md", "results/README.md", "examples", "**.ipynb_checkpoints"]
+suppress_warnings = ["myst.header"]  # a generated page goes from its title to the third level
+
+myst_enable_extensions = ["colon_fence", "deflist"]
+myst_heading_anchors = 4
+
+# each page in its own kernel and an empty folder; what ran before and has not changed comes from the cache
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(HERE / "_build" / "cache")
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300  # s a cell, also on a busy machine
+nb_execution_excludepatterns = ["notebooks/*"]  # they carry their outputs, which a test compares with a fresh run
+nb_merge_streams = True
+nb_ipywidgets_js: dict[str, dict[str, str]] = {}
+
+default_role = "py:obj"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
+autodoc_preserve_defaults = True
+maximum_signature_line_length = 90
+python_use_unqualified_type_names = True
+toc_object_entries_show_parents = "hide"
+
+html_theme = "pydata_sphinx_theme"
+html_title = project
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_theme_options = {
+    "show_toc_level": 2,
+    "header_links_before_dropdown": 6,
+    "navbar_align": "left",
+    "show_prev_next": True,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+html_sidebars = {"whats-new": [], "contributing": []}
+copyright = author
+
+linkcheck_ignore = ["https?://.*"]  # `make docs` has no network; links within the site are checked by the build itself
+
+OUTSIDE = re.compile(r"\[([^\]\n]+)\]\(((?:\.\./)+[^)#\s]*)(#[^)\s]*)?\)")
+CODE = re.compile(r"(`[^`]*`)")
+MARKUP = re.compile(r"([*|]|(?<=\w)_(?!\w))")
+
+
+def links_outside(app: Sphinx, page: str, source: list[str]) -> None:
+    """Links to folders of the repository become their text: a site cannot show a folder."""
+    if page.startswith("notebooks/"):
+        return
+    here = (HERE / page).parent
+
+    def shown(link: re.Match[str]) -> str:
+        target = here / link[2]
+        return link[1] if target.is_dir() or target.resolve() == ROOT / "README.md" else link[0]
+
+    source[0] = OUTSIDE.sub(shown, source[0])
+
+
+def as_restructured_text(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Docstrings are plain text: an indented block after a colon is shown as it is, stars and bars are no markup, and the
+    names of parameters before a colon are code.
+    """
+    try:
+        names = "|".join(map(re.escape, signature(obj).parameters))
+    except (TypeError, ValueError):
+        names = ""
+    described = re.compile(rf"(?<![\w`.])((?:{names})(?:, (?:{names}))*):(?=\s|$)") if names else None
+    for k, line in enumerate(lines):
+        indented = line.startswith("    ")
+        if not indented:
+            parts = CODE.split(line)
+            line = "".join(p if p.startswith("`") else MARKUP.sub(r"\\\1", p) for p in parts)
+            lines[k] = described.sub(r"``\1``:", line) if described else line
+        if line.endswith(":") and not indented and [x[:4] for x in lines[k + 1 : k + 3]] == ["", "    "]:
+            lines[k] += ":"
+
+
+def skipped(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
+    """Fields of a NamedTuple are described in the text of their class."""
+    return True if type(obj).__name__ == "_tuplegetter" else None
+
+
+def setup(app: Sphinx) -> None:
+    """Connect the functions above to the events of a build."""
+    app.connect("source-read", links_outside)
+    app.connect("autodoc-process-docstring", as_restructured_text)
+    app.connect("autodoc-skip-member", skipped)

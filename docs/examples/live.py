@@ -1,0 +1,17 @@
+from pathlib import Path
+
+from tank import make
+
+from fusion_sfdia import LeaveOneOutBank, Watch, simulate
+
+plant, state = make(), Path("tank.state")
+detector = LeaveOneOutBank(plant)
+recording = simulate(plant, 120, seeds=[1])
+y = recording.y[:, 0]
+y[50:80, 1] += 0.1  # a bias of 0.1 m of level_2 for half an hour
+
+watch = Watch.load(state, detector) if state.exists() else Watch(detector)
+for change in watch.events(zip(recording.t, y, recording.u, strict=True)):
+    if change.event:  # none of a reset
+        print(f"{change.what}: {change.event.hypothesis}, since {change.event.start:.0f} s, {change.event.size:.2f} m")
+watch.save(state)

@@ -1,0 +1,277 @@
+"""Writes speed.csv, speed.md and its figures: python docs/results/speed.py METRICS...
+
+METRICS: metrics.csv of runs of `fusion-sfdia bench` on one machine; of a row in several of them the first counts. Without
+METRICS the page is written again from speed.csv.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from math import log
+from pathlib import Path
+
+import numpy as np
+
+from fusion_sfdia.benchmarks.speed.growth import ABOVE, CASES
+from fusion_sfdia.evaluation.results import Row, read_rows, write_rows
+
+HERE = Path(__file__).parent
+NUMBERS, PAGE, FIGURE = HERE / "speed.csv", HERE / "speed.md", HERE / "speed-scaling.svg"
+DIGITS = 3
+HOUR = 3600.0
+CORES = 1000
+WORKERS = "2 dask workers"
+
+ABOUT = """# Speed
+
+`fusion-sfdia bench`, on one thread. Each time is the least of many calls, which take turns with a reference: a ratio to it
+carries over to other machines better than a time does. In brackets 95 % intervals of the ratio from the spread between turns,
+of one run. The numbers are of one machine, shared with other work while they were measured: times of a free one are lower.
+"""
+HISTORY = """## What has become slower
+
+```sh
+fusion-sfdia bench --history speed.jsonl                          # adds a line: machine, code, all ratios
+fusion-sfdia bench --history speed.jsonl --against speed.jsonl    # and compares with the earlier ones; exit code 1
+```
+
+A ratio is slower where it exceeds the median of its last five runs by more than its noise. The noise is learnt from the
+differences of successive runs of the same machine, moderated by that of all rows, and is at least the spread within the run;
+before there are three runs it is taken as 5 %. The limit is Student's quantile for one false alarm in 100 comparisons of all
+rows. What looks slower is measured again, and reported if it is slower both times. On synthetic timings of 50 rows a slowdown
+of 30 % is found in 99 % of the runs at a noise of 3 %, and one of 15 % in all at a noise of 1 %. In 200 comparisons of runs
+that differ by noise alone, normal or with heavier tails, nothing is reported.
+"""
+GROWTH = """## Growth, counted
+
+`fusion-sfdia bench growth` counts what a step does, which no load changes: instructions of Python; operations, which are
+multiply-adds, elements of new arrays, and instructions in compiled loops; and the largest memory. The exponent p of size^p is
+measured between sizes n, 2n and 4n. The exit code is 1 where one is more than {above} above what its algebra has, and a test
+fails.
+"""
+CLUSTER = """## Beyond one machine
+
+The comparison runs on a dask cluster as it does here, with the same bytes: `fusion-sfdia compare --scheduler tls://host:8786`.
+Whoever reaches a scheduler at a plain tcp:// address can run code on its workers and on your machine, because tasks and answers
+are pickles. With TLS only who has a certificate of your authority is let in:
+
+```sh
+dask scheduler --tls-ca-file ca.pem --tls-cert scheduler.pem --tls-key scheduler.key --protocol tls
+dask worker tls://host:8786 --tls-ca-file ca.pem --tls-cert worker.pem --tls-key worker.key --nthreads 1
+export DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION=True
+export DASK_DISTRIBUTED__COMM__TLS__CA_FILE=ca.pem
+export DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT=client.pem DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY=client.key
+fusion-sfdia compare --scheduler tls://host:8786 --out comparison
+```
+
+`network/scale` and `bench workers` start clusters of this machine only, with TLS and a certificate made for each.
+"""
+
+
+def rounded(row: Row) -> Row:
+    """Numbers to three digits."""
+    return replace(row, **{c: float(f"{getattr(row, c):.{DIGITS}g}") for c in ("value", "low", "high")})
+
+
+def load(paths: Sequence[Path]) -> list[Row]:
+    """The rows of all runs, sorted as they were measured."""
+    first: dict[tuple[str, ...], Row] = {}
+    for path in paths:
+        for row in read_rows(path):
+            first.setdefault((row.scenario, row.plant, row.detector, row.quantity, row.condition, row.metric), rounded(row))
+    return list(first.values())
+
+
+def of(rows: Sequence[Row], part: str, metric: str) -> list[Row]:
+    """The rows of a part with that metric."""
+    return [r for r in rows if r.scenario == f"bench/{part}" and r.metric == metric]
+
+
+def table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join("| " + " | ".join(line) + " |" for line in (header, ["---"] * len(header), *lines)) + "\n"
+
+
+def seconds(value: float) -> str:
+    """A time in a fitting unit."""
+    factor, unit = next((f, u) for f, u in ((1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")) if value * f >= 1 or u == "ns")
+    return f"{value * factor:.{DIGITS}g} {unit}"
+
+
+def times(rows: Sequence[Row]) -> str:
+    """All times with their ratios, a line for each thing that is timed."""
+    lines = []
+    for part in ("stream", "own", "bank", "model", "engine", "lorenz", "network", "campaigns", "logs", "start"):
+        ratios = of(rows, part, "ratio")
+        for row in of(rows, part, "step_time"):
+            same = [
+                r
+                for r in ratios
+                if (r.plant, r.detector, r.quantity) == (row.plant, row.detector, row.quantity)
+                and row.condition == r.condition.rpartition(", ")[0]
+            ]
+            shown = "; ".join(f"{r.value:.{DIGITS}g} [{r.low:.{DIGITS}g}, {r.high:.{DIGITS}g}] {last(r)}" for r in same)
+            what = ", ".join(filter(None, (row.quantity, row.condition)))
+            lines.append((part, row.plant, row.detector, what, seconds(row.value), shown))
+    return table(("part", "plant", "detector", "what", "time", "ratio to its reference"), lines)
+
+
+def last(row: Row) -> str:
+    """The reference of a ratio row."""
+    return row.condition.rpartition(", ")[2]
+
+
+def peers(rows: Sequence[Row]) -> str:
+    """Other packages: time of a prediction and an update, and its ratio to NumPy by hand."""
+    found = of(rows, "peers", "step_time")
+    kinds = list(dict.fromkeys(r.detector for r in found))
+    names = list(dict.fromkeys((r.quantity, r.condition) for r in found))
+    ratio = {(r.detector, r.quantity): r for r in of(rows, "peers", "ratio")}
+    lines = []
+    for name, version in sorted(names, key=lambda n: (n[0] != "fusion-sfdia", n[0] != "NumPy by hand")):
+        cells = []
+        for kind in kinds:
+            time = next((r.value for r in found if (r.quantity, r.detector) == (name, kind)), None)
+            by = ratio.get((kind, name))
+            cells.append("" if time is None else seconds(time) + (f" ({by.value:.{DIGITS}g})" if by else ""))
+        lines.append((f"{name} {version}".strip(), *cells))
+    return table(("package", *kinds), lines)
+
+
+def sized(rows: Sequence[Row], unit: str) -> dict[str, list[tuple[float, float]]]:
+    """Size and time by detector, of the rows whose quantity is a number of `unit`."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for part in ("scaling", "network"):
+        for r in of(rows, part, "step_time"):
+            number, _, what = r.quantity.partition(" ")
+            if what == unit and not r.condition and r.detector != "fusing-ekf":
+                found.setdefault(r.detector, []).append((float(number), r.value))
+    return found
+
+
+def exponents(points: Sequence[tuple[float, float]]) -> str:
+    """The exponent of a least-squares line on logarithms, and that of the largest step."""
+    size, time = np.log(np.array(points)).T
+    whole = float(np.polyfit(size, time, 1)[0])
+    (a, s), (b, t) = list(pairwise(points))[-1]
+    return f"{whole:.2f}; {log(t / s) / log(b / a):.2f} from {a:g} to {b:g}"
+
+
+AXES = ("sensors", "nodes", "areas")
+
+
+def scaling(rows: Sequence[Row]) -> str:
+    """Fitted exponents of all curves."""
+    lines = []
+    for unit in AXES:
+        for detector, points in sized(rows, unit).items():
+            cells = ", ".join(f"{n:g}: {seconds(t)}" for n, t in points)
+            lines.append((unit, detector, cells, exponents(points)))
+    return table(("size", "detector", "time of a step", "exponent"), lines)
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Times on log-log plots, and the speedup by workers."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"svg.hashsalt": "speed", "svg.fonttype": "none", "font.size": 9}):
+        figure = Figure(figsize=(9.6, 2.6), layout="constrained")
+        panels = figure.subplots(1, 4)
+        for axes, unit in zip(panels, AXES, strict=False):
+            for marker, (detector, points) in zip("os^", sized(rows, unit).items(), strict=False):
+                axes.loglog(*zip(*points, strict=True), marker=marker, label=detector)
+            axes.set(xlabel=unit, ylabel="time of a step (s)" if unit == AXES[0] else "")
+            axes.legend(fontsize=7)
+        speedup = {r.condition: r.value for r in of(rows, "workers", "speedup")}
+        for marker, kind in zip("os", ("processes", "dask workers"), strict=True):
+            panels[-1].loglog((1, 2), [speedup[f"{n} {kind}"] for n in (1, 2)], marker=marker, label=kind)
+        panels[-1].loglog((1, 2), (1, 2), ":", color="gray", label="ideal")
+        panels[-1].set(xlabel="workers", ylabel="speed over 1 process", xticks=(1, 2), xticklabels=("1", "2"))
+        panels[-1].minorticks_off()
+        panels[-1].legend(fontsize=7)
+        figure.savefig(path, metadata={"Date": None})
+
+
+def workers(rows: Sequence[Row]) -> str:
+    """Pieces on processes and workers, and what a piece costs beside its work."""
+    time = {(r.quantity, r.condition): r.value for r in of(rows, "workers", "step_time")}
+    sent = {r.quantity.rpartition(" ")[2]: r.value for r in of(rows, "workers", "sent_bytes")}
+    many = next(q for q, _ in time if q.endswith("pieces") and q[0].isdigit())
+    speedup = {r.condition: r.value for r in of(rows, "workers", "speedup")}
+    lines = [(c, seconds(v), f"{speedup[c]:.{DIGITS}g}") for (q, c), v in time.items() if q == many]
+    piece = time[many, "1 processes"] / float(many.split()[0])
+    empty = time["an empty piece", WORKERS]
+    answered = sent["sent"] + sent["answered"]
+    return (
+        table(("workers", f"{many} of the comparison", "speed over one process"), lines)
+        + f"\nThe {many} were done once in each way. An empty piece costs {seconds(empty)}, and a piece of two seeds sends "
+        f"{answered:.{DIGITS}g} bytes in all.\n\n" + hour(piece, empty, answered)
+    )
+
+
+def hour(piece: float, empty: float, sent: float) -> str:
+    """What an hour of CORES cores does, from the pieces that were measured."""
+    long = 10 * CORES * empty  # seconds of a piece
+    done = CORES * HOUR / long
+    return (
+        f"An hour of {CORES} cores, estimated from these: the scheduler spends {seconds(empty)} on a piece, so that it keeps "
+        f"{min(CORES, piece / empty):.0f} workers busy with pieces as small as these ({seconds(piece)}), and {CORES} with "
+        f"pieces of more than {seconds(CORES * empty)}. With pieces ten times as long, {seconds(long)}, the hour does "
+        f"{done:.3g} of them, moves "
+        f"{done * sent / 1e6:.2g} MB, and the scheduler is busy for a tenth of it. `compare --seeds` sets how long pieces are: "
+        "one piece is a detector on a plant with up to 25 seeds. More than two workers have not been measured.\n"
+    )
+
+
+def counted(rows: Sequence[Row]) -> str:
+    """Exponents of counted work, with the expected ones."""
+    found = {(r.detector, r.quantity, r.condition): r.value for r in of(rows, "growth", "growth")}
+    lines = [
+        (c.detector, c.quantity, *(f"{found[c.detector, c.quantity, w]:.2f} ({p:g})" for w, p in c.expected._asdict().items()))
+        for c in CASES
+        if (c.detector, c.quantity, "python") in found
+    ]
+    return table(("detector", "grows with", "Python (expected)", "operations", "memory"), lines)
+
+
+PEERS = """## Other packages
+
+A prediction and an update of Lorenz-96 with 63 states, all read, in the same run; in brackets the time over that of NumPy by
+hand. `bank`: 63 linear filters, each without one sensor; that of this package has extended filters, mixes them and diagnoses.
+Each package is as fast as its users can make it (`benchmarks/speed/support/peers.py`): models that take many states at once for
+Stone Soup and dynamax, compiled and warm for JAX, double precision. filterpy and pykalman call the model state by state. All
+`kf`, `ukf` and linear banks give the same estimates, dynamax to 1e-9, which it adds to its matrices, the others to rounding.
+"""
+SCALING = """## Scaling
+
+![Time of a step against sensors, nodes and areas, and speed by workers](speed-scaling.svg)
+
+*Straight lines on logarithmic axes are powers. Sensors: one stream on a chain of as many states. Nodes: predict and update
+of an ensemble on the pipeline, where finer grids need shorter substeps. Areas: all diagnosers of a network, one core.*
+
+The exponent of a line through all points, and of the last two, where constant costs count least:
+"""
+
+
+def render(rows: Sequence[Row]) -> str:
+    """The page."""
+    parts: list[tuple[str, Callable[[Sequence[Row]], str]]] = [
+        (ABOUT, times),
+        (PEERS, peers),
+        (SCALING, scaling),
+        (CLUSTER, workers),
+        (GROWTH.format(above=ABOVE), counted),
+        (HISTORY, lambda _: ""),
+    ]
+    return "\n".join(f"{text}\n{body(rows)}" for text, body in parts).rstrip() + "\n"
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        write_rows(NUMBERS, load([Path(p) for p in sys.argv[1:]]))
+    draw(load([NUMBERS]), FIGURE)
+    PAGE.write_text(render(load([NUMBERS])), encoding="utf-8")

@@ -1,0 +1,201 @@
+"""A watch on an MQTT broker: messages become rows, and verdicts are published."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib import import_module
+from queue import Empty, Full, Queue
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+from fusion_sfdia.core.detector import MissingPackageError
+from fusion_sfdia.live.saving import SavedWatch
+from fusion_sfdia.live.topics import Topics
+from fusion_sfdia.live.values import Value, Values
+from fusion_sfdia.live.watch import Sample
+
+QUEUED = 10_000  # messages
+PORTS = {"mqtt": 1883, "mqtts": 8883}
+
+
+class Message(NamedTuple):
+    """What came on a topic, and when; None of a retained message, whose time is not known."""
+
+    topic: str
+    payload: bytes
+    arrived: datetime | None
+
+
+def paho() -> Any:
+    """The client of the package; MissingPackageError where it is not installed."""
+    try:
+        return import_module("paho.mqtt.client")
+    except ModuleNotFoundError as error:
+        raise MissingPackageError("a watch on MQTT needs paho-mqtt; install it: pip install 'fusion-sfdia[mqtt]'") from error
+
+
+def address(url: str) -> tuple[str, int, bool]:
+    """Host, port and whether TLS is used, of mqtt://host[:port] or mqtts://host[:port]; ValueError for anything else."""
+    try:
+        found = urlsplit(url)
+        host, port = found.hostname, found.port
+    except ValueError:
+        host, port, found = None, None, urlsplit("")
+    if found.scheme not in PORTS or not host or found.username or found.path not in ("", "/"):
+        raise ValueError(f"{url!r} is no address of a broker; expected mqtt://host:1883, or mqtts://host:8883 for TLS")
+    return host, port or PORTS[found.scheme], found.scheme == "mqtts"
+
+
+def watch_broker(saved: SavedWatch, url: str, topics: Topics) -> None:
+    """Watch the topics of a broker until interrupted; whenever the connection is lost, another is made.
+
+    Messages wait in a queue while a row is diagnosed. Where more than QUEUED wait, the oldest is lost, and counted. What was
+    published while there was no connection is a gap.
+    """
+    bridge = Bridge(saved, url, topics)
+    host, port, _ = address(url)
+    bridge.client.connect_async(host, port)
+    bridge.client.loop_start()
+    try:
+        while True:
+            bridge.take(bridge.next())
+    finally:
+        if topics.status is not None and bridge.client.is_connected():
+            bridge.client.publish(topics.status, "gone", topics.qos, retain=True).wait_for_publish(1.0)
+        bridge.client.disconnect()
+        bridge.client.loop_stop()
+
+
+class Bridge:
+    """Between the topics of a broker and a watch. The callbacks run in the thread of the client, all else in the caller's."""
+
+    def __init__(self, saved: SavedWatch, url: str, topics: Topics) -> None:
+        mqtt = paho()
+        _, _, tls = address(url)
+        self.saved, self.url, self.topics = saved, url, topics
+        self.by_topic: dict[str, list[str]] = {}
+        for name, source in topics.sources.items():
+            self.by_topic.setdefault(source.topic, []).append(name)
+        dt = saved.watch.detector.plant.dt
+        self.rows = Rows(Values(saved.watch, topics.stale), len(topics.read), topics.together or dt / 2)
+        self.queue: Queue[Message] = Queue(QUEUED)
+        self.remarks: Queue[str] = Queue(100)
+        self.lost, self.is_up = 0, True
+        self.client = client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        client.reconnect_delay_set(topics.retry, topics.retry)
+        client.max_queued_messages_set(QUEUED)
+        if topics.user is not None:
+            client.username_pw_set(topics.user, topics.password)
+        if tls:
+            client.tls_set(topics.ca, topics.certificate, topics.key)
+        if topics.status is not None:
+            client.will_set(topics.status, "gone", topics.qos, retain=True)
+        client.on_connect, client.on_connect_fail = self._connected, lambda *_: self._down("refused or not reachable")
+        client.on_disconnect = lambda c, u, flags, reason, p: self._down(str(reason)) if reason.is_failure else None
+        client.on_subscribe, client.on_message = self._subscribed, self._message
+
+    def next(self) -> Message:
+        """The next message; what the other thread has to remark is said meanwhile."""
+        while True:
+            try:
+                found = self.queue.get(timeout=1.0)
+            except Empty:
+                found = None
+            while not self.remarks.empty():
+                self.saved.watch.refused(self.remarks.get())
+            if self.lost:
+                lost, self.lost = self.lost, 0
+                self.saved.watch.refused(f"{self.url}: {lost} messages were lost, as they came faster than they were diagnosed")
+            if found is not None:
+                return found
+
+    def take(self, message: Message) -> None:
+        """Read a message, diagnose the rows that it completes, and publish what is asked for."""
+        for name in self.by_topic.get(message.topic, ()):
+            value = self.topics.value(self.topics.sources[name], message.payload, message.arrived)
+            for row in self.rows.take(name, value):
+                for sample in self.saved.take(*row):
+                    self._publish(sample)
+
+    def _publish(self, sample: Sample) -> None:
+        """{"value": 1.2, "time": "2026-03-01 14:00:00+00:00"}, which stays with the broker for those that come later."""
+        if not self.client.is_connected():
+            return
+        time = self.saved.watch.clock.at(sample.t)
+        for topic, value in self.rows.values.results(sample, self.topics.write):
+            known = None if value != value else value
+            self.client.publish(topic, json.dumps({"value": known, "time": time}), self.topics.qos, retain=True)
+
+    def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if reason.is_failure:
+            return self._down(str(reason))
+        client.subscribe([(topic, self.topics.qos) for topic in self.by_topic])
+
+    def _subscribed(self, client: Any, userdata: Any, mid: int, reasons: list[Any], properties: Any) -> None:
+        for topic, reason in zip(self.by_topic, reasons, strict=True):
+            if reason.is_failure:
+                self._remark(f"{self.url}: topic {topic} is not given ({reason})")
+        if not self.is_up:
+            self._remark(f"{self.url}: connected again")
+        self.is_up = True
+        if self.topics.status is not None:
+            client.publish(self.topics.status, "watching", self.topics.qos, retain=True)
+
+    def _down(self, why: str) -> None:
+        if self.is_up:
+            self._remark(f"{self.url}: no connection ({why}); tried again every {self.topics.retry:g} s")
+        self.is_up = False
+
+    def _remark(self, text: str) -> None:
+        if not self.remarks.full():
+            self.remarks.put(text)
+
+    def _message(self, client: Any, userdata: Any, message: Any) -> None:
+        found = Message(message.topic, message.payload, None if message.retain else datetime.now(UTC))
+        while True:
+            try:
+                return self.queue.put_nowait(found)
+            except Full:
+                try:
+                    self.queue.get_nowait()
+                    self.lost += 1
+                except Empty:
+                    pass
+
+
+class Rows:
+    """Rows from values that arrive one after another.
+
+    A row has the values whose stamps are within `together` s of its first one. It is complete when each of the `count` names
+    has one, or when a value with a later stamp comes; a name without one keeps its last value, unless that is stale.
+    """
+
+    def __init__(self, values: Values, count: int, together: float) -> None:
+        self.values, self.count, self.together = values, count, together
+        self.latest: dict[str, Value] = {}
+        self.fresh: set[str] = set()
+        self.first: datetime | None = None  # stamp of the row that is not complete
+
+    def take(self, name: str, value: Value) -> Iterator[tuple[datetime, Any, Any]]:
+        """The rows that a value completes, none, one or two; a value without a stamp, or before the last one, is dropped."""
+        before = self.latest.get(name)
+        if value.stamp is None or (before is not None and before.stamp is not None and value.stamp <= before.stamp):
+            return
+        if self.first is not None and (value.stamp - self.first).total_seconds() > self.together:
+            yield from self._complete()
+        self.latest[name] = value
+        if self.first is None and (self.values.newest is None or value.stamp > self.values.newest):
+            self.first = value.stamp
+        if self.first is not None and (self.first - value.stamp).total_seconds() <= self.together:
+            self.fresh.add(name)
+            if len(self.fresh) == self.count:
+                yield from self._complete()
+
+    def _complete(self) -> Iterator[tuple[datetime, Any, Any]]:
+        row = self.values.row(self.latest)
+        self.first = None
+        self.fresh.clear()
+        if row is not None:
+            yield row

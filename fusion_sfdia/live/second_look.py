@@ -1,0 +1,287 @@
+"""Kinds of faults and the health of the model while rows arrive: the second look of `diagnose`, some samples behind."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.detector import Decision, Detector, stack
+from fusion_sfdia.evaluation.absent import DUE, REPEATED, repeats
+from fusion_sfdia.evaluation.diagnose import against_the_model
+from fusion_sfdia.evaluation.events import Event, events_of
+from fusion_sfdia.evaluation.hindsight import LEAD, Hindsight, begun, looked
+from fusion_sfdia.evaluation.model_health import Health, health_of
+from fusion_sfdia.evaluation.sensor_events import TOGETHER, alarm_rate_of, explained
+from fusion_sfdia.filters.estimators import GaussianState
+
+Array = NDArray[Any]
+
+WINDOW = 585  # samples from which kinds and health are taken
+EACH = 20  # samples from a change to the first look
+SETTLED = TOGETHER + 1  # samples after its end, that an event does not change any more
+
+
+class Seen(NamedTuple):
+    """A sample: time (s), readings y (N,) and inputs u (m,) without what is absurd, and its Decision. begins: the time at which
+    the detector started anew, NaN where it did not. between: times and inputs of the steps before it. out (N,): what is left
+    out as it is frozen. after: what the second look found, None until then.
+    """
+
+    t: float
+    y: Array
+    u: Array
+    decision: Decision
+    begins: float
+    between: tuple[tuple[float, Array], ...]
+    out: Array
+    after: Hindsight | None = None
+
+
+@dataclass
+class NamedEvent:
+    """An event with its id as it was last reported, None before; final: whether it has not changed for long after its end."""
+
+    id: int
+    hypothesis: str
+    start: float
+    end: float
+    told: Event | None = None
+    final: bool = False
+
+
+@dataclass
+class SecondLook:
+    """A filter LEAD samples behind the detector, without the readings that this has isolated, and WINDOW samples of it.
+
+    Kinds are named over these EACH samples after an event opens or closes, and again when that time has doubled, until it is
+    SETTLED; a sensor that is silent or frozen is looked for every EACH samples.
+    """
+
+    detector: Detector
+    gap: int
+    core: GaussianState | None = None
+    before: float = np.nan
+    ahead: deque[Seen] = field(default_factory=deque)
+    window: deque[Seen] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    named: list[NamedEvent] = field(default_factory=list)
+    read: Array = field(default_factory=lambda: np.zeros(0, bool))  # sensors that were ever read
+    count: int = 0
+    due: int = 0  # the sample at which kinds are named next, 0: when something happens
+    pause: int = EACH
+    verdict: str = ""  # of the model, as last reported
+
+    def take(self, seen: Seen) -> None:
+        """A sample, of which all but `out` is known."""
+        self.count += 1
+        self.read = np.isfinite(seen.y) | (self.read if self.read.size else False)
+        self.ahead.append(seen)
+        self._freeze()
+        if len(self.ahead) > LEAD:
+            self._look()
+
+    def happened(self) -> None:
+        """An event has opened or closed."""
+        self.due, self.pause = min(self.due or self.count + EACH, self.count + EACH), EACH
+
+    def _freeze(self) -> None:
+        """Leave out the samples ahead in which a sensor repeats its value."""
+        if len(self.ahead) < REPEATED:
+            return
+        last = np.array([s.y for s in self.ahead])
+        read = np.isfinite(last)
+        value = np.nanmax(np.where(read, last, -np.inf), axis=0)
+        if not (same := np.all(~read | (last == value), axis=0) & read.any(axis=0)).any():
+            return
+        rows = [*self.window, *self.ahead]
+        for i in np.flatnonzero(same):
+            for a, b in repeats(np.array([[s.y[i]] for s in rows]))[0][-1:]:
+                if b >= len(rows) - REPEATED:
+                    for k in range(max(a, len(self.window)), b + 1):
+                        rows[k].out[i] = True
+
+    def _look(self) -> None:
+        """The filter's step to the oldest sample ahead."""
+        seen = self.ahead.popleft()
+        n = seen.y.size
+        out = seen.out | seen.decision.isolated[:n]
+        for later in islice(self.ahead, LEAD):
+            out = out | later.decision.isolated[:n]
+        model = getattr(self.detector, "model", self.detector.plant)
+        if np.isfinite(seen.begins):
+            self.core, self.before = begun(model), seen.begins
+        found: Hindsight | None = None
+        nothing = np.full(n, np.nan)
+        for t, y, u, use in (
+            *((t, nothing, u, np.zeros(n, bool)) for t, u in seen.between),
+            (seen.t, seen.y, seen.u, np.isfinite(seen.y) & ~out),
+        ):
+            if self.core is not None:
+                self.core, found = looked(model, self.core, (self.before, t), (y, u), use)
+                self.before = t
+        if self.core is None or found is None:
+            found = Hindsight(nothing, nothing, nothing, np.array(np.nan), np.array(0))
+        self.window.append(seen._replace(after=found, between=()))
+
+    def changes(self, opened: Sequence[tuple[int, Event]], clock: Clock, next_id: int) -> tuple[list[tuple[int, Event]], str]:
+        """What is to be reported after a sample: events with their ids, and the line of the model's health, "" for none.
+
+        opened: id and event of what has opened since the last sample; new ids begin with next_id.
+        """
+        for number, event in opened:
+            if event.kind == "sensor":
+                self.named.append(NamedEvent(number, event.hypothesis, event.start, event.start))
+        if not self.due and self.count % EACH == 0 and self._is_silent_or_frozen():
+            self.happened()
+        found: list[tuple[int, Event]] = []
+        health = ""
+        whole = self.count % WINDOW == 0
+        if whole or (self.due and self.count >= self.due):
+            events, model = self._explained(clock)
+            found = self._news(events, next_id)
+            if whole:
+                health = self._health(model)
+            standing = any(not e.final for e in self.named)
+            self.pause = min(2 * self.pause, WINDOW)
+            self.due = self.count + self.pause if standing else 0
+        return found, health
+
+    def final(self, clock: Clock, next_id: int) -> tuple[list[tuple[int, Event]], str]:
+        """What would be reported if no row came any more; changes nothing."""
+        if not self.count:
+            return [], ""
+        end = replace(
+            self,
+            ahead=deque(self.ahead),
+            window=deque(self.window, maxlen=WINDOW),
+            named=[replace(e) for e in self.named],
+        )
+        while end.ahead:
+            end._look()
+        events, model = end._explained(clock)
+        return end._news(events, next_id), end._health(model)
+
+    def anew(self) -> SecondLook:
+        """The same after a reset, of which it knows nothing but the sensors and the verdict."""
+        return SecondLook(self.detector, self.gap, read=self.read, verdict=self.verdict)
+
+    def arrays(self) -> dict[str, Array]:
+        """What `restored` takes up again, but for the decisions, as arrays."""
+        rows = [*self.window, *self.ahead]
+        found = {"read": self.read, "numbers": np.array([self.before, self.count, self.due, self.pause, len(self.window)])}
+        found |= {"verdict": np.array(self.verdict)}
+        if self.core is not None:
+            found |= {"x": self.core.x, "P": self.core.P}
+        for name in ("t", "y", "u", "begins", "out") if rows else ():
+            found[name] = np.array([getattr(s, name) for s in rows])
+        for name in Hindsight._fields if self.window else ():
+            found[f"after.{name}"] = np.array([getattr(s.after, name) for s in self.window])
+        steps = [(k, t, *u) for k, s in enumerate(self.ahead) for t, u in s.between]
+        found["between"] = np.array(steps or np.empty((0, 2)), float)
+        found["named"] = np.array([(e.id, e.start, e.end, e.final) for e in self.named], float).reshape(-1, 4)
+        found["hypotheses"] = np.array([e.hypothesis for e in self.named], str)
+        told = [e.told for e in self.named]
+        found["told"] = np.array([(np.nan,) * 4 if e is None else (e.start, e.end, e.size, e.open) for e in told], float)
+        found["faults"] = np.array(["" if e is None else e.fault for e in told], str)
+        return found
+
+    @classmethod
+    def restored(cls, detector: Detector, gap: int, arrays: dict[str, Array], decisions: Sequence[Decision]) -> SecondLook:
+        """The same with which `arrays` was called; decisions: of the last samples."""
+        before, count, due, pause, size = arrays["numbers"].tolist()
+        core = GaussianState(arrays["x"], arrays["P"]) if "x" in arrays else None
+        found = cls(detector, gap, core, before, read=arrays["read"], count=int(count), due=int(due), pause=int(pause))
+        found.verdict = str(arrays["verdict"])
+        rows = [arrays[name] for name in ("t", "y", "u")] if "t" in arrays else [np.empty(0)] * 3
+        number = len(rows[0])
+        for k, (t, y, u) in enumerate(zip(*rows, strict=True)):
+            steps = tuple((float(s[1]), s[2:]) for s in arrays["between"] if s[0] == k - size)
+            decision = decisions[len(decisions) - number + k]
+            seen = Seen(float(t), y, u, decision, float(arrays["begins"][k]), steps, arrays["out"][k])
+            if k < size:
+                after = Hindsight(*(arrays[f"after.{name}"][k] for name in Hindsight._fields))
+                found.window.append(seen._replace(after=after))
+            else:
+                found.ahead.append(seen)
+        for row, name, told, fault in zip(
+            arrays["named"].tolist(),
+            arrays["hypotheses"].tolist(),
+            arrays["told"].tolist(),
+            arrays["faults"].tolist(),
+            strict=True,
+        ):
+            start, end, magnitude, is_open = told
+            event = None if np.isnan(start) else Event(name, start, end, magnitude, "", bool(is_open), fault=fault)
+            found.named.append(NamedEvent(int(row[0]), name, row[1], row[2], event, bool(row[3])))
+        return found
+
+    def _is_silent_or_frozen(self) -> bool:
+        last = np.array([s.y for s in islice(reversed(self.window), DUE)])
+        if len(last) < DUE:
+            return False
+        silent = (np.sum(np.isnan(last), axis=0) >= DUE // 2) & self.read
+        equal = np.all(last[:REPEATED] == last[0], axis=0)
+        known = {e.hypothesis for e in self.named}
+        sensors = self.detector.plant.sensor_names
+        return any(sensors[i] not in known for i in np.flatnonzero(silent | equal))
+
+    def _explained(self, clock: Clock) -> tuple[list[Event], Health]:
+        """The events and the health of the model of `diagnose`, of the window."""
+        rows = list(self.window)
+        t, y = np.array([s.t for s in rows]), np.array([s.y for s in rows])
+        decisions = stack([s.decision for s in rows])
+        after = Hindsight(*(np.array(v) for v in zip(*(s.after for s in rows if s.after is not None), strict=True)))
+        found = explained(self.detector, t, y, decisions, events_of(self.detector, t, decisions, self.gap), after, repeats(y))
+        names = self.detector.plant.sensor_names
+        events = [e for e in found if e.kind != "sensor" or self.read[names.index(e.hypothesis)]]
+        starts = np.flatnonzero(np.isfinite([s.begins for s in rows]))
+        remarks = against_the_model(events, decisions, t, clock)
+        return events, health_of(names, after, starts, alarm_rate_of(self.detector), remarks)
+
+    def _news(self, events: Sequence[Event], next_id: int) -> list[tuple[int, Event]]:
+        """Of the events of sensors those that are not as reported before."""
+        times = [s.t for s in self.window]
+        settled = times[-SETTLED - 1] if len(times) > SETTLED else -np.inf
+        found: list[tuple[int, Event]] = []
+        for event in events:
+            if event.kind != "sensor":
+                continue
+            own = [e for e in self.named if e.hypothesis == event.hypothesis and e.start <= event.end and e.end >= event.start]
+            if any(e.final for e in own):
+                continue
+            if not own:
+                own = [NamedEvent(next_id, event.hypothesis, event.start, event.end)]
+                self.named += own
+                next_id += 1
+            known = own[0]
+            for other in own[1:]:  # those that are one with the first
+                self.named.remove(other)
+            known.start = event.start if event.start > times[0] else min(known.start, event.start)
+            known.end, event = event.end, replace(event, start=known.start)
+            if known.told is None or _differs(known.told, event):
+                known.told = event
+                found.append((known.id, event))
+            known.final = known.end < settled
+        self.named = [e for e in self.named if not (e.end < times[0])]
+        for e in self.named:
+            e.final |= e.end < settled
+        return found
+
+    def _health(self, health: Health) -> str:
+        verdict = health.line.partition(":")[0]
+        if not (health.tested or health.suspect) or verdict == self.verdict:
+            return ""
+        self.verdict = verdict
+        return health.line
+
+
+def _differs(before: Event, now: Event) -> bool:
+    return (before.fault, before.open, before.start) != (now.fault, now.open, now.start) or (
+        not now.open and (before.end, before.size) != (now.end, now.size)
+    )

@@ -1,0 +1,117 @@
+"""Rows in another order than that of their times: what is put in order, what is lost, and what a restart makes of it."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from toy_plants import readings, tanks
+
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.live import order
+from fusion_sfdia.live.order import InOrder, Row
+from fusion_sfdia.live.saving import SavedWatch
+from fusion_sfdia.live.watch import Watch
+
+Rows = list[tuple[float, np.ndarray, np.ndarray]]
+
+
+def rows_of(steps: int = 80) -> Rows:
+    """A bias of l1 from the 20th row on, one row each 5 s."""
+    t, _, y, u = readings(tanks(), steps, 1, 3)
+    y = y[:, 0].copy()
+    y[20:50, 0] += 0.15
+    return [(float(s), r, a) for s, r, a in zip(t, y, u[:, 0], strict=True)]
+
+
+def shuffled(rows: Rows, seconds: float, seed: int = 0) -> Rows:
+    """The same rows, each arriving up to so many seconds after its time."""
+    rng = random.Random(seed)
+    return sorted(rows, key=lambda row: row[0] + rng.uniform(0.0, seconds))
+
+
+def lines_of(watch: Watch, rows: Rows, *, rest: bool = True) -> list[str]:
+    found: list[str] = []
+    saved = SavedWatch(watch, found.append, samples=True)
+    for row in rows:
+        saved.take(*row)
+    if rest:
+        saved.rest()
+    return found
+
+
+def bank() -> LeaveOneOutBank:
+    return LeaveOneOutBank(tanks(), window=1)
+
+
+def pushed(one: InOrder, times: list[float]) -> tuple[list[float], list[list[float]]]:
+    """What is returned in all, and after each row, if what is returned is diagnosed."""
+    last, found = None, []
+    for t in times:
+        due = [row.t for row, _ in one.push(Row(t, np.empty(0), np.empty(0)), last, Clock())]
+        last = due[-1] if due else last
+        found.append(due)
+    return [t for due in found for t in due], found
+
+
+def test_rows_within_the_time_are_put_in_order_and_later_ones_are_lost_and_counted() -> None:
+    rows, remarks = rows_of(), []
+    disordered = shuffled(rows, 20.0)
+    assert [r[0] for r in disordered] != [r[0] for r in rows]
+    expected = lines_of(Watch(bank()), rows)
+    assert lines_of(Watch(bank(), reorder=20.0, refused=remarks.append), disordered) == expected and not remarks
+    straggler, others = rows[30], rows[:30] + rows[31:]
+    late = [*others[:40], straggler, *others[40:]]
+    watch = Watch(bank(), reorder=20.0, refused=remarks.append)
+    assert lines_of(watch, late) == lines_of(Watch(bank()), others)
+    assert len(remarks) == 2 and "not later than the last one" in remarks[0] and remarks[1].startswith("1 rows until")
+    lines_of(Watch(bank(), refused=(lost := []).append), disordered)
+    assert lost  # without the option
+
+
+def test_each_row_is_returned_when_a_row_that_much_later_has_come() -> None:
+    in_order, found = pushed(InOrder(10.0, 1e3, print), [5.0, 0.0, 12.0, 10.0, 15.0, 16.0, 30.0])
+    assert in_order == [0.0, 5.0, 10.0, 12.0, 15.0, 16.0]
+    assert found == [[], [], [0.0], [], [5.0], [], [10.0, 12.0, 15.0, 16.0]]
+
+
+def test_the_number_of_rows_held_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(order, "MOST_HELD", 5)
+    one = InOrder(1e6, 1e9, print)
+    in_order, _ = pushed(one, list(map(float, range(100))))
+    assert in_order == list(map(float, range(95))) and len(one.held) == 5
+
+
+def test_a_wrong_clock_in_one_row_does_not_make_the_rows_after_it_late() -> None:
+    remarks: list[str] = []
+    one = InOrder(10.0, 100.0, remarks.append)
+    in_order, _ = pushed(one, [1e9, 0.0, 5.0, 1e8, 10.0, 20.0, 500.0, 505.0, 520.0])
+    assert in_order == [0.0, 5.0, 10.0, 20.0, 500.0, 505.0]
+    assert len(remarks) == 2 and all("it is later than the row after it" in r for r in remarks)
+
+
+@pytest.mark.parametrize("again", ["all", "after"])
+def test_killed_with_rows_held_and_started_again_it_writes_the_same_lines(again: str, tmp_path: Path) -> None:
+    rows = shuffled(rows_of(), 20.0, seed=1)
+    expected = lines_of(Watch(bank(), reorder=20.0), rows)
+    settings: dict[str, Any] = {"reorder": 20.0}
+    for cut in (3, 33, 60):
+        found: list[str] = []
+        first = SavedWatch(Watch(bank(), **settings), found.append, tmp_path / "s", every=10, samples=True)
+        for row in rows[:cut]:
+            first.take(*row)
+        assert first.watch.order.held  # not in the state
+        if cut == 3:
+            assert not (tmp_path / "s").exists()
+            continue
+        remarks: list[str] = []
+        second = Watch.load(tmp_path / "s", bank(), refused=remarks.append, **settings)
+        saved = second.t
+        assert saved is not None and saved < max(r[0] for r in rows[:cut])
+        after = lines_of(second, rows if again == "all" else [r for r in rows if r[0] > saved])
+        assert list(dict.fromkeys([*found, *after])) == expected and not remarks
+        (tmp_path / "s").unlink()

@@ -1,0 +1,48 @@
+"""Files of plain numbers are read at once; any other is left to the reader that names what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fusion_sfdia.logs import plain
+from fusion_sfdia.logs.plain import plain_table
+
+
+def file_of(folder: Path, text: str) -> Path:
+    path = folder / "log.csv"
+    path.write_bytes(text.encode())
+    return path
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("block", [7, 1 << 20])
+def test_plain_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str, block: int) -> None:
+    """The numbers that Python reads, to the bit; blocks may end within a line and within its end."""
+    monkeypatch.setattr(plain, "BLOCK", block)
+    values = np.random.default_rng(0).standard_normal((50, 3)) * 10.0 ** np.arange(-8, 16, 8)
+    values[3, 1] = np.nan
+    lines = [",".join("" if np.isnan(v) else repr(v) for v in row) for row in values.tolist()]
+    found = plain_table(file_of(tmp_path, end.join(['time,"a, b",c [m]', *lines]) + end))
+    assert found is not None and found[0] == ["time", "a, b", "c [m]"]
+    np.testing.assert_array_equal(found[1], values)
+    again = plain_table(file_of(tmp_path, end.join(["time,a,c", *lines])))  # without an end of the last line
+    assert again is not None and len(again[1]) == 50
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        *("1,2\n3\n", "1,2,3\n", "1,2\n\n3,4\n", "1,2\n,\n", "1,nan\n", "1,bad\n", '1,"2"\n', "1,1e999\n", "1,1-2\n"),
+        *("1, 2\n", "", "\n", "1,2\r3,4\n", "2024-01-01,1\n"),
+    ],
+)
+def test_what_needs_a_closer_look(tmp_path: Path, rows: str) -> None:
+    assert plain_table(file_of(tmp_path, "time,a\n" + rows)) is None
+
+
+@pytest.mark.parametrize("header", ["time\n", "time,\n", '"time,a\n'])
+def test_headers_that_need_one(tmp_path: Path, header: str) -> None:
+    assert plain_table(file_of(tmp_path, header + "1,2\n")) is None
