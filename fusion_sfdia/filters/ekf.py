@@ -24,9 +24,9 @@ def predict(x: Array, P: Array, f: Model, F: Array | None, Q: Array, sparse: boo
     for the complex step's (f must then be analytic). sparse: whether most entries of F are 0.
     """
     F = complex_step_jacobian(f, x) if F is None else F
-    one = single(P)
-    both = congruence(F, one)[0] if sparse else symmetrise(F @ one @ np.swapaxes(F, -1, -2))
-    return f(x), repeated(add(both, Q), P)
+    one = single(P) if F.ndim == 2 else P
+    ahead = congruence(F, one)[0] if sparse else symmetrise(F @ one @ np.swapaxes(F, -1, -2))
+    return f(x), repeated(add(ahead, Q), P)
 
 
 def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array, sparse: bool = False) -> Joint:
@@ -36,7 +36,7 @@ def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array, sparse: bool 
     for the complex step's (h must then be analytic). sparse: whether most entries of H are 0.
     """
     H = complex_step_jacobian(h, x) if H is None else H
-    one = single(P)
+    one = single(P) if H.ndim == 2 else P
     if sparse:
         HPH, HP = congruence(H, one)
         C = np.swapaxes(HP, -1, -2)

@@ -32,18 +32,22 @@ def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
 
 @compiled
 def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Sums (B, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,), a new one where negative."""
+    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,), a new one
+    where negative.
+    """
     sums, squares, ages = np.empty_like(a), np.empty_like(b), np.empty_like(age)
     for r in range(a.shape[0]):
         for l in range(places.shape[0]):  # noqa: E741
             k = places[l]
             if k < 0:
                 sums[r, l] = 0.0
-                squares[r, l] = 0.0
+                if r < b.shape[0]:
+                    squares[r, l] = 0.0
                 ages[r, l] = 1.0
             else:
                 sums[r, l] = a[r, k]
-                squares[r, l] = b[r, k]
+                if r < b.shape[0]:
+                    squares[r, l] = b[r, k]
                 ages[r, l] = age[r, k] + 1.0
     return sums, squares, ages
 
@@ -107,34 +111,42 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 @compiled
 def transition(
-    F: Array, K: Array, before: Array, H: Array, half: Array, scores: Array, leading: int, read: int, numbers: Array
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """A = F - F K H, its columns of the `leading` states, F K, U', -U' H of the states that are read, and U' d.
+    F: Array, K: Array, before: Array, H: Array, half: Array, leading: int, read: int, numbers: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """A = F - F K H, its columns of the `leading` states, F K, U' and -U' H of the states that are read.
 
-    F (1 or B, n, n), K (B, n, N), H of the update before and now (1 or B, N, n), half: U (B, N, N), scores (B, N). All are
-    rounded to the type of `numbers` first.
+    F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), half: U (B, N, N), each of 1 run where it is the same
+    for all. They are rounded to the type of `numbers` first.
     """
-    B, n, N = K.shape
+    B = max(F.shape[0], K.shape[0], before.shape[0], H.shape[0], half.shape[0])
+    n, N = K.shape[1:]
     kind = numbers.dtype
     A, columns, FK = np.empty((B, n, n), kind), np.empty((B, n, leading), kind), np.empty((B, n, N), kind)
-    turned, seen, found = np.empty((B, N, N), kind), np.empty((B, N, read), kind), np.empty((B, N), kind)
-    f, gain, taken = np.empty((n, n), kind), np.empty((n, N), kind), np.empty((n, read), kind)
+    turned, seen = np.empty((B, N, N), kind), np.empty((B, N, read), kind)
+    gain, taken = np.empty((n, N), kind), np.empty((n, read), kind)
     was, now = np.empty((N, read), kind), np.empty((N, read), kind)
     for k in range(B):
-        f[:] = F[k % F.shape[0]]
-        gain[:] = K[k]
-        was[:] = before[k % before.shape[0], :, :read]
-        now[:] = H[k % H.shape[0], :, :read]
-        np.dot(f, gain, FK[k])
+        f, g, h, m, u = k % F.shape[0], k % K.shape[0], k % before.shape[0], k % H.shape[0], k % half.shape[0]
+        for i in range(n):
+            for j in range(n):
+                A[k, i, j] = F[f, i, j]
+            for j in range(N):
+                gain[i, j] = K[g, i, j]
+        for i in range(N):
+            for j in range(read):
+                was[i, j] = before[h, i, j]
+                now[i, j] = -H[m, i, j]
+            for j in range(N):
+                turned[k, j, i] = half[u, i, j]
+        np.dot(A[k], gain, FK[k])
         np.dot(FK[k], was, taken)
-        A[k] = f
-        A[k, :, :read] -= taken
-        columns[k] = A[k, :, :leading]
-        turned[k] = half[k].T
         np.dot(turned[k], now, seen[k])
-        seen[k] = -seen[k]
-        found[k] = scores[k]
-    return A, columns, FK, turned, seen, found
+        for i in range(n):
+            for j in range(read):
+                A[k, i, j] -= taken[i, j]
+            for j in range(leading):
+                columns[k, i, j] = A[k, i, j]
+    return A, columns, FK, turned, seen
 
 
 @compiled
@@ -161,60 +173,66 @@ def weighed(
     eta (B, L, n, q) is written, from the slots `places` (L,) of `old`. A (B, n, n), and its columns of the `leading` states;
     the others count only where they are not 0. FK (B, n, N); before (B, L): D of `old`. change (B, n, r): C, the first `once`
     at the onset only. half (B, N, N): U', seen: -U' H of the states that are read, scores (B, N): U' d, readings (B, L): D.
-    One onset after the other, so that what belongs to it stays near; onsets that are the same have the same bits.
+    Each is of 1 run where it is the same for all; eta and b may be. One onset comes after the other, so that what belongs to it
+    stays near. Onsets that are the same have the same bits.
     """  # fmt: skip
-    B, L, n, q = eta.shape
+    E, L, n, q = eta.shape
     N, r, d, read = half.shape[1], change.shape[2], leading.shape[2], seen.shape[2]
     number = eta.dtype.type
     zero = number(0)
     M, sums, squares = np.empty((N, q), eta.dtype), np.empty(q, eta.dtype), np.empty(q, eta.dtype)
     row, column, factor = np.empty(n * n, np.int64), np.empty(n * n, np.int64), np.empty(n * n, eta.dtype)
-    for k in range(B):
-        few = 0
+    for k in range(E):
+        own, few = k % A.shape[0], 0
         for i in range(n):
             for s in range(d, n):
-                if A[k, i, s] != 0:
-                    row[few], column[few], factor[few] = i, s, A[k, i, s]
+                if A[own, i, s] != 0:
+                    row[few], column[few], factor[few] = i, s, A[own, i, s]
                     few += 1
-        c = k % change.shape[0]
+        c, now = k % change.shape[0], k % seen.shape[0]
         for l in range(L):  # noqa: E741
             into = eta[k, l]
             if places[l] < 0:
-                into[:] = zero
+                for i in range(n):
+                    for j in range(q):
+                        into[i, j] = zero
             else:
                 out_of, by = old[k, places[l]], number(before[k, places[l]])
-                np.dot(leading[k], out_of[:d], into)
+                np.dot(leading[own], out_of[:d], into)
                 for f in range(few):
                     to, of, times = into[row[f]], out_of[column[f]], factor[f]
                     for j in range(q):
                         to[j] += times * of[j]
                 for i in range(n):
-                    to, of = into[i], FK[k, i]
+                    to, of = into[i], FK[own, i]
                     for j in range(N):
                         to[j] += by * of[j]
             for i in range(n if r else 0):
                 to, of = into[i, q - r :], change[c, i]
                 for j in range(0 if age[k, l] <= 1 else once, r):
                     to[j] -= of[j]
-            if places[l] < 0 and r == 0:
-                M[:] = zero
-            else:
-                np.dot(seen[k], into[:read], M)
-            sums[:] = zero
-            squares[:] = zero
+            np.dot(seen[now], into[:read], M)
             by = number(readings[k, l])
-            for i in range(N):
-                score, of, direct = scores[k, i], M[i], half[k, i]
-                for j in range(N):
-                    m = of[j] + by * direct[j]
-                    sums[j] += score * m
-                    squares[j] += m * m
-                for j in range(N, q):
-                    sums[j] += score * of[j]
-                    squares[j] += of[j] * of[j]
             for j in range(q):
-                a[k, l, j] += sums[j]
-                b[k, l, j] += squares[j]
+                squares[j] = zero
+            for i in range(N):
+                to, of = M[i], half[now, i]
+                for j in range(N):
+                    to[j] += by * of[j]
+                for j in range(q):
+                    squares[j] += to[j] * to[j]
+            for run in range(k, k + 1 if E == a.shape[0] else a.shape[0]):
+                for j in range(q):
+                    sums[j] = zero
+                for i in range(N):
+                    of, score = M[i], scores[run, i]
+                    for j in range(q):
+                        sums[j] += score * of[j]
+                for j in range(q):
+                    a[run, l, j] += sums[j]
+                if run < b.shape[0]:
+                    for j in range(q):
+                        b[run, l, j] += squares[j]
 
 
 @compiled

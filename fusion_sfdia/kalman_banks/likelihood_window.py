@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import for_all, repeated, single
 from fusion_sfdia.kalman_banks import bank_kernels, window_step
 from fusion_sfdia.kalman_banks.leave_one_out import value_at
 from fusion_sfdia.kalman_banks.window_step import WindowStep
@@ -136,33 +137,43 @@ class Best(NamedTuple):
 def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type | None = None) -> Window:
     """Return the window before the first readings; kind: of the numbers of eta, `window_step.NUMBERS` by default."""
     slots, sums = (*batch, grid.slots), (*batch, grid.slots, hypotheses)
-    eta: Array = np.zeros((*slots, states, hypotheses), kind or window_step.NUMBERS)
-    return Window(eta, np.zeros(slots), np.zeros(sums), np.zeros(sums), np.zeros(slots))
+    eta = for_all(np.zeros((grid.slots, states, hypotheses), kind or window_step.NUMBERS), batch)
+    return Window(eta, np.zeros(slots), np.zeros(sums), for_all(np.zeros(sums[-2:]), batch), np.zeros(slots))
 
 
 def shifted(window: Window, grid: Grid, step: int) -> Shifted:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
     places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
     batch = window.age.shape[:-1]
-    found = bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in (window.a, window.b, window.age)), places)
-    return Shifted(window, places, *(_of_batch(v, batch) for v in found))
+    found = bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age)), places)
+    a, b, age = (_of_batch(v, batch) for v in found)
+    return Shifted(window, places, a, repeated(b, a), age)
 
 
 def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
-    """Take the window over a step and add its innovations; a and b of `now` are written to."""
+    """Take the window over a step and add its innovations; a and b of `now` are written to.
+
+    Where all runs have the same transition and the same hypotheses, such as biases, eta and b are computed once.
+    """
     before, places, a, b, age = now
-    kind, batch = before.eta.dtype, age.shape[:-1]
-    old, change = bank_kernels.runs(before.eta, batch), np.empty((1, step.A.shape[-1], 0), kind)
+    kind, batch, D = before.eta.dtype, age.shape[:-1], effect.readings
+    alike = effect.state is None and D.ndim == 1 and len(step.A) == len(step.seen) == 1
+    old, change = (
+        bank_kernels.runs(single(before.eta) if alike else before.eta, batch),
+        np.empty((1, step.A.shape[-1], 0), kind),
+    )
+    b = bank_kernels.runs(single(b) if len(old) == 1 else b, batch)
     if effect.state is not None:
         change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
-    eta, D = np.empty_like(old), effect.readings
+    eta = np.empty_like(old)
     readings = bank_kernels.runs(D if D.shape == age.shape else np.broadcast_to(D, age.shape), batch)
     bank_kernels.weighed(
-        old, eta, *(bank_kernels.runs(v, batch) for v in (a, b, age)), places, step.A, step.leading, step.FK,
+        old, eta, bank_kernels.runs(a, batch), b, bank_kernels.runs(age, batch), places, step.A, step.leading, step.FK,
         bank_kernels.runs(before.readings, batch), change, effect.once, step.half, step.seen, step.scores, readings,
     )  # fmt: skip
     H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
-    return Weighed(_of_batch(eta, batch), _of_batch(readings, batch), a, b, age, H)
+    eta, readings, b = (_of_batch(v, batch) for v in (eta, readings, b))
+    return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, H)
 
 
 def _of_batch(a: Array, batch: tuple[int, ...]) -> Array:

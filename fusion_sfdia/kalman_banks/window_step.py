@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import for_all, single
 from fusion_sfdia.kalman_banks.bank_kernels import common, runs, transition
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
@@ -34,8 +35,8 @@ class LastUpdate(NamedTuple):
 class WindowStep(NamedTuple):
     """A step of B runs.
 
-    A (B, n, n), its columns of the first states, which are dense, FK (B, n, N). H (1 or B, N, n), half U' (B, N, N), seen -U' H
-    (B, N, d) of the states that are read, scores U' d (B, N).
+    A (B, n, n), its columns of the first states, which are dense, FK (B, n, N). H (B, N, n), half U' (B, N, N), seen -U' H
+    (B, N, d) of the states that are read, scores U' d (B, N). Those but U' d are of 1 run where they are the same for all.
     """
 
     A: Array
@@ -49,7 +50,8 @@ class WindowStep(NamedTuple):
 
 def no_update(batch: tuple[int, ...], states: int, sensors: int) -> LastUpdate:
     """Return what stands for the update before the first readings."""
-    return LastUpdate(np.zeros((*batch, states, sensors)), np.zeros((*batch, sensors, states)))
+    K: Array = np.zeros((states, sensors))
+    return LastUpdate(for_all(K, batch), for_all(K.T, batch))
 
 
 def window_step(
@@ -65,13 +67,14 @@ def window_step(
     d = n if leading is None else leading
     read = n if d < n and (output_jacobian[..., d:].any() or last.readout[..., d:].any()) else d
     F, H = (common(v, batch, 2) for v in (tangent, output_jacobian))
-    K, before, half, scores = (runs(v, batch) for v in (*last, found.half, found.scores))
-    A, columns, FK, *weights = transition(F, K, before, H, half, scores, d, read, np.empty(0, kind))
-    return WindowStep(A, columns, FK, H, *weights)
+    K, before, half = (runs(single(v), batch) for v in (*last, found.half))
+    A, columns, FK, turned, seen = transition(F, K, before, H, half, d, read, np.empty(0, kind))
+    return WindowStep(A, columns, FK, H, turned, seen, runs(found.scores.astype(kind, copy=False), batch))
 
 
 def last_update(step: WindowStep, gain: Array, restart: Array) -> LastUpdate:
     """Return the update with gain K (..., n, N); restart (...): runs whose windows restart, in which it has no effect."""
+    batch = gain.shape[:-2]
     K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else gain
-    H = step.H if len(step.H) == len(step.A) else np.repeat(step.H, len(step.A), axis=0)
-    return LastUpdate(K, H.reshape(*K.shape[:-2], *H.shape[1:]))
+    H = for_all(step.H[0], batch) if len(step.H) == 1 else step.H.reshape(*batch, *step.H.shape[1:])
+    return LastUpdate(K, H)
