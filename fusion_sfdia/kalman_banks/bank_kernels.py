@@ -32,23 +32,20 @@ def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
 
 @compiled
 def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,), a new one
-    where negative.
+    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,).
+
+    A new one where that is negative.
     """
-    sums, squares, ages = np.empty_like(a), np.empty_like(b), np.empty_like(age)
+    sums, squares, ages = np.zeros_like(a), np.zeros_like(b), np.ones_like(age)
     for r in range(a.shape[0]):
         for l in range(places.shape[0]):  # noqa: E741
             k = places[l]
-            if k < 0:
-                sums[r, l] = 0.0
-                if r < b.shape[0]:
-                    squares[r, l] = 0.0
-                ages[r, l] = 1.0
-            else:
-                sums[r, l] = a[r, k]
-                if r < b.shape[0]:
-                    squares[r, l] = b[r, k]
+            if k >= 0:
                 ages[r, l] = age[r, k] + 1.0
+                for j in range(a.shape[2]):
+                    sums[r, l, j] = a[r, k, j]
+                    if r < b.shape[0]:
+                        squares[r, l, j] = b[r, k, j]
     return sums, squares, ages
 
 
