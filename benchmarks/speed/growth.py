@@ -28,12 +28,12 @@ COMMAND = (
 
 
 def sensors(detector: str, size: int) -> Call:
-    """A step of a detector on a chain of so many states and sensors."""
+    """A step of a detector on so many coupled states, each with a sensor."""
     from fusion_sfdia import registry
     from fusion_sfdia.benchmarks.speed.support.calls import repeated_step
-    from fusion_sfdia.benchmarks.speed.support.chain import chain
+    from fusion_sfdia.benchmarks.speed.support.coupled import coupled
 
-    return repeated_step(registry.detector(detector, chain(size)))
+    return repeated_step(registry.detector(detector, coupled(size)))
 
 
 def nodes(size: int) -> Call:
@@ -54,18 +54,18 @@ def areas(size: int) -> Call:
 
 def seeds(size: int) -> Call:
     """The work of a comparison of one detector on one plant with so many seeds."""
-    from fusion_sfdia.benchmarks.speed.support.chain import chain
+    from fusion_sfdia.benchmarks.speed.support.coupled import coupled
     from fusion_sfdia.comparison.compare import scenario_of
     from fusion_sfdia.comparison.protocol import SETTINGS
     from fusion_sfdia.comparison.subjects import Subjects, compared_plant
 
-    plant = compared_plant(chain(2))
+    plant = compared_plant(coupled(2))
     scenario = scenario_of(Subjects(plants={plant.name: plant}))
     chosen = {"plants": (plant.name,), "detectors": ("limits",), "faults": ("bias",), "magnitudes": (10.0,), "lengths": ()}
     short = {"settle": 1, "window": 2, "false_alarm": 0.4, "calibration_error": 0.9}
     none = {"mismatch_cases": False, "process_faults": False}
-    (task,) = scenario.tasks({**SETTINGS, **chosen, **short, **none}, size)
-    return partial(scenario.work, task)
+    tasks = scenario.tasks({**SETTINGS, **chosen, **short, **none}, size)
+    return lambda: [scenario.work(task) for task in tasks]
 
 
 class Case(NamedTuple):
@@ -79,8 +79,8 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("loo-glr", "sensors", partial(sensors, "loo-glr"), 24, Work(0, 3, 2)),
-    Case("robust-glr", "sensors", partial(sensors, "robust-glr"), 24, Work(0, 3, 2)),
+    Case("loo-glr", "sensors", partial(sensors, "loo-glr"), 16, Work(0, 3, 2)),
+    Case("robust-glr", "sensors", partial(sensors, "robust-glr"), 16, Work(0, 3, 2)),
     Case("fusing-enkf", "nodes", nodes, 6, Work(0, 1, 1)),
     Case("chebyshev:corrected", "areas", areas, 10, Work(0, 1, 1)),
     Case("limits", "seeds", seeds, 5, Work(1, 1, 1)),

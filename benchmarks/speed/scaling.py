@@ -1,6 +1,6 @@
 """bench scaling: how time and memory grow with sensors and nodes; those of areas are in `bench network`, of workers in its own.
 
-- `5 sensors` to `500 sensors`: a step of one stream on a chain of as many states (see `support.chain`);
+- `5 sensors` to `500 sensors`: a step of one stream of as many coupled states (see `support.coupled`);
 - `21 nodes` to `2001 nodes`: predict and update of an ensemble on finer pipelines, every node read, and the model's part of it
   (condition `model`); at 201 nodes also the extended bank of 603 filters, and one of them (`one filter`).
 
@@ -24,7 +24,7 @@ from fusion_sfdia.benchmarks.speed.support.calls import (
     timed,
     timed_rows,
 )
-from fusion_sfdia.benchmarks.speed.support.chain import chain
+from fusion_sfdia.benchmarks.speed.support.coupled import coupled
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.filters import enkf
@@ -43,10 +43,10 @@ BANK_NODES = (201,)
 
 
 def measure(seconds: float) -> list[Row]:
-    """Banks on longer and longer chains, the ensemble filter on finer and finer pipelines, the extended bank on one of them."""
+    """Banks of more and more sensors, the ensemble filter on finer and finer pipelines, the extended bank on one of them."""
     rows: list[Row] = []
     for sensors in SENSORS:
-        plant = chain(sensors)
+        plant = coupled(sensors)
         calls: dict[str, Call] = {name: repeated_step(registry.detector(name, plant)) for name in DETECTORS}
         for name, time in timed(calls, seconds).items():
             rows += timed_rows("scaling", plant.name, name, f"{sensors} sensors", time)

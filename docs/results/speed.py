@@ -250,8 +250,9 @@ SCALING = """## Scaling
 
 ![Time of a step against sensors, nodes and areas, and speed by workers](speed-scaling.svg)
 
-*Straight lines on logarithmic axes are powers. Sensors: one stream on a chain of as many states. Nodes: predict and update
-of an ensemble on the pipeline, where finer grids need shorter substeps. Areas: all diagnosers of a network, one core.*
+*Straight lines on logarithmic axes are powers. Sensors: one stream of as many states, each coupled with each. Nodes: predict
+and update of an ensemble on the pipeline, where finer grids need shorter substeps. Areas: all diagnosers of a network on one
+core.*
 
 The exponent of a line through all points, and of the last two, where constant costs count least:
 """

@@ -32,18 +32,22 @@ def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
 
 @compiled
 def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Sums (B, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,), a new one where negative."""
+    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,), a new one
+    where negative.
+    """
     sums, squares, ages = np.empty_like(a), np.empty_like(b), np.empty_like(age)
     for r in range(a.shape[0]):
         for l in range(places.shape[0]):  # noqa: E741
             k = places[l]
             if k < 0:
                 sums[r, l] = 0.0
-                squares[r, l] = 0.0
+                if r < b.shape[0]:
+                    squares[r, l] = 0.0
                 ages[r, l] = 1.0
             else:
                 sums[r, l] = a[r, k]
-                squares[r, l] = b[r, k]
+                if r < b.shape[0]:
+                    squares[r, l] = b[r, k]
                 ages[r, l] = age[r, k] + 1.0
     return sums, squares, ages
 
@@ -121,7 +125,7 @@ def carried(
     """Complete eta (B, n, L, q) from what stood in the slots `places` (L,) of `old`: see `weigh`.
 
     It has the products of A (B, n, n) with the leading states; those with the others, F K D and -C are added. readings (B, L):
-    D of `old`. change (B, n, r): C, the first `once` at the onset only. age (B, L).
+    D of `old`. change (B, n, r): C, the first `once` at the onset only. age (B, L). Of 1 run where eta is the same for all.
     """
     B, n, L, q = eta.shape
     N, r = FK.shape[2], change.shape[2]
@@ -129,7 +133,7 @@ def carried(
     for k in range(B):
         f, c = k % A.shape[0], k % change.shape[0]
         for i in range(n):
-            row = FK[k, i]
+            row = FK[k % FK.shape[0], i]
             for l in range(L):  # noqa: E741
                 into, at = eta[k, i, l], places[l]
                 if at < 0:
@@ -143,7 +147,7 @@ def carried(
                 if factor != 0:
                     for l in range(L):  # noqa: E741
                         if places[l] >= 0:
-                            into, out_of = eta[k, i, l], old[k, s, places[l]]
+                            into, out_of = eta[k, i, l], old[k % old.shape[0], s, places[l]]
                             for j in range(q):
                                 into[j] += factor * out_of[j]
             for l in range(L):  # noqa: E741
@@ -154,32 +158,39 @@ def carried(
 
 @compiled
 def summed(M: Array, half: Array, scores: Array, readings: Array, a: Array, b: Array) -> None:
-    """Add the present innovations to a and b (B, L, q), in place: see `weigh`.
+    """Add the present innovations to a (B, L, q) and b (B or 1, L, q), in place: see `weigh`.
 
     M (B, K, N, q): -U' H eta of the last K slots, 0 in those before. half U' (B, N, N), scores U' d (B, N), readings D (B, L).
+    M and b are of 1 run, and U' and D too, where they are the same for all.
     """
     B, L, q = a.shape
     N, known = M.shape[2], L - M.shape[1]
-    row, sums, squares = np.empty(q, M.dtype), np.empty(q, M.dtype), np.empty(q, M.dtype)
+    alike = B // M.shape[0]
+    row, sums, squares = np.empty(q, M.dtype), np.empty((alike, q), M.dtype), np.empty(q, M.dtype)
     zero = M.dtype.type(0)
-    for k in range(B):
+    for k in range(M.shape[0]):
         for l in range(L):  # noqa: E741
             D = M.dtype.type(readings[k % readings.shape[0], l])
-            for j in range(q):
-                sums[j] = squares[j] = zero
+            sums[:] = zero
+            squares[:] = zero
             for i in range(N):
-                score, direct = scores[k, i], half[k, i]
+                direct = half[k % half.shape[0], i]
                 if l < known:
                     row[:] = zero
                 else:
                     row[:] = M[k, l - known, i]
                 for j in range(N):
                     row[j] += D * direct[j]
+                for r in range(alike):
+                    score, into = scores[k * alike + r, i], sums[r]
+                    for j in range(q):
+                        into[j] += score * row[j]
                 for j in range(q):
-                    sums[j] += score * row[j]
                     squares[j] += row[j] * row[j]
+            for r in range(alike):
+                for j in range(q):
+                    a[k * alike + r, l, j] += sums[r, j]
             for j in range(q):
-                a[k, l, j] += sums[j]
                 b[k, l, j] += squares[j]
 
 

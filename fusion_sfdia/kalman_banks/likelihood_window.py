@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import for_all, repeated, single
 from fusion_sfdia.kalman_banks import bank_kernels, window_step
 from fusion_sfdia.kalman_banks.leave_one_out import value_at
 from fusion_sfdia.kalman_banks.window_step import WindowStep
@@ -136,23 +137,28 @@ class Best(NamedTuple):
 def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type | None = None) -> Window:
     """Return the window before the first readings; kind: of the numbers of eta, `window_step.NUMBERS` by default."""
     slots, sums = (*batch, grid.slots), (*batch, grid.slots, hypotheses)
-    eta: Array = np.zeros((*batch, states, grid.slots, hypotheses), kind or window_step.NUMBERS)
-    return Window(eta, np.zeros(slots), np.zeros(sums), np.zeros(sums), np.zeros(slots))
+    eta = for_all(np.zeros((states, grid.slots, hypotheses), kind or window_step.NUMBERS), batch)
+    return Window(eta, np.zeros(slots), np.zeros(sums), for_all(np.zeros(sums[-2:]), batch), np.zeros(slots))
 
 
 def shifted(window: Window, grid: Grid, step: int) -> Shifted:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
     places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
     batch = window.age.shape[:-1]
-    found = bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in (window.a, window.b, window.age)), places)
-    return Shifted(window, places, *(_of_batch(v, batch) for v in found))
+    found = bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age)), places)
+    a, b, age = (_of_batch(v, batch) for v in found)
+    return Shifted(window, places, a, repeated(b, a), age)
 
 
 def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
-    """Take the window over a step and add its innovations; a and b of `now` are written to."""
+    """Take the window over a step and add its innovations; a and b of `now` are written to.
+
+    Where all runs have the same transition and the same hypotheses, such as biases, eta and b are computed once.
+    """
     before, places, a, b, age = now
     kind, batch, d = before.eta.dtype, age.shape[:-1], step.leading
-    old, n = bank_kernels.runs(before.eta, batch), step.A.shape[-1]
+    alike = effect.state is None and effect.readings.ndim == 1 and len(step.A) == len(step.seen) == 1
+    old, n = bank_kernels.runs(single(before.eta) if alike else before.eta, batch), step.A.shape[-1]
     eta = np.empty_like(old)
     for into, out_of in _blocks(tuple(places.tolist())):
         np.matmul(step.A[:, None, :, :d], _by_slot(old[:, :d, out_of]), out=_by_slot(eta[:, :, into]))
@@ -165,10 +171,11 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     known = int(effect.state is None and places[:1].min(initial=0) < 0)  # the present onset, of which eta is 0
     M = -step.seen[:, None] @ _by_slot(eta[:, : step.seen.shape[-1], known:])
     D = bank_kernels.runs(np.broadcast_to(effect.readings, age.shape), batch)
-    sums = (bank_kernels.runs(v, batch) for v in (a, b))
-    bank_kernels.summed(M, step.half, step.scores, D, *sums)
+    b = bank_kernels.runs(single(b) if len(M) == 1 else b, batch)
+    bank_kernels.summed(M, step.half, step.scores, D, bank_kernels.runs(a, batch), b)
     H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
-    return Weighed(_of_batch(eta, batch), _of_batch(D, batch), a, b, age, H)
+    eta, D, b = (_of_batch(v, batch) for v in (eta, D, b))
+    return Weighed(repeated(eta, a), D, a, repeated(b, a), age, H)
 
 
 @lru_cache(maxsize=4096)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import for_all, repeated, single
 from fusion_sfdia.kalman_banks.bank_kernels import common, runs
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
@@ -34,8 +35,8 @@ class LastUpdate(NamedTuple):
 class WindowStep(NamedTuple):
     """A step of B runs.
 
-    A (B, n, n); FK (B, n, N). leading: the first states, by which A is a dense matrix. H (1 or B, N, n), U' (B, N, N), U' H
-    (B, N, d) of the states that are read, U' d (B, N).
+    A (B, n, n); FK (B, n, N). leading: the first states, by which A is a dense matrix. H (B, N, n), U' (B, N, N), U' H (B, N, d)
+    of the states that are read, U' d (B, N). Those but U' d are of 1 run where they are the same for all.
     """
 
     A: Array
@@ -49,8 +50,8 @@ class WindowStep(NamedTuple):
 
 def no_update(batch: tuple[int, ...], states: int, sensors: int, kind: type | None = None) -> LastUpdate:
     """Return what stands for the update before the first readings; kind: of the numbers, NUMBERS by default."""
-    K: Array = np.zeros((*batch, states, sensors), kind or NUMBERS)
-    return LastUpdate(K, np.zeros((*batch, sensors, states), K.dtype))
+    K: Array = np.zeros((states, sensors), kind or NUMBERS)
+    return LastUpdate(for_all(K, batch), for_all(K.T, batch))
 
 
 def window_step(
@@ -65,9 +66,9 @@ def window_step(
     kind, batch = last.gain.dtype, found.scores.shape[:-1]
     F, H = (common(v.astype(kind, copy=False), batch, 2) for v in (tangent, output_jacobian))
     d = F.shape[-1] if leading is None else leading
-    FK = F @ runs(last.gain, batch)
-    A = F - FK @ runs(last.readout, batch)
-    half = runs(np.swapaxes(found.half, -1, -2).astype(kind), batch)
+    FK = F @ runs(single(last.gain), batch)
+    A = F - FK @ runs(single(last.readout), batch)
+    half = runs(np.swapaxes(single(found.half), -1, -2).astype(kind), batch)
     read = F.shape[-1] if H[..., d:].any() else d
     return WindowStep(A, FK, d, H, half, half @ H[..., :read], runs(found.scores.astype(kind, copy=False), batch))
 
@@ -75,6 +76,6 @@ def window_step(
 def last_update(step: WindowStep, gain: Array, restart: Array) -> LastUpdate:
     """Return the update with gain K (..., n, N); restart (...): runs whose windows restart, in which it has no effect."""
     batch = gain.shape[:-2]
-    K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else gain
-    H = np.broadcast_to(step.H, (len(step.A), *step.H.shape[1:])).reshape(*batch, *step.H.shape[1:])
-    return LastUpdate(np.ascontiguousarray(K, step.A.dtype), np.ascontiguousarray(H))
+    K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else single(gain)
+    H = for_all(step.H[0], batch) if len(step.H) == 1 else step.H.reshape(*batch, *step.H.shape[1:])
+    return LastUpdate(repeated(np.ascontiguousarray(K, step.A.dtype), gain), H)

@@ -1,4 +1,4 @@
-"""A linear plant of any size: a chain of coupled states, one sensor each."""
+"""A linear plant of any size: coupled states, one sensor each."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor
 
 
-def chain(sensors: int) -> Plant:
-    """x_i+ = 0.95 x_i + 0.03 x_{i+1} + w_i, y_i = x_i + v_i for i = 1 .. sensors, with sd 0.1 of w and 1 of v."""
+def coupled(sensors: int) -> Plant:
+    """x_i+ = 0.9 x_i + 0.05 mean(x) + w_i, y_i = x_i + v_i for i = 1 .. sensors, with sd 0.1 of w and 1 of v.
+
+    Each state moves each, so that no zero of a matrix saves work.
+    """
     return linear_plant(
-        "chain",
-        0.95 * np.eye(sensors) + 0.03 * np.eye(sensors, k=1),
+        "coupled",
+        0.9 * np.eye(sensors) + 0.05 / sensors,
         np.eye(sensors),
         [Sensor(f"y{i}", f"x{i}", sigma=1.0) for i in range(sensors)],
         dt=1.0,
