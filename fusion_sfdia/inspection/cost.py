@@ -50,16 +50,16 @@ def of_cost(plant: Plant, found: Cost) -> Iterator[Finding]:
     n, given = len(plant.states), plant.jacobians[0] is not None
     if not given and found.batch > (n + 1) / 2 * found.step:
         cause = (
-            f"a batch of {n + 1} states takes {found.batch / found.step:.0f} times as long as one, and a Jacobian takes a batch: "
-            "write the step with operations on x (..., n), without a loop over states of the batch, or state "
+            f"a batch of {n + 1} states takes {found.batch / found.step:.0f} times as long as one, and a Jacobian takes "
+            "a batch: write the step with operations on x (..., n), without a loop over states of the batch, or state "
             "numerics.step_jacobian"
         )
     elif given and found.jacobian > found.step:
         cause = "most of it is the Jacobian that the plant states: None in its place takes the complex step"
     else:
         cause = (
-            "most of it are calls of NumPy or Python: take fewer substeps, write loops over the elements of a state as operations "
-            "on arrays, or give the equations to `discretise`, which compiles them"
+            "most of it are calls of NumPy or Python: take fewer substeps, write loops over the elements of a state as "
+            "operations on arrays, or give the equations to `discretise`, which compiles them"
         )
     yield Finding(
         REMARK,
