@@ -63,7 +63,7 @@ notebooks: $(DEV)
 
 # the site, in docs/_build/html: its pages run; what has not changed comes from a cache
 docs: $(DEV)
-	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet docs docs/_build/html
+	$(BIN)/python -m sphinx --builder html --jobs $(WORKERS) --fail-on-warning --keep-going --quiet docs docs/_build/html
 
 bench: $(RUN)
 	$(BIN)/fusion-sfdia bench $(BENCH_ARGS)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import re
 import sys
+from functools import partial
 from inspect import signature
 from pathlib import Path
 from typing import Any
 
+import nbclient
+from jupyter_cache.executors import utils
 from sphinx.application import Sphinx
 
 import fusion_sfdia
@@ -42,7 +45,8 @@ nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # s a cell, also on a busy machine
 nb_execution_excludepatterns = ["notebooks/*"]  # they carry their outputs, which a test compares with a fresh run
-nb_merge_streams = True
+nb_render_markdown_format = "myst"  # tables that a cell makes
+utils.executenb = partial(nbclient.execute, coalesce_streams=True)  # else what a command prints is cut into pieces
 nb_ipywidgets_js: dict[str, dict[str, str]] = {}
 
 default_role = "py:obj"

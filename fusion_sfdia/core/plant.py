@@ -25,6 +25,7 @@ from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.core.units import in_units
 
 Array = NDArray[Any]
+LARGE, FEW = 16 * 16, 1 / 8  # entries of a Jacobian, and the share of them that is not 0
 FROM_STATES: Any = None  # the values that the signals of the states give
 
 
@@ -233,6 +234,17 @@ class Plant:
             non_analytic(lambda p: self.step(0.0, p, u, self.dt), self._points),
             non_analytic(lambda p: self.output(0.0, p, u), self._points),
         )
+
+    @cached_property
+    def sparse(self) -> tuple[bool, bool]:
+        """Whether the Jacobians of step and output are so large, and at x0 have so few entries that are not 0, that products
+        with these alone take less time.
+        """
+        x, u = self.x0, self.input_at(0.0)
+        with np.errstate(all="ignore"):
+            found = self.step_jacobian_at(0.0, x, u, self.dt), self.output_jacobian_at(0.0, x, u)
+        step, output = (a.size >= LARGE and bool(np.count_nonzero(a) <= FEW * a.size) for a in found)
+        return step, output
 
     def _of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
         if np.shape(jacobian)[-2:] != (rows, len(self.states)):

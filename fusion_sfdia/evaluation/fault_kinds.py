@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 Array = NDArray[Any]
 
@@ -180,7 +180,7 @@ def _size(kind: str, e: Array, s: Array, sigma: float, ramps: Ramps, rho: float)
         return _interval(size, float(np.sqrt(share @ (np.array(variance) + (ends - size) ** 2))))
     if kind == "noise":
         total, none = float(np.sum(e**2)), float(np.mean(s**2))
-        values = (total / n, total / float(chi2.ppf(0.975, n)), total / float(chi2.ppf(0.025, n)))
+        values = (total / n, *(total / (2 * float(gammaincinv(n / 2, p))) for p in (0.975, 0.025)))  # quantiles of chi-square
         size, low, high = (float(np.sqrt(max(v - none, 0.0))) for v in values)
         return size, low, high
     height = e[np.abs(e) > QUIET * s]

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # whose stats are imported at their first use
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
 
 Array = NDArray[Any]
 
@@ -51,7 +51,7 @@ def proportion(hits: int, trials: int) -> Estimate:
     """Return hits / trials of independent trials, with the interval of Wilson (1927)."""
     if trials == 0:
         return NOTHING
-    interval = stats.binomtest(hits, trials).proportion_ci(LEVEL, method="wilson")
+    interval = scipy.stats.binomtest(hits, trials).proportion_ci(LEVEL, method="wilson")
     return Estimate(hits / trials, float(interval.low), float(interval.high), trials)
 
 
@@ -81,10 +81,10 @@ def rate_over_runs(hits: Array, samples: Array) -> Estimate:
 
 def _wilson(p: float, variance: float, runs: int, most: float = np.inf) -> Estimate:
     """The share p with Wilson's interval for the number of independent samples that has this variance between runs."""
-    z = float(stats.norm.ppf((1 + LEVEL) / 2))
+    z = float(scipy.stats.norm.ppf((1 + LEVEL) / 2))
     n = float(runs)
     if runs > 1 and variance > 0:
-        n = min(p * (1 - p) / variance, most) * (z / float(stats.t.ppf((1 + LEVEL) / 2, runs - 1))) ** 2
+        n = min(p * (1 - p) / variance, most) * (z / float(scipy.stats.t.ppf((1 + LEVEL) / 2, runs - 1))) ** 2
     centre, half = (p + z**2 / (2 * n)) / (1 + z**2 / n), z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     return Estimate(p, float(min(max(centre - half, 0.0), p)), float(max(min(centre + half, 1.0), p)), runs)
 
@@ -103,7 +103,7 @@ def mean_over_runs(totals: Array, counts: Array) -> Estimate:
     if runs == 1:
         return Estimate(ratio, float("nan"), float("nan"), 1)
     variance = runs / (runs - 1) * np.sum((total - ratio * count) ** 2) / count.sum() ** 2
-    half = float(stats.t.ppf((1 + LEVEL) / 2, runs - 1) * np.sqrt(variance))
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, runs - 1) * np.sqrt(variance))
     return Estimate(ratio, ratio - half, ratio + half, runs)
 
 
@@ -121,7 +121,7 @@ def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estim
         return Estimate(value, float("nan"), float("nan"), runs)
 
     def limits(method: str) -> tuple[float, float]:
-        found = stats.bootstrap(
+        found = scipy.stats.bootstrap(
             (everyone,),
             lambda sample, axis: statistic(np.moveaxis(sample, axis, -1)),
             vectorized=True,
@@ -133,7 +133,7 @@ def bootstrap_over_runs(statistic: Callable[[Array], Array], runs: int) -> Estim
         return float(found.low), float(found.high)
 
     with warnings.catch_warnings(), np.errstate(invalid="ignore", divide="ignore"):
-        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
         low, high = limits("BCa")
         if not (np.isfinite(low) and np.isfinite(high)):
             low, high = limits("percentile")

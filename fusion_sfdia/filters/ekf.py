@@ -11,27 +11,36 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.filters.gaussian import Joint, add, symmetrise
+from fusion_sfdia.filters.sparse import congruence
 
 Array = NDArray[Any]
 Model = Callable[[Array], Array]
 
 
-def predict(x: Array, P: Array, f: Model, F: Array | None, Q: Array) -> tuple[Array, Array]:
+def predict(x: Array, P: Array, f: Model, F: Array | None, Q: Array, sparse: bool = False) -> tuple[Array, Array]:
     """Return x <- f(x), P <- F P F' + Q  (Shaheen 2024, sec. III-C1).
 
     x (..., n), P (..., n, n), f on batches, Q (n,) or (..., n, n); F (n, n) or (..., n, n) is the Jacobian of f at x, None
-    for the complex step's (f must then be analytic).
+    for the complex step's (f must then be analytic). sparse: whether most entries of F are 0.
     """
     F = complex_step_jacobian(f, x) if F is None else F
-    return f(x), repeated(add(symmetrise(F @ single(P) @ np.swapaxes(F, -1, -2)), Q), P)
+    one = single(P) if F.ndim == 2 else P
+    ahead = congruence(F, one)[0] if sparse else symmetrise(F @ one @ np.swapaxes(F, -1, -2))
+    return f(x), repeated(add(ahead, Q), P)
 
 
-def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array) -> Joint:
+def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array, sparse: bool = False) -> Joint:
     """Return the joint Gaussian of state and readings: y = h(x), C = P H', S = H P H' + R  (Shaheen 2024, sec. III-C1).
 
     x (..., n), P (..., n, n), h on batches, R (N,) or (..., N, N); H (N, n) or (..., N, n) is the Jacobian of h at x, None
-    for the complex step's (h must then be analytic).
+    for the complex step's (h must then be analytic). sparse: whether most entries of H are 0.
     """
     H = complex_step_jacobian(h, x) if H is None else H
-    C = single(P) @ np.swapaxes(H, -1, -2)
-    return Joint(x, P, h(x), repeated(add(symmetrise(H @ C), R), P), repeated(C, P), H=H)
+    one = single(P) if H.ndim == 2 else P
+    if sparse:
+        HPH, HP = congruence(H, one)
+        C = np.swapaxes(HP, -1, -2)
+    else:
+        C = one @ np.swapaxes(H, -1, -2)
+        HPH = symmetrise(H @ C)
+    return Joint(x, P, h(x), repeated(add(HPH, R), P), repeated(C, P), H=H)

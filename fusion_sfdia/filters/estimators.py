@@ -126,13 +126,14 @@ class Extended(_Moments):
         jacobian = plant.step_jacobian_at(t_start, start, u, dt)
         if np.any(beyond := moved | stuck):  # outside its limits the model has no usable Jacobian
             jacobian = np.where(beyond[..., None, None], np.eye(start.shape[-1]), jacobian)
-        x, p = ekf.predict(start, core.P, lambda s: ahead, jacobian, plant.process_cov_over(dt))
+        x, p = ekf.predict(start, core.P, lambda s: ahead, jacobian, plant.process_cov_over(dt), plant.sparse[0])
         return Prior(GaussianState(x, p), beyond, lost, tangent=jacobian)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
         expected = readings_of(plant, t, x, u)
-        found = ekf.joint(x, p, lambda s: expected, plant.output_jacobian_at(t, x, u), plant.sensor_cov)
+        H = plant.output_jacobian_at(t, x, u)
+        found = ekf.joint(x, p, lambda s: expected, H, plant.sensor_cov, plant.sparse[1])
         return found._replace(considered=plant.considered)
 
 

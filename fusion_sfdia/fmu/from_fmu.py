@@ -19,7 +19,7 @@ from fusion_sfdia.core.uncertainty import Parameter, Uncertainty
 from fusion_sfdia.fmu.functions import CoSimulation, ModelExchange
 from fusion_sfdia.fmu.handle import Fmu, digest_of
 from fusion_sfdia.fmu.interface import MODEL_EXCHANGE, Interface, Variable, read_interface
-from fusion_sfdia.fmu.stated import Stated, fields_of_sensors, parameters_of, sensor_of, start_of, states_of
+from fusion_sfdia.fmu.stated import Stated, fields_of_sensors, parameters_of, sensor_of, start_of, states_of, table_of
 
 Array = NDArray[Any]
 MEMORY = 1e-3  # of what two steps change: largest difference to the same steps, the second from set states
@@ -64,13 +64,14 @@ def from_fmu(
     Raises MissingPackageError without FMPy; ValueError for what is no such FMU, for events, unknown variables, and noise that
     is not stated.
     """
-    interface, start = read_interface(path, kind), dict(start_values or {})
+    interface, start = read_interface(path, kind), table_of("start_values", start_values)
+    of_unknown, errors = table_of("unknown", unknown), table_of("input_errors", input_errors)
     whole(f"{interface}: substeps", substeps, 1)
     step = _time_step(interface, dt)
     of_states, of_inputs = _states(interface, states), _inputs(interface, inputs)
     stated = fields_of_sensors(interface, sensors)
     measured = interface.continuous("sensor", [f["measures"] for f in stated.values()])
-    parameters = parameters_of(interface, unknown or {}, start)
+    parameters = parameters_of(interface, of_unknown, start)
     fmu = Fmu(
         replace(interface, path=interface.path.resolve(), variables={}),
         digest_of(interface.path),
@@ -88,7 +89,7 @@ def from_fmu(
     instruments = tuple(
         sensor_of(interface, name, stated[name], v, value) for name, v, value in zip(stated, measured, y0, strict=True)
     )
-    errors, sds = dict(input_errors or {}), np.array([p.sd for p in parameters])
+    sds = np.array([p.sd for p in parameters])
     model: ModelExchange | CoSimulation
     if interface.kind == MODEL_EXCHANGE:
         model = ModelExchange(fmu, substeps, theta, sds)

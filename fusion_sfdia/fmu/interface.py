@@ -72,6 +72,8 @@ class Interface:
 
     def of(self, what: str, names: Iterable[str]) -> list[Variable]:
         """The variables of these names; ValueError for an unknown one."""
+        if isinstance(names, str):
+            raise ValueError(f"{what}s is {names!r}; expected a list of names: [{names!r}]")
         found = []
         for name in names:
             if name not in self.variables:

@@ -20,6 +20,13 @@ Stated = Mapping[str, Any] | float  # by name, or a share of the nominal value o
 TYPES = {"Real": float, "Float64": float, "Boolean": bool, "String": str}  # all others are integers
 
 
+def table_of(what: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """An argument by names, {} for None; ValueError for anything else."""
+    if not isinstance(given, Mapping | None):
+        raise ValueError(f"{what} is {shown(given)}; expected values by name, {{name: value}}")
+    return dict(given or {})
+
+
 def start_of(interface: Interface, values: Mapping[str, Any]) -> tuple[tuple[str, int, Any], ...]:
     """The setter of FMPy, value reference and value of each start value; ValueError for one that cannot be set."""
     found = []

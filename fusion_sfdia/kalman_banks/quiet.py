@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 Array = NDArray[Any]
 
@@ -46,4 +46,4 @@ def too_quiet(now: Pairs, false_alarm: float) -> Array:
 
 @lru_cache
 def _limit(false_alarm: float) -> float:
-    return float(chi2.ppf(false_alarm, PAIRS))
+    return 2 * float(gammaincinv(PAIRS / 2, false_alarm))  # the quantile of chi-square with PAIRS degrees of freedom

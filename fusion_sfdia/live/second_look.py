@@ -171,56 +171,6 @@ class SecondLook:
         """The same after a reset, of which it knows nothing but the sensors and the verdict."""
         return SecondLook(self.detector, self.gap, read=self.read, verdict=self.verdict)
 
-    def arrays(self) -> dict[str, Array]:
-        """What `restored` takes up again, but for the decisions, as arrays."""
-        rows = [*self.window, *self.ahead]
-        found = {"read": self.read, "numbers": np.array([self.before, self.count, self.due, self.pause, len(self.window)])}
-        found |= {"verdict": np.array(self.verdict)}
-        if self.core is not None:
-            found |= {"x": self.core.x, "P": self.core.P}
-        for name in ("t", "y", "u", "begins", "out") if rows else ():
-            found[name] = np.array([getattr(s, name) for s in rows])
-        for name in Hindsight._fields if self.window else ():
-            found[f"after.{name}"] = np.array([getattr(s.after, name) for s in self.window])
-        steps = [(k, t, *u) for k, s in enumerate(self.ahead) for t, u in s.between]
-        found["between"] = np.array(steps or np.empty((0, 2)), float)
-        found["named"] = np.array([(e.id, e.start, e.end, e.final) for e in self.named], float).reshape(-1, 4)
-        found["hypotheses"] = np.array([e.hypothesis for e in self.named], str)
-        told = [e.told for e in self.named]
-        found["told"] = np.array([(np.nan,) * 4 if e is None else (e.start, e.end, e.size, e.open) for e in told], float)
-        found["faults"] = np.array(["" if e is None else e.fault for e in told], str)
-        return found
-
-    @classmethod
-    def restored(cls, detector: Detector, gap: int, arrays: dict[str, Array], decisions: Sequence[Decision]) -> SecondLook:
-        """The same with which `arrays` was called; decisions: of the last samples."""
-        before, count, due, pause, size = arrays["numbers"].tolist()
-        core = GaussianState(arrays["x"], arrays["P"]) if "x" in arrays else None
-        found = cls(detector, gap, core, before, read=arrays["read"], count=int(count), due=int(due), pause=int(pause))
-        found.verdict = str(arrays["verdict"])
-        rows = [arrays[name] for name in ("t", "y", "u")] if "t" in arrays else [np.empty(0)] * 3
-        number = len(rows[0])
-        for k, (t, y, u) in enumerate(zip(*rows, strict=True)):
-            steps = tuple((float(s[1]), s[2:]) for s in arrays["between"] if s[0] == k - size)
-            decision = decisions[len(decisions) - number + k]
-            seen = Seen(float(t), y, u, decision, float(arrays["begins"][k]), steps, arrays["out"][k])
-            if k < size:
-                after = Hindsight(*(arrays[f"after.{name}"][k] for name in Hindsight._fields))
-                found.window.append(seen._replace(after=after))
-            else:
-                found.ahead.append(seen)
-        for row, name, told, fault in zip(
-            arrays["named"].tolist(),
-            arrays["hypotheses"].tolist(),
-            arrays["told"].tolist(),
-            arrays["faults"].tolist(),
-            strict=True,
-        ):
-            start, end, magnitude, is_open = told
-            event = None if np.isnan(start) else Event(name, start, end, magnitude, "", bool(is_open), fault=fault)
-            found.named.append(NamedEvent(int(row[0]), name, row[1], row[2], event, bool(row[3])))
-        return found
-
     def _is_silent_or_frozen(self) -> bool:
         last = np.array([s.y for s in islice(reversed(self.window), DUE)])
         if len(last) < DUE:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,10 +17,10 @@ from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.gaps import MOST_BRIDGES, lead_in, longest_step, steps_over
 from fusion_sfdia.core.state import State
 from fusion_sfdia.core.storage import read_arrays, require_detector, state_arrays, state_of, write_arrays
-from fusion_sfdia.evaluation.events import Event
-from fusion_sfdia.live.changes import KEPT, Change, Changes
+from fusion_sfdia.live.changes import KEPT, Change
+from fusion_sfdia.live.findings import Findings
 from fusion_sfdia.live.order import InOrder, Row
-from fusion_sfdia.live.second_look import SecondLook, Seen
+from fusion_sfdia.live.second_look import Seen
 
 Array = NDArray[Any]
 
@@ -87,9 +86,9 @@ class Watch:
         for what, seconds in (("hold", self.hold), ("longest_gap", self.longest_gap), ("reorder", reorder)):
             if not 0 <= seconds < np.inf:
                 raise ValueError(f"{what} is {seconds}; expected a finite number of seconds, at least 0")
-        self.changes = Changes(detector, whole("gap", gap, least=1))
-        if not self.changes.gap < KEPT:
+        if not whole("gap", gap, least=1) < KEPT:
             raise ValueError(f"gap is {gap} samples; expected fewer than the {KEPT} that are kept")
+        self.findings = Findings(detector, int(gap), kinds)
         self.clock = Clock()
         self.state: State | None = None
         self.t: float | None = None  # of the last row diagnosed, in s; after `load`, rows after it are to be given again
@@ -97,7 +96,6 @@ class Watch:
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.lost = False  # whether the estimate of the last row had diverged
-        self.look = SecondLook(detector, self.changes.gap) if kinds else None
         self.order = InOrder(number("reorder", reorder), self.longest_gap, refused)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
@@ -125,12 +123,7 @@ class Watch:
 
     def last(self) -> list[Change]:
         """What the second look would report if no row came any more; the watch stays as it is."""
-        if self.look is None or self.t is None:
-            return []
-        count = self.changes.count
-        found = self._reports(self.t, *self.look.final(self.clock, count + 1))
-        self.changes.count = count
-        return found
+        return [] if self.t is None else self.findings.last(self.t, self.clock)
 
     def _in_turn(self, rows: list[tuple[Row, float]]) -> tuple[Sample, ...]:
         return tuple(sample for row, ahead in rows for sample in self._diagnosed(row, ahead))
@@ -172,47 +165,14 @@ class Watch:
         except (ValueError, ArithmeticError) as error:
             self.refused(f"row at {self.clock.at(row.t)}: {error}; it is not taken")
             return ()
-        changes = self._reset(row.t, f"no rows for {pause:g} s") if too_long else []
-        now = self.changes.after(row.t, decision)
-        changes += now
-        if self.look is not None:
-            begins = row.t - lead if fresh else np.nan
-            seen = Seen(row.t, *self._taken(row.y, u, decision), self.changes.recent[-1][1], begins, tuple(steps), none)
-            changes += self._named(row.t, now, seen)
+        changes = self.findings.reset(row.t, f"no rows for {pause:g} s", self.clock) if too_long else []
+        seen = Seen(row.t, row.y, u, decision, row.t - lead if fresh else np.nan, tuple(steps), none)
+        changes += self.findings.after(seen, decision, self.clock)
         if (lost := bool(decision.diverged)) and not self.lost:
-            changes += self._reset(row.t, "the estimate diverged")
+            changes += self.findings.reset(row.t, "the estimate diverged", self.clock)
         self.state, self.lost, self.t = None if lost else state, lost, row.t
         self.u, self.given, self.known_at = u, given, known_at
         return (Sample(row.t, row.y, u, decision, tuple(changes)),)
-
-    def _named(self, t: float, now: Sequence[Change], seen: Seen) -> list[Change]:
-        """What the second look reports after a row, which has decided `now`."""
-        if self.look is None:
-            return []
-        self.look.take(seen)
-        opened = [(c.id, c.event) for c in now if c.what == "opened" and c.event]
-        if any(c.what in ("opened", "closed") for c in now):
-            self.look.happened()
-        return self._reports(t, *self.look.changes(opened, self.clock, self.changes.count + 1))
-
-    def _reports(self, t: float, events: Sequence[tuple[int, Event]], health: str) -> list[Change]:
-        self.changes.count = max([self.changes.count, *(number for number, _ in events)])
-        found = [Change(number, "named", t, event) for number, event in events]
-        return [*found, Change(0, "health", t, reason=health)] if health else found
-
-    def _reset(self, t: float, reason: str) -> list[Change]:
-        found: list[Change] = []
-        if self.look is not None:
-            events, health = self.look.final(self.clock, self.changes.count + 1)
-            found = self._reports(t, [(number, replace(e, open=False)) for number, e in events], health)
-            self.look = self.look.anew()
-        return [*found, *self.changes.reset(t, reason)]
-
-    def _taken(self, y: Array, u: Array, decision: Decision) -> tuple[Array, Array]:
-        """Readings and inputs without those that the detector has found absurd."""
-        if decision.absurd_input.shape == u.shape and decision.absurd_input.any():
-            u = np.where(decision.absurd_input, self.detector.plant.input_at(self.t or 0.0), u)
-        return np.where(decision.absurd, np.nan, y), u
 
     def _inputs(self, row: Row) -> tuple[Array, Array]:
         """The inputs of a row, those that are missing or beyond their limits held, or the plant's usual ones, and the time of
@@ -243,8 +203,7 @@ class Watch:
         own = {"t": np.array(self.t), "u": self.u, "given": self.given, "known_at": self.known_at, "lost": np.array(self.lost)}
         own["clock"] = np.array("" if self.clock.start is None else self.clock.start.isoformat())
         state = {} if self.state is None else state_arrays(self.detector, self.state)
-        look = {} if self.look is None else self.look.arrays()
-        parts = {"watch": own, "changes": self.changes.arrays(), "state": state, "look": look}
+        parts = {"watch": own, "changes": self.findings.arrays(), "state": state}
         write_arrays(Path(path), {f"{part}/{name}": value for part, named in parts.items() for name, value in named.items()})
 
     @classmethod
@@ -255,17 +214,14 @@ class Watch:
         after the save it decides again, with the same ids. ValueError for another file, or another detector.
         """
         found = cls(detector, **settings)
-        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}, "look": {}}
+        parts: dict[str, dict[str, Array]] = {"watch": {}, "changes": {}, "state": {}}
         try:
             for name, value in read_arrays(Path(path)).items():
                 part, _, rest = name.partition("/")
                 parts[part][rest] = value
             own = parts["watch"]
             found.clock = Clock(datetime.fromisoformat(text) if (text := str(own["clock"])) else None)
-            found.changes = Changes.restored(detector, found.changes.gap, parts["changes"])
-            if found.look is not None and parts["look"]:
-                decisions = [decision for _, decision in found.changes.recent]
-                found.look = SecondLook.restored(detector, found.changes.gap, parts["look"], decisions)
+            found.findings.restore(parts["changes"])
             found.t, found.u, found.given = float(own["t"]), own["u"], own["given"]
             found.known_at, found.lost, found.order.loaded = own["known_at"], bool(own["lost"]), found.t
         except (KeyError, ValueError) as error:

@@ -39,10 +39,12 @@ def mask_titles(where: str, titles: Sequence[str], sources: Sources, log_map: Lo
 
 def masked_rows(where: str, rows: Rows, sources: Sources, log_map: LogMap) -> Array:
     """The rows (K,) in which a comparison of the mask holds, in the units of the log; a missing value compares as before it."""
+    masked = np.zeros(rows.t.shape, dtype=bool)
+    if not log_map.mask:
+        return masked
     import pandas
 
     by_name = {c.name: c.title for c in sources.columns}
-    masked = np.zeros(rows.t.shape, dtype=bool)
     for text in log_map.mask:
         match = MASK.fullmatch(text.strip())
         assert match is not None

@@ -27,8 +27,6 @@ class Rows(NamedTuple):
 
 def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: list[Finding]) -> Rows:
     """The rows with increasing times: sorted, and one for each time, as the map has it; ValueError where it refuses."""
-    import pandas
-
     back = np.flatnonzero(np.diff(rows.t) < 0)
     if back.size:
         if log_map.order == "refuse":
@@ -47,6 +45,8 @@ def in_order(where: str, rows: Rows, clock: Clock, log_map: LogMap, findings: li
             k = int(again[0])
             raise twice(f"{where}, row {rows.rows[k]}", " ".join(log_map.time), _at(clock, rows.t[k]), rows.rows[k - 1])
         findings.append(dropped(again.size, log_map))
+        import pandas
+
         by_time = pandas.DataFrame(rows.values).groupby(rows.t, sort=True)
         merged = by_time.agg(log_map.duplicates) if rows.values else None
         first = np.flatnonzero(np.diff(rows.t, prepend=-np.inf) > 0)

@@ -109,8 +109,9 @@ class Tuned:
                 what = f"[{table}]" if not isinstance(found, dict) else f"{lacking[0]} in [{table}]"
                 raise ValueError(f"{path} has no {what}; expected a file that `fusion-sfdia tune` wrote")
         for table, form in FORMS.items():
-            rows = document.get(table, form())
-            if not isinstance(rows, form) or not all(isinstance(r, dict) for r in (rows.values() if form is dict else rows)):
+            found = document.get(table, form())
+            rows = list(found.values()) if isinstance(found, dict) else found
+            if not isinstance(found, form) or not all(isinstance(row, dict) for row in rows):
                 raise ValueError(f"{path}: [{table}] is not as `fusion-sfdia tune` writes it; restore the file, or tune again")
         beside = document["detector"].get("fitted")
         tuned = cls(document, None if beside is None else path.parent / str(beside))
@@ -129,7 +130,7 @@ NEEDED = {
     "sensors": (),
     "quality": (),
 }
-FORMS: dict[str, type] = {"sensors": dict, "parameters": dict, "disturbance": list}  # tables of tables
+FORMS: dict[str, Any] = {"sensors": dict, "parameters": dict, "disturbance": list}  # tables of tables
 LARGEST = 1e100  # of what is squared
 
 

@@ -305,7 +305,7 @@ def test_a_model_without_numbers_fails_the_diagnosis(
 
 
 def test_a_full_disk_leaves_no_half_diagnosis(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, *_: object) -> NoReturn:
+    def full(path: Path, *_: object, **__: object) -> NoReturn:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     altered(len)

@@ -40,7 +40,8 @@ def test_an_unknown_outflow_is_estimated(root: Path, folder: Path) -> None:
 
 def test_rows_are_watched_and_taken_up_again(root: Path, folder: Path) -> None:
     lines = output_of(root, folder, "live.py").splitlines()
-    assert lines == [f"{what}: level_2, since 3060 s, 0.10 m" for what in ("opened", "closed")]
+    found = [("opened", "size"), ("named", "bias"), ("closed", "size"), ("named", "bias")]
+    assert lines == [f"{what}: level_2, since 3060 s, {kind} 0.10 m" for what, kind in found]
     assert output_of(root, folder, "live.py") == ""  # all rows were in the state
 
 

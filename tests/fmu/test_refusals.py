@@ -37,6 +37,8 @@ NOISE: dict[str, Any] = {"sensors": 0.01, "initial_sigma": 0.01, "process_sigma"
         ({"states": ["level_1"]}, "has the states level_1, level_2, all of which"),
         ({"kind": "cosimulation"}, "kind is 'cosimulation'; expected 'model exchange' or 'co-simulation'"),
         ({"kind": "co-simulation"}, "has model exchange; expected co-simulation: export it"),
+        ({"inputs": "inflow"}, r"inputs is 'inflow'; expected a list of names: \['inflow'\]"),
+        ({"unknown": 0.05}, "unknown is 0.05; expected values by name"),
         ({"substeps": 0}, "substeps is 0; expected a whole number of at least 1"),
         ({"dt": float("nan")}, "dt is nan s; it must be positive"),
     ],

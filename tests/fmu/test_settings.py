@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from conftest import MakeFmu
 
 from fusion_sfdia import registry
 from fusion_sfdia.cli.main import main
-from fusion_sfdia.evaluation.simulate import simulate
 
 DIRECTIONAL = 'providesDirectionalDerivative="true"'
 SETTINGS = """
@@ -67,14 +65,3 @@ def test_files_that_do_not_fit(path: Path, text: str, message: str) -> None:
     path.with_suffix(".toml").write_text(text)
     with pytest.raises(ValueError, match=message):
         registry.plant(str(path))
-
-
-def test_the_example_of_the_documentation_runs(path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (root / "docs" / "guide" / "model-you-have.md").read_text(encoding="utf-8")
-    code = page.partition("```python\n")[2].partition("```")[0]
-    assert 'from_fmu(\n    "tanks.fmu",' in code
-    monkeypatch.chdir(path.parent)
-    example: dict[str, Any] = {}
-    exec(code.partition("print(")[0], example)
-    recording = simulate(example["plant"], 20, seeds=[1], truth="model")
-    assert recording.y.shape == (20, 1, 2)

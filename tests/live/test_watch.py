@@ -308,9 +308,9 @@ def test_the_bytes_do_not_grow() -> None:
     detector = CentralFilter(chain(3, process=1e-3))
     watch, before = Watch(detector), 0
     tracemalloc.start()
-    for k, row in enumerate(endless(detector.plant, 2500), start=1):
+    for k, row in enumerate(endless(detector.plant, 3000), start=1):
         watch.take(*row)
-        if k in (1000, 2500):
+        if k in (1500, 3000):
             gc.collect()
             before, growth = tracemalloc.get_traced_memory()[0], tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()

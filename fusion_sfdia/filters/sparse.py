@@ -1,0 +1,66 @@
+"""Products with Jacobians of which most entries are 0: of a network, or of sensors that each read one state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.equation import compiled
+
+Array = NDArray[Any]
+
+
+def congruence(A: Array, P: Array) -> tuple[Array, Array]:
+    """Return A P A' (..., m, m), symmetric to the bit, and A P (..., m, n), of A (..., m, n) and symmetric P (..., n, n)."""
+    batch, n = P.shape[:-2], P.shape[-1]
+    m = A.shape[-2]
+    rows = A.reshape(1 if A.ndim == 2 else -1, m, n)
+    if len(rows) > 1 and A.shape[:-2] != batch:
+        rows = np.broadcast_to(A, (*batch, m, n)).reshape(-1, m, n)
+    both, one = _congruence(_plain(rows), _plain(P.reshape(-1, n, n)))
+    return both.reshape(*batch, m, m), one.reshape(*batch, m, n)
+
+
+def _plain(a: Array) -> Array:
+    """One type of arguments, so that nothing is compiled twice."""
+    return a if a.flags.carray and a.dtype == np.float64 else np.array(a, dtype=float, order="C")
+
+
+@compiled
+def _congruence(A: Array, P: Array) -> tuple[Array, Array]:
+    B, n = P.shape[:2]
+    m = A.shape[1]
+    both, one, turned = np.empty((B, m, m)), np.empty((B, m, n)), np.empty((n, m))
+    first, column, factor = np.zeros(m + 1, np.int64), np.empty(m * n, np.int64), np.empty(m * n)
+    for k in range(B):
+        if k < A.shape[0]:  # otherwise it is that of the run before
+            found = 0
+            for i in range(m):
+                row = A[k, i]
+                for s in range(n):
+                    if row[s] != 0:
+                        column[found], factor[found] = s, row[s]
+                        found += 1
+                first[i + 1] = found
+        for i in range(m):
+            into = one[k, i]
+            into[:] = 0.0
+            for f in range(first[i], first[i + 1]):
+                out_of, by = P[k, column[f]], factor[f]
+                for j in range(n):
+                    into[j] += by * out_of[j]
+            for j in range(n):
+                turned[j, i] = into[j]
+        for i in range(m):
+            into = both[k, i]
+            for j in range(i + 1):
+                into[j] = 0.0
+            for f in range(first[i], first[i + 1]):
+                out_of, by = turned[column[f]], factor[f]
+                for j in range(i + 1):
+                    into[j] += by * out_of[j]
+            for j in range(i):
+                both[k, j, i] = into[j]
+    return both, one
