@@ -208,7 +208,8 @@ def workers(rows: Sequence[Row]) -> str:
     answered = sent["sent"] + sent["answered"]
     return (
         table(("workers", f"{many} of the comparison", "speed over one process"), lines)
-        + f"\nThe {many} were done once in each way. An empty piece costs {seconds(empty)}, and a piece of two seeds sends "
+        + f"\nThe {many} were done once in each way, on two cores that had other work to do, which hides what a second worker "
+        f"gains: the numbers bound it from below. An empty piece costs {seconds(empty)}, and a piece of two seeds sends "
         f"{answered:.{DIGITS}g} bytes in all.\n\n" + hour(piece, empty, answered)
     )
 

@@ -32,23 +32,20 @@ def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
 
 @compiled
 def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L), the onset of each slot from the slot `places` (L,), a new one where
-    negative.
+    """Sums a (B, L, q), b (B or 1, L, q) and age (B, L) with the onset of each slot taken from the slot `places` (L,).
+
+    A new one where that is negative.
     """
-    sums, squares, ages = np.empty_like(a), np.empty_like(b), np.empty_like(age)
+    sums, squares, ages = np.zeros_like(a), np.zeros_like(b), np.ones_like(age)
     for r in range(a.shape[0]):
         for l in range(places.shape[0]):  # noqa: E741
             k = places[l]
-            if k < 0:
-                sums[r, l] = 0.0
-                if r < b.shape[0]:
-                    squares[r, l] = 0.0
-                ages[r, l] = 1.0
-            else:
-                sums[r, l] = a[r, k]
-                if r < b.shape[0]:
-                    squares[r, l] = b[r, k]
+            if k >= 0:
                 ages[r, l] = age[r, k] + 1.0
+                for j in range(a.shape[2]):
+                    sums[r, l, j] = a[r, k, j]
+                    if r < b.shape[0]:
+                        squares[r, l, j] = b[r, k, j]
     return sums, squares, ages
 
 
@@ -110,88 +107,129 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 
 @compiled
-def carried(
-    eta: Array,
-    old: Array,
-    A: Array,
-    leading: int,
-    places: Array,
-    FK: Array,
-    readings: Array,
-    change: Array,
-    once: int,
-    age: Array,
-) -> None:
-    """Complete eta (B, n, L, q) from what stood in the slots `places` (L,) of `old`: see `weigh`.
+def transition(
+    F: Array, K: Array, before: Array, H: Array, half: Array, leading: int, read: int, numbers: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """A = F - F K H, its columns of the `leading` states, F K, U' and -U' H of the states that are read.
 
-    It has the products of A (B, n, n) with the leading states; those with the others, F K D and -C are added. readings (B, L):
-    D of `old`. change (B, n, r): C, the first `once` at the onset only. age (B, L). Of 1 run where eta is the same for all.
+    F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), half: U (B, N, N), each of 1 run where it is the same
+    for all. They are rounded to the type of `numbers` first.
     """
-    B, n, L, q = eta.shape
-    N, r = FK.shape[2], change.shape[2]
-    zero = eta.dtype.type(0)
+    B = max(F.shape[0], K.shape[0], before.shape[0], H.shape[0], half.shape[0])
+    n, N = K.shape[1:]
+    kind = numbers.dtype
+    A, columns, FK = np.empty((B, n, n), kind), np.empty((B, n, leading), kind), np.empty((B, n, N), kind)
+    turned, seen = np.empty((B, N, N), kind), np.empty((B, N, read), kind)
+    gain, taken = np.empty((n, N), kind), np.empty((n, read), kind)
+    was, now = np.empty((N, read), kind), np.empty((N, read), kind)
     for k in range(B):
-        f, c = k % A.shape[0], k % change.shape[0]
+        f, g, h, m, u = k % F.shape[0], k % K.shape[0], k % before.shape[0], k % H.shape[0], k % half.shape[0]
         for i in range(n):
-            row = FK[k % FK.shape[0], i]
-            for l in range(L):  # noqa: E741
-                into, at = eta[k, i, l], places[l]
-                if at < 0:
-                    into[:] = zero
-                else:
-                    factor = eta.dtype.type(readings[k, at])
-                    for j in range(N):
-                        into[j] += factor * row[j]
-            for s in range(leading, n):
-                factor = A[f, i, s]
-                if factor != 0:
-                    for l in range(L):  # noqa: E741
-                        if places[l] >= 0:
-                            into, out_of = eta[k, i, l], old[k % old.shape[0], s, places[l]]
-                            for j in range(q):
-                                into[j] += factor * out_of[j]
-            for l in range(L):  # noqa: E741
-                into, out_of = eta[k, i, l, q - r :], change[c, i]
-                for j in range(0 if age[k, l] <= 1 else once, r):
-                    into[j] -= out_of[j]
+            for j in range(n):
+                A[k, i, j] = F[f, i, j]
+            for j in range(N):
+                gain[i, j] = K[g, i, j]
+        for i in range(N):
+            for j in range(read):
+                was[i, j] = before[h, i, j]
+                now[i, j] = -H[m, i, j]
+            for j in range(N):
+                turned[k, j, i] = half[u, i, j]
+        np.dot(A[k], gain, FK[k])
+        np.dot(FK[k], was, taken)
+        np.dot(turned[k], now, seen[k])
+        for i in range(n):
+            for j in range(read):
+                A[k, i, j] -= taken[i, j]
+            for j in range(leading):
+                columns[k, i, j] = A[k, i, j]
+    return A, columns, FK, turned, seen
 
 
 @compiled
-def summed(M: Array, half: Array, scores: Array, readings: Array, a: Array, b: Array) -> None:
-    """Add the present innovations to a (B, L, q) and b (B or 1, L, q), in place: see `weigh`.
+def weighed(
+    old: Array,
+    eta: Array,
+    a: Array,
+    b: Array,
+    age: Array,
+    places: Array,
+    A: Array,
+    leading: Array,
+    FK: Array,
+    before: Array,
+    change: Array,
+    once: int,
+    half: Array,
+    seen: Array,
+    scores: Array,
+    readings: Array,
+) -> None:
+    """Take windows over a step, and add the present innovations to a and b (B, L, q), in place: see `window_step`.
 
-    M (B, K, N, q): -U' H eta of the last K slots, 0 in those before. half U' (B, N, N), scores U' d (B, N), readings D (B, L).
-    M and b are of 1 run, and U' and D too, where they are the same for all.
-    """
-    B, L, q = a.shape
-    N, known = M.shape[2], L - M.shape[1]
-    alike = B // M.shape[0]
-    row, sums, squares = np.empty(q, M.dtype), np.empty((alike, q), M.dtype), np.empty(q, M.dtype)
-    zero = M.dtype.type(0)
-    for k in range(M.shape[0]):
+    eta (B, L, n, q) is written, from the slots `places` (L,) of `old`. A (B, n, n), and its columns of the `leading` states;
+    the others count only where they are not 0. FK (B, n, N); before (B, L): D of `old`. change (B, n, r): C, the first `once`
+    at the onset only. half (B, N, N): U', seen: -U' H of the states that are read, scores (B, N): U' d, readings (B, L): D.
+    Each is of 1 run where it is the same for all; eta and b may be. One onset comes after the other, so that what belongs to it
+    stays near. Onsets that are the same have the same bits.
+    """  # fmt: skip
+    E, L, n, q = eta.shape
+    N, r, d, read = half.shape[1], change.shape[2], leading.shape[2], seen.shape[2]
+    number = eta.dtype.type
+    zero = number(0)
+    M, sums, squares = np.empty((N, q), eta.dtype), np.empty(q, eta.dtype), np.empty(q, eta.dtype)
+    row, column, factor = np.empty(n * n, np.int64), np.empty(n * n, np.int64), np.empty(n * n, eta.dtype)
+    for k in range(E):
+        own, few = k % A.shape[0], 0
+        for i in range(n):
+            for s in range(d, n):
+                if A[own, i, s] != 0:
+                    row[few], column[few], factor[few] = i, s, A[own, i, s]
+                    few += 1
+        c, now = k % change.shape[0], k % seen.shape[0]
         for l in range(L):  # noqa: E741
-            D = M.dtype.type(readings[k % readings.shape[0], l])
-            sums[:] = zero
-            squares[:] = zero
-            for i in range(N):
-                direct = half[k % half.shape[0], i]
-                if l < known:
-                    row[:] = zero
-                else:
-                    row[:] = M[k, l - known, i]
-                for j in range(N):
-                    row[j] += D * direct[j]
-                for r in range(alike):
-                    score, into = scores[k * alike + r, i], sums[r]
+            into = eta[k, l]
+            if places[l] < 0:
+                for i in range(n):
                     for j in range(q):
-                        into[j] += score * row[j]
-                for j in range(q):
-                    squares[j] += row[j] * row[j]
-            for r in range(alike):
-                for j in range(q):
-                    a[k * alike + r, l, j] += sums[r, j]
+                        into[i, j] = zero
+            else:
+                out_of, by = old[k, places[l]], number(before[k, places[l]])
+                np.dot(leading[own], out_of[:d], into)
+                for f in range(few):
+                    to, of, times = into[row[f]], out_of[column[f]], factor[f]
+                    for j in range(q):
+                        to[j] += times * of[j]
+                for i in range(n):
+                    to, of = into[i], FK[own, i]
+                    for j in range(N):
+                        to[j] += by * of[j]
+            for i in range(n if r else 0):
+                to, of = into[i, q - r :], change[c, i]
+                for j in range(0 if age[k, l] <= 1 else once, r):
+                    to[j] -= of[j]
+            np.dot(seen[now], into[:read], M)
+            by = number(readings[k, l])
             for j in range(q):
-                b[k, l, j] += squares[j]
+                squares[j] = zero
+            for i in range(N):
+                to, of = M[i], half[now, i]
+                for j in range(N):
+                    to[j] += by * of[j]
+                for j in range(q):
+                    squares[j] += to[j] * to[j]
+            for run in range(k, k + 1 if E == a.shape[0] else a.shape[0]):
+                for j in range(q):
+                    sums[j] = zero
+                for i in range(N):
+                    of, score = M[i], scores[run, i]
+                    for j in range(q):
+                        sums[j] += score * of[j]
+                for j in range(q):
+                    a[run, l, j] += sums[j]
+                if run < b.shape[0]:
+                    for j in range(q):
+                        b[run, l, j] += squares[j]
 
 
 @compiled

@@ -63,7 +63,7 @@ def with_alternatives(prior: Prior, tested: Tested, weight: Array) -> Prior:
     count = best.slot.shape[-1] - weight.shape[-1]
     slot = best.slot[..., None, None, count:]
     effect = (
-        np.take_along_axis(eta[..., count:], slot, axis=-2)[..., 0, :]
+        np.take_along_axis(eta[..., count:], slot, axis=-3)[..., 0, :, :]
         * (best.size[..., count:] * np.sqrt(weight))[..., None, :]
     )
     x, p = prior.core

@@ -141,7 +141,7 @@ class Hypotheses:
         change = np.zeros((*tangent.shape[:-1], p + n))
         change[..., :p] = tangent[..., n:]
         change[..., :n, p:] = self.rates
-        return Effect(np.ones(slots), change, np.arange(p + n) < p)
+        return Effect(np.ones(slots), change, p)
 
     def slow(self, tangent: Array, age: Array) -> Effect:
         """Effects of the hypotheses of the far past, of onsets of that age (..., L)."""

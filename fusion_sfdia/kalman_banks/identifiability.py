@@ -167,13 +167,13 @@ def _limits(plant: Plant, added: int, samples: float, settle: int) -> _Limits:
     """The limits of a filter on the plant, with jumps of its last `added` states as hypotheses of the process."""
     count = len(plant.sensors)
     window = empty((), Grid(2), len(plant.states), count + added, float)  # of biases and jumps, and of ramps, with one onset
-    window.eta[len(plant.states) - added :, 0, count:] = -np.eye(added)
-    last, never = no_update((), len(plant.states), count, float), np.array(False)
+    window.eta[0, len(plant.states) - added :, count:] = -np.eye(added)
+    last, never = no_update((), len(plant.states), count), np.array(False)
     common, before = np.zeros((count + added, count + added)), np.full(count, np.inf)
     for k, update in enumerate(islice(_healthy_updates(plant), settle, settle + LAST), start=1):
         tangent, output_jacobian, found, K = update
         now = Shifted(window, np.arange(2), window.a, window.b, window.age + 1)
-        step = window_step(last, tangent, output_jacobian, found)
+        step = window_step(last, tangent, output_jacobian, found, float)
         weighed = weigh(now, step, Effect(np.array([1.0, k])))
         M = weighed.M[0]
         common += M.T @ found.inverse @ M

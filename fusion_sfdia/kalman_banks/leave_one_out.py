@@ -42,7 +42,7 @@ class LeaveOneOut(NamedTuple):
     @property
     def innovation(self) -> Array:
         """y_i less its prediction from the prior and the other readings (..., N), in sensor units; 0 where not used."""
-        return np.where(self.used, self.whitened, 0.0) / np.where(self.used, self.weight, 1.0)
+        return np.asarray(self.whitened / np.where(self.used, self.weight, 1.0))
 
     @property
     def variance(self) -> Array:

@@ -121,7 +121,7 @@ class LeaveOneOutBank(ExcludingBank):
         if self.window > 1:
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
             H = joint.H if joint.H is not None else plant.output_jacobian_at(t, prior.core.x, u)
-            step = window_step(last, tangent, H, everything)
+            step = window_step(last, tangent, H, everything, window.eta.dtype)
             onsets = weigh(shifted(window, self._grid, now.k), step, Effect(self._bias))
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
             stronger = best.statistic / window_limit > everything.whitened * residual / one_limit

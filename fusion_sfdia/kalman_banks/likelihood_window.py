@@ -68,7 +68,7 @@ def _moves(grid: Grid, step: int) -> Array | None:
 class Window(NamedTuple):
     """Sums over the steps since each of L onsets, for q hypotheses, with the last readings.
 
-    eta (..., n, L, q): of the last prediction, before the update. readings (..., L): D of the last readings. a, b (..., L, q).
+    eta (..., L, n, q): of the last prediction, before the update. readings (..., L): D of the last readings. a, b (..., L, q).
     age (..., L): samples since the onset, its own included.
     """
 
@@ -83,12 +83,12 @@ class Effect(NamedTuple):
     """What hypotheses do in the present step.
 
     readings (..., L): D of the first N hypotheses, one for each sensor, as a factor of e_i. state (..., n, r): C of the last r
-    hypotheses, or None. once (r,): whether it acts at the onset only.
+    hypotheses, or None; that of the first `once` of these acts at the onset only.
     """
 
     readings: Array
     state: Array | None = None
-    once: Array | None = None
+    once: int = 0
 
 
 class Shifted(NamedTuple):
@@ -118,7 +118,7 @@ class Weighed(NamedTuple):
 
     def changes(self, slots: slice, first: int) -> Array:
         """M of the hypotheses from `first` on, with onsets in these slots."""
-        found = -(self.readout[..., None, :, :] @ np.swapaxes(self.eta[..., slots, first:], -3, -2))
+        found = -(self.readout[..., None, :, :] @ self.eta[..., slots, :, first:])
         if first == 0:
             np.einsum("...ii->...i", found[..., : self.readout.shape[-2]])[...] += self.readings[..., slots, None]
         return np.asarray(found)
@@ -137,7 +137,7 @@ class Best(NamedTuple):
 def empty(batch: tuple[int, ...], grid: Grid, states: int, hypotheses: int, kind: type | None = None) -> Window:
     """Return the window before the first readings; kind: of the numbers of eta, `window_step.NUMBERS` by default."""
     slots, sums = (*batch, grid.slots), (*batch, grid.slots, hypotheses)
-    eta = for_all(np.zeros((states, grid.slots, hypotheses), kind or window_step.NUMBERS), batch)
+    eta = for_all(np.zeros((grid.slots, states, hypotheses), kind or window_step.NUMBERS), batch)
     return Window(eta, np.zeros(slots), np.zeros(sums), for_all(np.zeros(sums[-2:]), batch), np.zeros(slots))
 
 
@@ -145,8 +145,8 @@ def shifted(window: Window, grid: Grid, step: int) -> Shifted:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
     places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
     batch = window.age.shape[:-1]
-    found = bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age)), places)
-    a, b, age = (_of_batch(v, batch) for v in found)
+    a, b, age = (bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age))
+    a, b, age = (_of_batch(v, batch) for v in bank_kernels.shift(a, b, age, places))
     return Shifted(window, places, a, repeated(b, a), age)
 
 
@@ -156,43 +156,24 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     Where all runs have the same transition and the same hypotheses, such as biases, eta and b are computed once.
     """
     before, places, a, b, age = now
-    kind, batch, d = before.eta.dtype, age.shape[:-1], step.leading
-    alike = effect.state is None and effect.readings.ndim == 1 and len(step.A) == len(step.seen) == 1
-    old, n = bank_kernels.runs(single(before.eta) if alike else before.eta, batch), step.A.shape[-1]
-    eta = np.empty_like(old)
-    for into, out_of in _blocks(tuple(places.tolist())):
-        np.matmul(step.A[:, None, :, :d], _by_slot(old[:, :d, out_of]), out=_by_slot(eta[:, :, into]))
-    change, once = np.empty((1, n, 0), kind), 0
+    kind, batch, D = before.eta.dtype, age.shape[:-1], effect.readings
+    alike = effect.state is None and D.ndim == 1 and len(step.A) == len(step.seen) == 1
+    old, change = (
+        bank_kernels.runs(single(before.eta) if alike else before.eta, batch),
+        np.empty((1, step.A.shape[-1], 0), kind),
+    )
+    b = bank_kernels.runs(single(b) if len(old) == 1 else b, batch)
     if effect.state is not None:
         change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
-        once = 0 if effect.once is None else int(np.sum(effect.once))
-    readings = bank_kernels.runs(before.readings, batch)
-    bank_kernels.carried(eta, old, step.A, d, places, step.FK, readings, change, once, bank_kernels.runs(age, batch))
-    known = int(effect.state is None and places[:1].min(initial=0) < 0)  # the present onset, of which eta is 0
-    M = -step.seen[:, None] @ _by_slot(eta[:, : step.seen.shape[-1], known:])
-    D = bank_kernels.runs(np.broadcast_to(effect.readings, age.shape), batch)
-    b = bank_kernels.runs(single(b) if len(M) == 1 else b, batch)
-    bank_kernels.summed(M, step.half, step.scores, D, bank_kernels.runs(a, batch), b)
+    eta = np.empty_like(old)
+    readings = bank_kernels.runs(D if D.shape == age.shape else np.broadcast_to(D, age.shape), batch)
+    bank_kernels.weighed(
+        old, eta, bank_kernels.runs(a, batch), b, bank_kernels.runs(age, batch), places, step.A, step.leading, step.FK,
+        bank_kernels.runs(before.readings, batch), change, effect.once, step.half, step.seen, step.scores, readings,
+    )  # fmt: skip
     H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
-    eta, D, b = (_of_batch(v, batch) for v in (eta, D, b))
-    return Weighed(repeated(eta, a), D, a, repeated(b, a), age, H)
-
-
-@lru_cache(maxsize=4096)
-def _blocks(places: tuple[int, ...]) -> list[tuple[slice, slice]]:
-    """Slots that go on with their onsets as (new, old) slices, as few as possible."""
-    found: list[tuple[slice, slice]] = []
-    for slot, place in enumerate(places):
-        if place >= 0 and found and found[-1][0].stop == slot and found[-1][1].stop == place:
-            found[-1] = slice(found[-1][0].start, slot + 1), slice(found[-1][1].start, place + 1)
-        elif place >= 0:
-            found.append((slice(slot, slot + 1), slice(place, place + 1)))
-    return found
-
-
-def _by_slot(eta: Array) -> Array:
-    """A matrix (B, L, n, q) for each onset of eta (B, n, L, q): onsets that are the same have the same bits."""
-    return eta.swapaxes(1, 2)
+    eta, readings, b = (_of_batch(v, batch) for v in (eta, readings, b))
+    return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, H)
 
 
 def _of_batch(a: Array, batch: tuple[int, ...]) -> Array:
@@ -229,7 +210,7 @@ def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:
     """
     slot = value_at(best.slot, which).ravel()
     eta = weighed.eta.reshape(-1, *weighed.eta.shape[-3:])
-    found = eta[np.arange(len(eta)), :, slot, which.ravel()]
+    found = eta[np.arange(len(eta)), slot, :, which.ravel()]
     return np.asarray(found.reshape(*which.shape, -1))
 
 

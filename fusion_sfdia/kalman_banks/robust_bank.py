@@ -143,7 +143,7 @@ class RobustBank(ExcludingBank):
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
         estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
-        stands = np.any(standing.accepted, axis=-1)
+        stands = np.asarray(standing.accepted.any(axis=-1))
         lately = stands & (standing.since <= LATELY)
         limits, handicap = self._limits, of.handicap
         if stands.any():
@@ -154,27 +154,30 @@ class RobustBank(ExcludingBank):
         usable = np.isfinite(y) & ~exclusion.out
         everything = statistics(joint, y, usable)
         assert prior.tangent is not None and joint.H is not None
-        step = window_step(last, prior.tangent, joint.H, everything, of.leading)
+        step = window_step(last, prior.tangent, joint.H, everything, windows[0].eta.dtype, of.leading)
         tested = self._test(windows, prior.tangent, step, now.k, everything)
         one = one_sample_evidence(everything, of.recent_sizes[:count])
         evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.age, one, handicap)
-        room = self.most_faults - np.sum(exclusion.out, axis=-1)
+        room = self.most_faults - exclusion.out.sum(axis=-1)
         unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
         room = np.where(unexplained, 0, room)
         isolated, capped = np.zeros(y.shape, bool), np.zeros(y.shape[:-1], bool)
         if (everything.chi_square > limits.one).any():
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
             isolated, capped = eliminated(everything, evidence, present, limits, room)
-        by_windows = accepted(evidence, limits, ~np.any(isolated, axis=-1))
+        by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)))
         capped = (capped | (by_windows.is_sensor & (room < 1))) & ~unexplained
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
-        isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
-        led = led_by(led, isolated, np.where(isolated, everything.innovation, 0.0))
-        isolated = isolated & (np.abs(led) >= np.where(lately, PERSISTENT, 1)[..., None])
-        reopened = isolated.any(axis=-1) & lately & ~standing.reopened & self.accommodate
-        isolated = isolated & ~reopened[..., None]
-        freed = absorbed_before(evidence, isolated, by_windows.sensor)
-        if self.accommodate and (freed | process | reopened).any():
+        led, leads, reopened, freed = np.zeros(led.shape), led, np.zeros(lately.shape, bool), np.zeros(lately.shape, bool)
+        if isolated.any() or sensor.any():
+            isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
+            led = led_by(leads, isolated, np.where(isolated, everything.innovation, 0.0))
+            isolated = isolated & (np.abs(led) >= np.where(lately, PERSISTENT, 1)[..., None])
+            reopened = isolated.any(axis=-1) & lately & ~standing.reopened & self.accommodate
+            isolated = isolated & ~reopened[..., None]
+            freed = absorbed_before(evidence, isolated, by_windows.sensor)
+        changed = freed | process | reopened
+        if self.accommodate and changed.any():
             rivals = alternatives(evidence, by_windows, self.process_margin)
             standing = self._stand(standing, by_windows, evidence, prior, rivals > 0)
             standing = standing._replace(reopened=standing.reopened | reopened)
@@ -183,10 +186,11 @@ class RobustBank(ExcludingBank):
             prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
             joint = est.joint(of.model, prior, now.t, u)
         found = everything
-        if self.accommodate and (freed | process | reopened | isolated.any(axis=-1)).any():
+        leaves = isolated.any(axis=-1)
+        if self.accommodate and (changed | leaves).any():
             found = statistics(joint, y, usable & ~isolated)
         x, p = posterior(joint, found)
-        restart = (isolated.any(axis=-1) | process | reopened) & self.accommodate
+        restart = (leaves | process | reopened) & self.accommodate
         last = last_update(step, gain(joint, found.inverse), restart)
         recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
@@ -197,8 +201,9 @@ class RobustBank(ExcludingBank):
             held = exclusion.out | isolated
             fits = held | (np.cumsum(quiet & ~held, axis=-1) <= self.most_faults - np.sum(held, axis=-1, keepdims=True))
             quiet, capped = quiet & fits, capped | np.any(quiet & ~fits, axis=-1)
-        if self.accommodate:
-            exclusion = restored(exclusion, (process | unexplained)[..., None] & (out_for <= self.window))
+        again = process | unexplained
+        if self.accommodate and again.any():
+            exclusion = restored(exclusion, again[..., None] & (out_for <= self.window))
         update = Update(x, p, prior, joint, found)
         exclusion, decision = self._conclude(
             now, y, u, exclusion, update, self._shown(everything, evidence, usable, isolated | quiet, capped)

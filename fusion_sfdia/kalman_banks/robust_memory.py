@@ -61,9 +61,9 @@ def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...
 
 def faded(nis: Array, found: LeaveOneOut) -> Array:
     """The running mean nis (...) with a sample, without the sensor that explains most of it: another fault may begin there."""
-    total = np.sum(np.where(found.used, found.innovation * found.whitened, 0.0), axis=-1)
-    others = np.sum(found.used, axis=-1) - 1
-    now = np.where(others > 0, (total - np.max(found.chi_square, axis=-1)) / np.maximum(others, 1), 1.0)
+    chi_square = found.chi_square
+    others = found.used.sum(axis=-1) - 1
+    now = np.where(others > 0, (chi_square.sum(axis=-1) - chi_square.max(axis=-1)) / np.maximum(others, 1), 1.0)
     return np.asarray(nis + FADING * (now - nis))
 
 

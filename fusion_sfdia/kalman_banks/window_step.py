@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.alike import for_all, repeated, single
-from fusion_sfdia.kalman_banks.bank_kernels import common, runs
+from fusion_sfdia.core.alike import for_all, single
+from fusion_sfdia.kalman_banks.bank_kernels import common, runs, transition
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
 Array = NDArray[Any]
@@ -35,47 +35,46 @@ class LastUpdate(NamedTuple):
 class WindowStep(NamedTuple):
     """A step of B runs.
 
-    A (B, n, n); FK (B, n, N). leading: the first states, by which A is a dense matrix. H (B, N, n), U' (B, N, N), U' H
-    (B, N, d) of the states that are read, U' d (B, N). Those but U' d are of 1 run where they are the same for all.
+    A (B, n, n), its columns of the first states, which are dense, FK (B, n, N). H (B, N, n), half U' (B, N, N), seen -U' H
+    (B, N, d) of the states that are read, scores U' d (B, N). Those but U' d are of 1 run where they are the same for all.
     """
 
     A: Array
+    leading: Array
     FK: Array
-    leading: int
     H: Array
     half: Array
     seen: Array
     scores: Array
 
 
-def no_update(batch: tuple[int, ...], states: int, sensors: int, kind: type | None = None) -> LastUpdate:
-    """Return what stands for the update before the first readings; kind: of the numbers, NUMBERS by default."""
-    K: Array = np.zeros((states, sensors), kind or NUMBERS)
+def no_update(batch: tuple[int, ...], states: int, sensors: int) -> LastUpdate:
+    """Return what stands for the update before the first readings."""
+    K: Array = np.zeros((states, sensors))
     return LastUpdate(for_all(K, batch), for_all(K.T, batch))
 
 
 def window_step(
-    last: LastUpdate, tangent: Array, output_jacobian: Array, found: LeaveOneOut, leading: int | None = None
+    last: LastUpdate, tangent: Array, output_jacobian: Array, found: LeaveOneOut, kind: Any, leading: int | None = None
 ) -> WindowStep:
     """Return what a step has in common; tangent F (..., n, n) of the step just taken, H (..., N, n), all sensors in use.
 
-    leading: the states behind these are those on which few others depend, and no reading: of the products with them only those
-    are taken whose factor is not 0 (None: all are dense).
+    kind: of the numbers. leading: the states behind these are those on which few others depend, and no reading: of the products
+    with them only those are taken whose factor is not 0 (None: all are dense).
     """
     assert found.half is not None and found.scores is not None
-    kind, batch = last.gain.dtype, found.scores.shape[:-1]
-    F, H = (common(v.astype(kind, copy=False), batch, 2) for v in (tangent, output_jacobian))
-    d = F.shape[-1] if leading is None else leading
-    FK = F @ runs(single(last.gain), batch)
-    A = F - FK @ runs(single(last.readout), batch)
-    half = runs(np.swapaxes(single(found.half), -1, -2).astype(kind), batch)
-    read = F.shape[-1] if H[..., d:].any() else d
-    return WindowStep(A, FK, d, H, half, half @ H[..., :read], runs(found.scores.astype(kind, copy=False), batch))
+    batch, n = found.scores.shape[:-1], tangent.shape[-1]
+    d = n if leading is None else leading
+    read = n if d < n and (output_jacobian[..., d:].any() or last.readout[..., d:].any()) else d
+    F, H = (common(v, batch, 2) for v in (tangent, output_jacobian))
+    K, before, half = (runs(single(v), batch) for v in (*last, found.half))
+    A, columns, FK, turned, seen = transition(F, K, before, H, half, d, read, np.empty(0, kind))
+    return WindowStep(A, columns, FK, H, turned, seen, runs(found.scores.astype(kind, copy=False), batch))
 
 
 def last_update(step: WindowStep, gain: Array, restart: Array) -> LastUpdate:
     """Return the update with gain K (..., n, N); restart (...): runs whose windows restart, in which it has no effect."""
     batch = gain.shape[:-2]
-    K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else single(gain)
+    K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else gain
     H = for_all(step.H[0], batch) if len(step.H) == 1 else step.H.reshape(*batch, *step.H.shape[1:])
-    return LastUpdate(repeated(np.ascontiguousarray(K, step.A.dtype), gain), H)
+    return LastUpdate(K, H)

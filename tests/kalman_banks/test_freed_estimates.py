@@ -27,7 +27,7 @@ CLOSE = rounding(1.0, 10) * 100  # sums of products of numbers of order one to t
 
 def weighed(hypotheses: int) -> Weighed:
     sums = RNG.normal(size=(2, RUNS, SLOTS, hypotheses))
-    eta = RNG.normal(size=(RUNS, STATES, SLOTS, hypotheses))
+    eta = RNG.normal(size=(RUNS, SLOTS, STATES, hypotheses))
     return Weighed(eta, np.zeros((RUNS, SLOTS)), *sums, np.ones((RUNS, SLOTS)), np.zeros((RUNS, SENSORS, STATES)))
 
 
@@ -51,7 +51,7 @@ def evidence(slow_sensor: bool, slow_process: bool) -> Evidence:
 def explained(slow: bool, run: int, column: int) -> tuple[Array, float, float]:
     """eta at the best onset of a hypothesis, its size and information."""
     window, found = (TESTED.slow, TESTED.best_slow) if slow else (TESTED.recent, TESTED.best_recent)
-    eta = window.eta[run, :, found.slot[run, column], column]
+    eta = window.eta[run, found.slot[run, column], :, column]
     return eta, float(found.size[run, column]), float(found.information[run, column])
 
 

@@ -253,7 +253,7 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
     """By onset and sensor a, b: a^2 / b is 4, 9 for sensor 1; too little information for sensor 2; sensor 3 is not in use."""
     a = np.array([[2.0, 1.0, 5.0], [3.0, 1.0, 5.0]])
     b = np.array([[1.0, 0.0009, 1.0], [1.0, 0.0011, 1.0]])
-    onsets = Weighed(np.zeros((1, 2, 3)), np.ones(2), a, b, np.ones(2), np.zeros((3, 1)))
+    onsets = Weighed(np.zeros((2, 1, 3)), np.ones(2), a, b, np.ones(2), np.zeros((3, 1)))
     found = best_onset(onsets, np.array([True, True, False]), np.ones(3))
     np.testing.assert_allclose(found.statistic, [9.0, 1 / 0.0011, 0.0], rtol=1e-12)
     np.testing.assert_allclose(found.size, [3.0, 1 / 0.0011, 0.0], rtol=1e-12)
@@ -263,8 +263,8 @@ def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information
     assert less_noise.statistic[1] == 0.0 and less_noise.statistic[2] == 25.0
     earlier = best_onset(onsets, np.ones(3, bool), np.ones(3), first=1)
     np.testing.assert_array_equal(earlier.slot, [1, 1, 1])
-    by_slot = best_onset(onsets, np.ones(3, bool), np.array([[1.0, 1.0, 1.0], [1e-2, 1.0, 1.0]]))  # a size for each onset
-    assert by_slot.statistic[0] == 4.0 and by_slot.slot[0] == 0
+    eta = best_onset(onsets, np.ones(3, bool), np.array([[1.0, 1.0, 1.0], [1e-2, 1.0, 1.0]]))  # a size for each onset
+    assert eta.statistic[0] == 4.0 and eta.slot[0] == 0
 
 
 def test_the_evidence_is_twice_the_logarithm_of_the_likelihood_ratio_averaged_over_sizes() -> None:
@@ -331,7 +331,7 @@ def stepped(
         F = prior.tangent
         assert F is not None
         effect = DECLARED.slow(F, shift.age) if slow else DECLARED.recent(F, grid.slots)
-        common = step_in_common(last, F, AUGMENTED.H, now, leading)
+        common = step_in_common(last, F, AUGMENTED.H, now, window.eta.dtype, leading)
         weighed = weigh(shift, common, effect)
         sizes = DECLARED.slow_sizes(shift.age) if slow else DECLARED.recent_sizes
         best = best_onset(weighed, np.ones((*batch, weighed.M.shape[-1]), bool), sizes)
@@ -375,7 +375,7 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
                 z, steps = alone[onset]
                 of, used = steps[step - 1], healthy[step - 1].used
                 assert weighed.age[0, slot] == step - onset + 1
-                np.testing.assert_allclose(weighed.eta[0, :, slot, column], of.x - z[step - 1], rtol=0, atol=near)
+                np.testing.assert_allclose(weighed.eta[0, slot, :, column], of.x - z[step - 1], rtol=0, atol=near)
                 np.testing.assert_allclose(weighed.M[0, slot, used, column], of.d, rtol=0, atol=near)
                 since = range(onset - 1, step)
                 whitened = [np.linalg.solve(healthy[k].S, steps[k].d) for k in since]
@@ -386,7 +386,7 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
                 checked += 1
             slot = best.slot[0, column]
             moved = absorbed(weighed, best, np.array([column]))
-            np.testing.assert_array_equal(moved[0], weighed.eta[0, :, slot, column])
+            np.testing.assert_array_equal(moved[0], weighed.eta[0, slot, :, column])
     assert checked == (len(SLOW) if slow else len(RECENT)) * LONG * grid.slots
 
 
@@ -401,17 +401,16 @@ def test_a_run_whose_window_starts_again_changes_no_other() -> None:
 
 def test_the_change_of_the_innovation() -> None:
     """M = D - H eta; of some slots and hypotheses as of all."""
-    eta = np.random.default_rng(22).standard_normal((2, 5, 3, 6))
+    eta = np.random.default_rng(22).standard_normal((2, 3, 5, 6))
     H = np.random.default_rng(23).standard_normal((2, 4, 5))
     readings = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.0]])
     whole = Weighed(eta, readings, *np.zeros((2, 2, 3, 6)), np.ones((2, 3)), H)
     direct = np.zeros((2, 3, 4, 6))
     direct[..., :4] = readings[..., None, None] * np.eye(4)
-    by_slot = eta.swapaxes(1, 2)
-    allowed = rounding(float(np.max(np.abs(H[:, None]) @ np.abs(by_slot))) + 3.0, 6)
-    np.testing.assert_allclose(whole.M, direct - H[:, None] @ by_slot, rtol=0, atol=allowed)
+    allowed = rounding(float(np.max(np.abs(H[:, None]) @ np.abs(eta))) + 3.0, 6)
+    np.testing.assert_allclose(whole.M, direct - H[:, None] @ eta, rtol=0, atol=allowed)
     part = whole.changes(slice(1, 2), 4)
-    np.testing.assert_allclose(part, (direct - H[:, None] @ by_slot)[:, 1:2, :, 4:], rtol=0, atol=allowed)
+    np.testing.assert_allclose(part, (direct - H[:, None] @ eta)[:, 1:2, :, 4:], rtol=0, atol=allowed)
 
 
 GRIDS = [Grid(1), Grid(7), Grid(4, 3), Grid(6, 4, 3), Grid.spanning(32), Grid.spanning(256, 4), Grid.spanning(100, 3, 8)]
@@ -451,5 +450,5 @@ def test_onsets_before_the_start_are_the_start() -> None:
     y = np.random.default_rng(24).standard_normal((3, 1, SENSORS))
     window, *_ = stepped(y, Grid(6), False)[-1]
     np.testing.assert_array_equal(window.age[0], [1, 2, 3, 3, 3, 3])
-    for sums in (window.a[0], window.b[0], window.eta[0].swapaxes(0, 1)):
+    for sums in (window.a[0], window.b[0], window.eta[0]):
         np.testing.assert_array_equal(sums[3:], sums[[2, 2, 2]])
