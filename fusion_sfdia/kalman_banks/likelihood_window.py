@@ -145,8 +145,8 @@ def shifted(window: Window, grid: Grid, step: int) -> Shifted:
     """Return the window with the present step as an onset, where the grid has it, and the other onsets in their slots."""
     places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
     batch = window.age.shape[:-1]
-    found = bank_kernels.shift(*(bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age)), places)
-    a, b, age = (_of_batch(v, batch) for v in found)
+    a, b, age = (bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age))
+    a, b, age = (_of_batch(v, batch) for v in bank_kernels.shift(a, b, age, places))
     return Shifted(window, places, a, repeated(b, a), age)
 
 
