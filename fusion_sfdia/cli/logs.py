@@ -138,9 +138,9 @@ def _diagnose(chosen: argparse.Namespace) -> int:
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
     with printed_warnings():
-        name, built = diagnosing_detector(chosen)
+        name, built, read = diagnosing_detector(chosen)
         found = diagnose_log(
-            chosen.data, built, out, log_map=chosen.map, force=chosen.force, detector_name=name, **columns(chosen)
+            chosen.data, built, out, log_map=chosen.map, read=read, force=chosen.force, detector_name=name, **columns(chosen)
         )
     code = int(found.decisions.diverged.any())
     if chosen.json:

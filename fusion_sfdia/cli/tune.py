@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, loaded, warn, warn_of
+from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns, loaded, warn, warn_of
 from fusion_sfdia.registry import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
@@ -52,11 +52,12 @@ def tuned_plant(plant: Plant, file: Path) -> Plant:
 def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:
     """Name and object of a detector on a plant: of a tuned file, or as registered (the default where none is named)."""
     from fusion_sfdia import registry
-    from fusion_sfdia.tuning.tuned import Tuned
 
     if tuned is None:
         name = detector or DEFAULT_DETECTOR
         return name, registry.detector(name, registry.plant(plant))
+    from fusion_sfdia.tuning.tuned import Tuned
+
     found = Tuned.read(tuned)
     if detector not in (None, found.detector_name):
         raise ValueError(
@@ -69,21 +70,23 @@ def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tupl
         raise ValueError(f"{tuned}: {error}") from error
 
 
-def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any]:
-    """Name and object of the detector of `diagnose`, which may be tuned on the stretch --healthy of the log."""
+def diagnosing_detector(chosen: argparse.Namespace) -> tuple[str, Any, Any]:
+    """Name and object of the detector of `diagnose`; tuned on the stretch --healthy of the log, also that log, else None."""
+    if chosen.healthy is None:
+        return *bound_detector(chosen.plant, chosen.detector, chosen.tuned), None
     from fusion_sfdia import registry
+    from fusion_sfdia.logs.check import checked, without_suspects
+    from fusion_sfdia.logs.reading import load_log
     from fusion_sfdia.tuning.stretch import on_stretch
 
-    if chosen.healthy is None:
-        return bound_detector(chosen.plant, chosen.detector, chosen.tuned)
     if chosen.tuned:
         raise ValueError("--tuned and --healthy both state what is healthy; give one")
     plant, name = registry.plant(chosen.plant), chosen.detector or DEFAULT_DETECTOR
-    whole = loaded(chosen, chosen.data, plant)
-    tuned = on_stretch(plant, whole.log, chosen.healthy, name, whole.clock)
+    whole = load_log(chosen.data, plant, chosen.map, **columns(chosen))
+    tuned = on_stretch(plant, without_suspects(plant, checked(plant, whole)).log, chosen.healthy, name, whole.clock)
     for remark in tuned.quality["remarks"]:
         warn(f"--healthy {chosen.healthy}: {remark}")
-    return name, tuned.detector(plant)
+    return name, tuned.detector(plant), whole
 
 
 def _tune(chosen: argparse.Namespace) -> int:

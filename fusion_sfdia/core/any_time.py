@@ -14,7 +14,7 @@ class AnyTime:
     def _used(self, *_: object) -> NoReturn:
         raise TypeError("the model depends on the time")
 
-    __eq__ = __ne__ = __bool__ = __array__ = _used  # type: ignore[assignment]
+    __eq__ = __ne__ = __bool__ = __array__ = _used
 
 
 ANY_TIME: Any = AnyTime()

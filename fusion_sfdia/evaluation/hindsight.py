@@ -175,17 +175,19 @@ def _in_parts(
     length = (steps.track.t.size - first) // parts if first else SHORTEST
     x, P = (value.copy() for value in FILTER.start(model, (parts,), NO_DRAWS))
     x[0], P[0] = core
-    ends, marks = GaussianState(x.copy(), P.copy()), {}
+    ends = GaussianState(x.copy(), P.copy())
+    marks: dict[int, GaussianState] = {}
     which, at, forgets = np.arange(parts), set(np.geomspace(8, length, MARKS).astype(int).tolist()), True
     for sweep in range(SWEEPS):
         now, running = GaussianState(x[which], P[which]), which
         for k in each(range(length)) if sweep == 0 else range(length):
             try:
-                now = _batch_step(model, steps, first + running * length + k, now, found)
+                after = _batch_step(model, steps, first + running * length + k, now, found)
             except Exception:  # whatever a model of numbers raises for a time that is none
                 return first, core, False
-            if now is None:
+            if after is None:
                 return first, core, False
+            now = after
             if k + 1 in at:
                 old = marks.setdefault(k, GaussianState(np.full_like(x, np.nan), np.full_like(P, np.nan)))
                 far = ~_same(now, GaussianState(old.x[running], old.P[running]))
@@ -229,4 +231,4 @@ def _same(one: GaussianState, other: GaussianState) -> Array:
     """Whether states and covariances differ by at most SAME standard deviations (...)."""
     sd = np.sqrt(np.diagonal(one.P, axis1=-2, axis2=-1))
     near = np.all(np.abs(one.x - other.x) <= SAME * sd, axis=-1)
-    return near & np.all(np.abs(one.P - other.P) <= SAME * sd[..., :, None] * sd[..., None, :], axis=(-2, -1))
+    return np.asarray(near & np.all(np.abs(one.P - other.P) <= SAME * sd[..., :, None] * sd[..., None, :], axis=(-2, -1)))

@@ -12,6 +12,7 @@ import numpy as np
 from fusion_sfdia import registry
 from fusion_sfdia.core.log import as_log, one_run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.inspection.cost import cost, of_cost
 from fusion_sfdia.inspection.detectability import DETECTORS, Tried, tried
 from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding, mistakes, not_analytic
 from fusion_sfdia.inspection.healthy import OnHealthy, of_healthy, on_healthy
@@ -103,6 +104,7 @@ def inspect_plant(
     remarks: list[Finding] = list(not_analytic(found))
     step = stepping(found)
     remarks += of_step(found, step)
+    remarks += of_cost(found, cost(found))
     readings = _attempt(partial(observability, found), "observability", remarks)
     remarks += [] if readings is None else of_readings(found, readings)
     theory = None

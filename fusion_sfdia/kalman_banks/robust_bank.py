@@ -143,7 +143,7 @@ class RobustBank(ExcludingBank):
     def _judge(self, memory: RobustMemory, now: TimeStep, y: Array, u: Array) -> tuple[RobustMemory, Decision]:
         estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
-        stands = standing.accepted.any(axis=-1)
+        stands = np.asarray(standing.accepted.any(axis=-1))
         lately = stands & (standing.since <= LATELY)
         limits, handicap = self._limits, of.handicap
         if stands.any():
@@ -165,7 +165,7 @@ class RobustBank(ExcludingBank):
         if (everything.chi_square > limits.one).any():
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
             isolated, capped = eliminated(everything, evidence, present, limits, room)
-        by_windows = accepted(evidence, limits, ~isolated.any(axis=-1))
+        by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)))
         capped = (capped | (by_windows.is_sensor & (room < 1))) & ~unexplained
         sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
         led, leads, reopened, freed = np.zeros(led.shape), led, np.zeros(lately.shape, bool), np.zeros(lately.shape, bool)

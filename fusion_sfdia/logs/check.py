@@ -27,14 +27,21 @@ def check_log(
 
     ValueError as `load_log` raises it.
     """
-    found = load_log(
-        source,
+    return checked(
         plant,
-        log_map,
-        absent_sensors=absent_sensors,
-        other_columns=other_columns,
-        nominal_inputs=nominal_inputs,
+        load_log(
+            source,
+            plant,
+            log_map,
+            absent_sensors=absent_sensors,
+            other_columns=other_columns,
+            nominal_inputs=nominal_inputs,
+        ),
     )
+
+
+def checked(plant: Plant, found: LoadedLog) -> LoadedLog:
+    """A log that has been read with the findings on units."""
     return found._replace(findings=(*found.findings, *suspected_units(plant, found.log)))
 
 

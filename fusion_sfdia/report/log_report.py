@@ -20,8 +20,9 @@ from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
-from fusion_sfdia.logs.check import check_log, without_suspects
+from fusion_sfdia.logs.check import check_log, checked, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
+from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.report.log_figures import process_size, thinned, time_line
 from fusion_sfdia.report.log_page import About, write_page
@@ -38,6 +39,7 @@ def diagnose_log(
     out: Path,
     *,
     log_map: LogMap | Path | None = None,
+    read: LoadedLog | None = None,
     absent_sensors: bool = False,
     other_columns: bool = False,
     nominal_inputs: bool = False,
@@ -48,20 +50,15 @@ def diagnose_log(
 
     A bar shows the progress on a terminal.
 
-    log_map: how the log is written, see `load_log`. Sensors whose unit looks wrong are taken as missing: that is no fault.
+    log_map: how the log is written, see `load_log`. read: what `load_log` has found, where it was called already. Sensors whose
+    unit looks wrong are taken as missing: that is no fault.
     Raises ValueError naming the file where the log does not fit (see load_log), and where the folder is not free; warns of
     what reading the log found, and as `diagnose_run` does.
     """
     require_free(out, force=force)
     plant = detector.plant
-    loaded = check_log(
-        data,
-        plant,
-        log_map,
-        absent_sensors=absent_sensors,
-        other_columns=other_columns,
-        nominal_inputs=nominal_inputs,
-    )
+    given = {"absent_sensors": absent_sensors, "other_columns": other_columns, "nominal_inputs": nominal_inputs}
+    loaded = check_log(data, plant, log_map, **given) if read is None else checked(plant, read)
     for remark in loaded.remarks:
         warnings.warn(f"{data}: {remark}", stacklevel=2)
     log = without_suspects(plant, loaded).log

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.logs.tables import read_table
 
 TOY = """
 from toy_plants import chain
@@ -53,7 +55,11 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     assert code == 0
     tuned = json.loads(out)
     assert [e["hypothesis"] for e in tuned if e["start"] == 230] == ["s0"]
-    code, out, _ = call(capsys, *diagnose, "--healthy", "..220")
+    reads: list[Any] = []
+    with monkeypatch.context() as patch:
+        patch.setattr("fusion_sfdia.logs.reading.read_table", lambda *given: reads.append(given) or read_table(*given))
+        code, out, _ = call(capsys, *diagnose, "--healthy", "..220")
+    assert len(reads) == 1
     assert code == 0 and [e["hypothesis"] for e in json.loads(out) if e["start"] == 230] == ["s0"]
 
     code, out, _ = call(capsys, "inspect", *plant, "--tuned", "tuned.toml", "--data", "b.csv", "--no-simulation", "--json")

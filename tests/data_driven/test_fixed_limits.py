@@ -10,8 +10,9 @@ from scipy.special import ndtri
 from scipy.stats import betabinom
 from toy_plants import Array, chain, tanks
 
-from fusion_sfdia.core.detector import Decision, run
+from fusion_sfdia.core.detector import Decision, joined, run
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.healthy_limits import upper_limit
 
@@ -179,3 +180,44 @@ def test_what_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             replace(DETECTOR, **change)
+
+
+def test_a_run_at_once_has_the_bits_of_its_steps() -> None:
+    """Missing, absurd and faulty readings, an input beyond its limits, in two runs of steps after another."""
+    y = noise(PLANT, 60)
+    y[3, 1], y[10:14], y[20:30, 0], y[40, 2], y[0] = np.nan, np.nan, 2.0, 1e30, np.nan
+    t, u = PLANT.dt * np.arange(1, 61), np.tile(PLANT.input_at(0.0), (60, 1))
+    u[33] = 1e6
+    state, expected = run(DETECTOR, DETECTOR.init(), t, y, u)
+    half, first = DETECTOR.steps(DETECTOR.init(), t[:25], y[:25], u[:25])
+    after, second = DETECTOR.steps(half, t[25:], y[25:], u[25:])
+    found = joined([first, second])
+    assert expected.absurd.sum() == 1 and expected.absurd_input.sum() == 1
+    for name in (
+        "reconstruction",
+        "residual",
+        "threshold",
+        "isolated",
+        "fault_size",
+        "absurd",
+        "absurd_input",
+        "capped",
+        "nis",
+    ):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    for one, other in zip(leaves(after), leaves(state), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert DETECTOR.step(after, t[-1] + PLANT.dt, y[5], u[0])[0].steps == 61
+
+
+def test_a_run_at_once_refuses_what_a_step_does() -> None:
+    y, t, u = noise(PLANT, 5), PLANT.dt * np.arange(1, 6), np.tile(PLANT.input_at(0.0), (5, 1))
+    for given, reason in (
+        ((t[[0, 1, 1, 2, 3]], y, u), "a step of 0"),
+        ((t, y[:, :3], u), "has 4 sensors"),
+        ((t, y, u * np.nan), "not finite"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            DETECTOR.steps(DETECTOR.init(), *given)
+    with pytest.raises(ValueError, match="one run of at least one time"):
+        DETECTOR.steps(DETECTOR.init(2), t, y, u)
