@@ -122,6 +122,27 @@ def times(rows: Sequence[Row]) -> str:
     return table(("part", "plant", "detector", "what", "time", "ratio to its reference"), lines)
 
 
+def memory(rows: Sequence[Row]) -> str:
+    """The largest memory of what was measured."""
+    found = [r for part in ("scaling", "network", "logs") for r in of(rows, part, "peak_memory")]
+    lines = [
+        (
+            r.scenario.removeprefix("bench/"),
+            r.plant,
+            r.detector,
+            ", ".join(filter(None, (r.quantity, r.condition))),
+            megabytes(r),
+        )
+        for r in found
+    ]
+    return table(("part", "plant", "detector", "what", "MB"), lines)
+
+
+def megabytes(row: Row) -> str:
+    """A number of bytes in MB."""
+    return f"{row.value / 1e6:.{DIGITS}g}"
+
+
 def last(row: Row) -> str:
     """The reference of a ratio row."""
     return row.condition.rpartition(", ")[2]
@@ -242,6 +263,11 @@ def counted(rows: Sequence[Row]) -> str:
     return table(("detector", "grows with", "Python (expected)", "operations", "memory"), lines)
 
 
+MEMORY = """## Memory
+
+Of `scaling` what NumPy allocates in a step, of `network` all arrays that a step reads or writes, of `logs` the largest resident
+memory of the process.
+"""
 PEERS = """## Other packages
 
 A prediction and an update of Lorenz-96 with 63 states, all read, in the same run; in brackets the time over that of NumPy by
@@ -267,6 +293,7 @@ def render(rows: Sequence[Row]) -> str:
     """The page."""
     parts: list[tuple[str, Callable[[Sequence[Row]], str]]] = [
         (ABOUT, times),
+        (MEMORY, memory),
         (PEERS, peers),
         (SCALING, scaling),
         (CLUSTER, workers),
