@@ -181,8 +181,9 @@ def chosen(decisions: Decision, times: Any) -> Decision:
 
 
 def _each(like: Decision, of: Callable[[str], Array]) -> Decision:
-    """A Decision of what `of` gives for the name of each array that `like` has."""
-    return Decision(**{f.name: of(f.name) for f in fields(Decision) if getattr(like, f.name) is not None})
+    """A Decision of what `of` gives for the name of each array that `like` has; what is the same at all times stays."""
+    found = {f.name: getattr(like, f.name) for f in fields(Decision)}
+    return Decision(**{name: of(name) if value is not None and value.ndim else value for name, value in found.items()})
 
 
 def stack(decisions: list[Decision], *, covariance: bool = False) -> Decision:
