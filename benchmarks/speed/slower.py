@@ -6,9 +6,9 @@ x = ln(ratio of a time to its reference). A row is slower where x exceeds the me
     s^2 = (PRIOR_DOF s_0^2 + runs v) / (PRIOR_DOF + runs)   (Smyth 2004, sec. 4; at least the spread within the run)
 
 with v from the median of the differences between successive runs, which one lasting change leaves as it is, and s_0^2 the
-median of v over all rows; PRIOR_NOISE^2 before there are three runs. So all rows of a run together give a false alarm with
-a probability of FALSE_ALARM, where the noise of the logarithms is normal. Where its tails are heavier it is more, so the
-command measures a part again before it reports a row of it, which has to be slower both times.
+median of v over all rows; PRIOR_NOISE^2 before there are three runs. All rows of a run together give a false alarm with a
+probability of FALSE_ALARM where the noise of the logarithms is normal and that of all rows the same, and otherwise more often.
+So the command measures a part again before it reports a row of it, which has to be slower both times.
 """
 
 from __future__ import annotations

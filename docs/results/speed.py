@@ -12,6 +12,7 @@ from dataclasses import replace
 from itertools import pairwise
 from math import log
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 
@@ -24,6 +25,7 @@ DIGITS = 3
 HOUR = 3600.0
 CORES = 1000
 WORKERS = "2 dask workers"
+WIDTH = 128  # of a line
 
 ABOUT = """# Speed
 
@@ -41,9 +43,10 @@ fusion-sfdia bench --history speed.jsonl --against speed.jsonl    # and compares
 A ratio is slower where it exceeds the median of its last five runs by more than its noise. The noise is learnt from the
 differences of successive runs of the same machine, moderated by that of all rows, and is at least the spread within the run;
 before there are three runs it is taken as 5 %. The limit is Student's quantile for one false alarm in 100 comparisons of all
-rows. What looks slower is measured again, and reported if it is slower both times. On synthetic timings of 50 rows a slowdown
-of 30 % is found in 99 % of the runs at a noise of 3 %, and one of 15 % in all at a noise of 1 %. In 200 comparisons of runs
-that differ by noise alone, normal or with heavier tails, nothing is reported.
+rows, if all had the same noise. What looks slower is measured again, and reported if it is slower both times. Synthetic timings
+of 50 rows that differ fourfold in noise: a slowdown of 30 % at a noise of 3 % is reported in 99 % of 200 runs, one of 15 % at a
+noise of 1 % in all. Of 200 runs without any, after 20 others, 6 look slower once and none twice; with heavier tails than
+assumed (Student's with 5 degrees of freedom) 20 once and one twice.
 """
 GROWTH = """## Growth, counted
 
@@ -117,6 +120,27 @@ def times(rows: Sequence[Row]) -> str:
             what = ", ".join(filter(None, (row.quantity, row.condition)))
             lines.append((part, row.plant, row.detector, what, seconds(row.value), shown))
     return table(("part", "plant", "detector", "what", "time", "ratio to its reference"), lines)
+
+
+def memory(rows: Sequence[Row]) -> str:
+    """The largest memory of what was measured."""
+    found = [r for part in ("scaling", "network", "logs") for r in of(rows, part, "peak_memory")]
+    lines = [
+        (
+            r.scenario.removeprefix("bench/"),
+            r.plant,
+            r.detector,
+            ", ".join(filter(None, (r.quantity, r.condition))),
+            megabytes(r),
+        )
+        for r in found
+    ]
+    return table(("part", "plant", "detector", "what", "MB"), lines)
+
+
+def megabytes(row: Row) -> str:
+    """A number of bytes in MB."""
+    return f"{row.value / 1e6:.{DIGITS}g}"
 
 
 def last(row: Row) -> str:
@@ -204,28 +228,28 @@ def workers(rows: Sequence[Row]) -> str:
     speedup = {r.condition: r.value for r in of(rows, "workers", "speedup")}
     lines = [(c, seconds(v), f"{speedup[c]:.{DIGITS}g}") for (q, c), v in time.items() if q == many]
     piece = time[many, "1 processes"] / float(many.split()[0])
-    empty = time["an empty piece", WORKERS]
-    answered = sent["sent"] + sent["answered"]
-    return (
-        table(("workers", f"{many} of the comparison", "speed over one process"), lines)
-        + f"\nThe {many} were done once in each way, on two cores that had other work to do, which hides what a second worker "
-        f"gains: the numbers bound it from below. An empty piece costs {seconds(empty)}, and a piece of two seeds sends "
-        f"{answered:.{DIGITS}g} bytes in all.\n\n" + hour(piece, empty, answered)
+    empty, moved = time["an empty piece", WORKERS], (sent["sent"] + sent["answered"]) / 1e3
+    text = (
+        f"The {many} were done once in each way, on two cores that had other work to do, which hides what a second worker "
+        f"gains: the numbers bound it from below. An empty piece costs {seconds(empty)}, and one of two seeds moves "
+        f"{moved:.{DIGITS}g} kB."
     )
+    shown = table(("workers", many, "speed over one process"), lines).rstrip()
+    return "\n\n".join((shown, fill(text, WIDTH), hour(piece, empty, moved)))
 
 
-def hour(piece: float, empty: float, sent: float) -> str:
-    """What an hour of CORES cores does, from the pieces that were measured."""
+def hour(piece: float, empty: float, moved: float) -> str:
+    """What an hour of CORES cores does: seconds of a measured piece, of an empty one, and kB that a piece moves."""
     long = 10 * CORES * empty  # seconds of a piece
     done = CORES * HOUR / long
-    return (
-        f"An hour of {CORES} cores, estimated from these: the scheduler spends {seconds(empty)} on a piece, so that it keeps "
+    text = (
+        f"An hour of {CORES} cores, estimated from these: the scheduler spends {seconds(empty)} on a piece. So it keeps "
         f"{min(CORES, piece / empty):.0f} workers busy with pieces as small as these ({seconds(piece)}), and {CORES} with "
         f"pieces of more than {seconds(CORES * empty)}. With pieces ten times as long, {seconds(long)}, the hour does "
-        f"{done:.3g} of them, moves "
-        f"{done * sent / 1e6:.2g} MB, and the scheduler is busy for a tenth of it. `compare --seeds` sets how long pieces are: "
-        "one piece is a detector on a plant with up to 25 seeds. More than two workers have not been measured.\n"
+        f"{done:.3g} of them, moves {done * moved / 1e3:.2g} MB or more, and the scheduler is busy for a tenth of it. "
+        "A piece is a detector on a plant with up to 25 seeds. More than two workers have not been measured."
     )
+    return fill(text, WIDTH) + "\n"
 
 
 def counted(rows: Sequence[Row]) -> str:
@@ -239,6 +263,11 @@ def counted(rows: Sequence[Row]) -> str:
     return table(("detector", "grows with", "Python (expected)", "operations", "memory"), lines)
 
 
+MEMORY = """## Memory
+
+Of `scaling` what NumPy allocates in a step, of `network` all arrays that a step reads or writes, of `logs` the largest resident
+memory of the process.
+"""
 PEERS = """## Other packages
 
 A prediction and an update of Lorenz-96 with 63 states, all read, in the same run; in brackets the time over that of NumPy by
@@ -255,7 +284,8 @@ SCALING = """## Scaling
 and update of an ensemble on the pipeline, where finer grids need shorter substeps. Areas: all diagnosers of a network on one
 core.*
 
-The exponent of a line through all points, and of the last two, where constant costs count least:
+The exponent of a line through all points, and of the last two, where constant costs count least. It exceeds the 3 that are
+counted (see below) where the windows of 500 sensors, 30 MB and more, no longer fit into the caches:
 """
 
 
@@ -263,6 +293,7 @@ def render(rows: Sequence[Row]) -> str:
     """The page."""
     parts: list[tuple[str, Callable[[Sequence[Row]], str]]] = [
         (ABOUT, times),
+        (MEMORY, memory),
         (PEERS, peers),
         (SCALING, scaling),
         (CLUSTER, workers),

@@ -110,8 +110,8 @@ def _joined(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: st
     """The events of a sensor with a stretch from sample a to b in which it is silent or frozen.
 
     Events of that kind that overlap the stretch are one with it, and so is, of a frozen sensor, any event that begins in it:
-    what follows is how long the detector takes to trust the sensor again. A stretch of equal readings within another fault
-    adds nothing.
+    what follows is how long the detector takes to trust the sensor again. Confidence and alternatives, which are of tests for
+    the size of a fault, do not apply to it. A stretch of equal readings within another fault adds nothing.
     """
     if kind == "freeze" and any(e.start < t[a] and e.end >= t[b] for e in events):
         return events
@@ -130,6 +130,8 @@ def _joined(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: st
             open=e.open or one.open,
             fault=kind,
             fault_alternatives=(),
+            confidence=certain,
+            alternatives=(),
         )
     return [*kept, one]
 

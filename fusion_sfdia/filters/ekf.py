@@ -43,4 +43,5 @@ def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array, sparse: bool 
     else:
         C = one @ np.swapaxes(H, -1, -2)
         HPH = symmetrise(H @ C)
-    return Joint(x, P, h(x), repeated(add(HPH, R), P), repeated(C, P), H=H)
+    S = add(HPH, R)
+    return Joint(x, P, h(x), S if P.ndim == 2 else repeated(S, P), repeated(C, P), H=H)

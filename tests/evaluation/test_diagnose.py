@@ -225,6 +225,7 @@ def test_a_frozen_reading_is_isolated_once_the_signal_has_moved() -> None:
     assert [plant.sensor_names[i] for i in isolated] == ["p_7"]
     # from their equal readings both are events, since the one before the onset
     assert [(e.hypothesis, e.fault, e.start) for e in found.events] == [("T_7", "freeze", 390.0), ("p_7", "freeze", 390.0)]
+    assert all(np.isnan(e.confidence) and e.alternatives == () for e in found.events)  # no test of size found them
 
 
 def test_the_tanks_step_through_a_gap_of_minutes() -> None:

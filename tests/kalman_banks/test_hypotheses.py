@@ -13,6 +13,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 from toy_plants import chain, changed, declared, tanks
 
+from fusion_sfdia import registry
 from fusion_sfdia.core.detector import ProcessHypothesis
 from fusion_sfdia.core.uncertainty import Disturbance
 from fusion_sfdia.kalman_banks.hypotheses import (
@@ -147,3 +148,10 @@ def test_effects_act_on_one_sensor_at_the_onset_or_in_each_step() -> None:
     assert recent.once == 3
     np.testing.assert_array_equal(slow.readings, [[1, 3], [2, 4]])
     np.testing.assert_array_equal(slow.state, F[..., 4:])
+
+
+@pytest.mark.parametrize(("name", "leading"), [("power-network", 60), ("gas-pipeline", 70)])
+def test_states_that_hardly_any_other_depends_on_come_after_the_leading_ones(name: str, leading: int) -> None:
+    """A slope acts on two areas of a network, a roughness on the whole pipe."""
+    of = Hypotheses(registry.plant(name))
+    assert of.leading == leading and len(of.model.states) == leading + (of.added if name == "power-network" else 0)

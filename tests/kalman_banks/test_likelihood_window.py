@@ -277,6 +277,20 @@ def test_the_evidence_is_twice_the_logarithm_of_the_likelihood_ratio_averaged_ov
     assert best_onset(onsets, np.zeros(1, bool), np.ones(1)).evidence[0] == -np.inf
 
 
+def test_in_single_precision_the_bank_decides_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = 4
+    t, y, u = data(runs, 0.1, 5.0)
+    bank = LeaveOneOutBank(PLANT, window=WINDOW, false_alarm=FALSE_ALARM)
+    _, double = run(bank, bank.init((runs,)), t, y, u)
+    monkeypatch.setattr(window_step, "NUMBERS", np.float32)
+    _, found = run(bank, bank.init((runs,)), t, y, u)
+    assert bank.init((runs,)).memory.window.eta.dtype == np.float32 and found.isolated.any()
+    np.testing.assert_array_equal(found.isolated, double.isolated)
+    coarser = np.finfo(np.float32).eps / np.finfo(float).eps
+    np.testing.assert_allclose(found.scores, double.scores, rtol=0, atol=near(y) * coarser)
+    assert not np.array_equal(found.scores, double.scores)
+
+
 # Hypotheses about the process and the far past, on a plant with declared uncertainty
 
 DECLARED = Hypotheses(declared())
@@ -353,7 +367,7 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
     y = rng.standard_normal((LONG, 1, SENSORS)) * 3.0
     y[rng.random(y.shape) < 0.2] = np.nan
     y[7] = np.nan
-    found = stepped(y, grid, slow, [restart] if restart else [])
+    found = stepped(y, grid, slow, [restart] if restart else [], STATES if slow else None)
     healthy = filtered(y[:, 0], np.zeros(len(MODEL.states)), AUGMENTED.P0, AUGMENTED)
     condition = float(np.linalg.cond(AUGMENTED.H @ AUGMENTED.P0 @ AUGMENTED.H.T + AUGMENTED.R))
     steps_seen = {max(o, r) for k in range(1, LONG + 1) for r in (1, restart + 1) for o in grid.onsets(k)}

@@ -1,0 +1,68 @@
+"""Products with Jacobians of which most entries are 0 are those of the dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rounding import rounding
+
+from fusion_sfdia import registry
+from fusion_sfdia.filters import ekf
+from fusion_sfdia.filters.sparse import congruence
+
+Array = NDArray[np.float64]
+RNG = np.random.default_rng(0)
+RUNS, M, N = 3, 7, 9
+
+
+def covariance(*batch: int) -> Array:
+    root = RNG.standard_normal((*batch, N, N))
+    return np.asarray(root @ root.swapaxes(-1, -2))
+
+
+def few(*shape: int) -> Array:
+    return np.asarray(RNG.standard_normal(shape) * (RNG.random(shape) < 0.2))
+
+
+@pytest.mark.parametrize(
+    ("A", "P"),
+    [
+        (few(M, N), covariance(RUNS)),
+        (few(RUNS, M, N), covariance(RUNS)),
+        (few(M, N), covariance()),
+        (few(M, N), covariance(2, 2)),
+    ],
+    ids=["one-jacobian", "one-of-each-run", "single", "two-axes"],
+)
+def test_the_products_are_those_of_dense_matrices(A: Array, P: Array) -> None:
+    both, one = congruence(A, P)
+    largest = np.abs(A) @ np.abs(P)
+    np.testing.assert_allclose(one, A @ P, rtol=0, atol=rounding(float(largest.max()), N))
+    expected = A @ P @ A.swapaxes(-1, -2)
+    allowed = rounding(float((largest @ np.abs(A).swapaxes(-1, -2)).max()), 2 * N)
+    np.testing.assert_allclose(both, expected, rtol=0, atol=allowed)
+    np.testing.assert_array_equal(both, both.swapaxes(-1, -2))
+
+
+def test_a_run_has_the_bits_that_it_has_alone() -> None:
+    A, P = few(RUNS, M, N), covariance(RUNS)
+    both, one = congruence(A, P)
+    for r in range(RUNS):
+        alone = congruence(A[r : r + 1], P[r : r + 1])
+        np.testing.assert_array_equal(both[r], alone[0][0])
+        np.testing.assert_array_equal(one[r], alone[1][0])
+
+
+def test_a_filter_step_is_the_same_by_sparse_and_dense_products() -> None:
+    F, H, P, x, Q, R = few(N, N), few(M, N), covariance(1), np.zeros((1, N)), np.ones(N), np.ones(M)
+    (_, dense), (_, sparse) = (ekf.predict(x, P, lambda s: s, F, Q, by) for by in (False, True))
+    a, b = (ekf.joint(x, P, lambda s: s[..., :M], H, R, by) for by in (False, True))
+    for found, expected in ((sparse, dense), (b.S, a.S), (b.C, a.C)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=rounding(1e3 * float(np.abs(P).max()), 2 * N))
+
+
+def test_plants_whose_jacobians_have_few_entries() -> None:
+    """A pipe depends on itself everywhere, an area on its neighbours; of two tanks nothing is gained."""
+    expected = {"gas-pipeline": (False, True), "power-network": (True, True), "two-tanks": (False, False)}
+    assert {name: registry.plant(name).sparse for name in expected} == expected
