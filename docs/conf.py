@@ -82,8 +82,11 @@ MARKUP = re.compile(r"([*|]|(?<=\w)_(?!\w))")
 
 
 def links_outside(app: Sphinx, page: str, source: list[str]) -> None:
-    """Links to folders of the repository become their text: a site cannot show a folder."""
+    """Links to folders of the repository become their text: a site cannot show a folder. Notebooks are beside `docs` in the
+    repository and within it on the site.
+    """
     if page.startswith("notebooks/"):
+        source[0] = source[0].replace("](../docs/", "](../")
         return
     here = (HERE / page).parent
 

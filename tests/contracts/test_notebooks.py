@@ -12,6 +12,7 @@ from nbformat import NotebookNode
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
 MOST_BYTES = 400_000  # a code host shows it at once, and a new version does not weigh on the repository
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+LINK = re.compile(r"\]\(([^)#:]+)[^):]*\)")  # not to an address on the web
 MACHINE_PATH = re.compile(r"(?<![\w.:/])/(?:home|root|tmp|usr|opt|var|mnt|srv|work|Users|private)/|\b[A-Z]:\\\\")
 
 each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -68,6 +69,13 @@ def test_a_committed_notebook_is_small_and_portable(path: Path) -> None:
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))  # as run, from top to bottom
     assert not [o for cell in cells for o in cell.outputs if o.output_type == "error" or o.get("name") == "stderr"]
     assert any(pictures(cell) for cell in cells)
+
+
+@each
+def test_its_links_lead_to_files(path: Path) -> None:
+    cells = nbformat.read(path, as_version=4).cells
+    links = [link for cell in cells if cell.cell_type == "markdown" for link in LINK.findall(cell.source)]
+    assert not [link for link in links if not (path.parent / link).is_file()]
 
 
 @pytest.mark.long
