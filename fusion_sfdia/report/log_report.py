@@ -24,7 +24,7 @@ from fusion_sfdia.logs.check import check_log, checked, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.report.log_figures import process_size, thinned, time_line
+from fusion_sfdia.report.log_figures import process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
@@ -145,7 +145,8 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
         made = found.decisions.reconstruction[:, i]
         shown = np.union1d(thinned(y[:, i]), thinned(made))
         series = {"reading": y[shown, i], "reconstructed": made[shown]}
-        time_series(axis, found.t[shown], series, ylabel=f"{name} [{plant.sensors[i].unit}]", spans=spans)
+        label = f"{name} [{plant.sensors[i].unit}]"
+        time_series(axis, found.t[shown], series, ylabel=label, spans=spans, at=time_axis(found))
         handles, labels = axis.get_legend_handles_labels()
         axis.legend(handles, ["isolated" if label == "fault acts" else label for label in labels], fontsize=8)
     if verdict:

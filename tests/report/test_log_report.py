@@ -96,6 +96,18 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
 
 
+@pytest.mark.parametrize("hours", [False, True])
+def test_readings_are_drawn_on_the_axis_of_the_time_line(hours: bool) -> None:
+    seen = replace(BOTH, t=1000 * T, events=tuple(replace(e, start=1000 * e.start, end=1000 * e.end) for e in BOTH.events))
+    line, *rest = draw(PLANT, BIASED, seen if hours else replace(BOTH, clock=WHEN)).axes
+    labels = [axes.get_xlabel() for axes in (line, *rest)]
+    assert set(labels) == {"time (h)" if hours else "time (CET)"}
+    for axes in rest:
+        x = np.asarray(axes.get_lines()[0].get_xdata(), dtype=float)
+        low, high = line.get_xlim()
+        assert axes.get_xlim() == (low, high) and np.all((x >= low) & (x <= high)) and np.ptp(x) > 0.9 * (high - low)
+
+
 def test_without_events_the_figure_shows_that() -> None:
     (axes,) = draw(PLANT, Y[:, 0], found(Y[:, 0])).axes
     assert axes.get_title(loc="left") == "l1: no fault"
