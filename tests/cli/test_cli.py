@@ -278,7 +278,11 @@ INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
         ),
         (filled(INLET, "2e9"), 2, r"other.csv, row 2, column p_inlet: 2e\+09 Pa; plant 'gas-pipeline' holds from 1e\+06 to"),
         (lambda rows: rows[5].__setitem__(0, "1e9"), 2, "other.csv, row 7, column time: 60.0 s after 1000000000.0 s"),
-        (lambda rows: rows[-1].__setitem__(0, "1e9"), 0, r"warning: no row for 1e\+09 s before 1e\+09 s, 1e\+08 steps of the "),
+        (
+            lambda rows: rows[-1].__setitem__(0, "1e9"),
+            0,
+            r"warning: no row for 1e\+09 s before 1000000000 s, 1e\+08 steps of the ",
+        ),
     ],
     ids=["silent", "sensor", "gap", "guarded", "inlet", "order", "years"],
 )
