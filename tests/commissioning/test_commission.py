@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.commissioning.commission import commission, commissioned
+from fusion_sfdia.commissioning.disturbances import Found, with_disturbance
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, secants
@@ -80,6 +81,15 @@ def test_a_log_of_the_model_itself_changes_nothing() -> None:
     if found.parameters is not None:
         assert abs(found.parameters.value[0] - 1.0) < 4 * found.parameters.sd[0]
     np.testing.assert_array_equal(found.plant.sensor_sigma, two_tanks().sensor_sigma)
+
+
+def test_a_learnt_disturbance_is_named_after_the_sensors_it_moves_most() -> None:
+    none = np.empty((0, 0))
+    plant = bare()
+    for state, reading in (([0.0, 1e-3], [0.0] * 4), ([0.0, 0.0], [0.0, 0.0, 1e-5, 0.0])):
+        plant = with_disturbance(plant, Found(np.array(state), np.array(reading), none, none, 0.0, 1.0, 100.0, 1.0))
+    names = [d.name for d in plant.uncertainty.disturbances]
+    assert names == ["learnt disturbance 1 (l2, q2)", "learnt disturbance 2 (q12)"]
 
 
 def test_a_frozen_sensor_is_refused() -> None:
