@@ -148,7 +148,7 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
         label = f"{name} [{plant.sensors[i].unit}]"
         time_series(axis, found.t[shown], series, ylabel=label, spans=spans, at=time_axis(found))
         handles, labels = axis.get_legend_handles_labels()
-        axis.legend(handles, ["isolated" if label == "fault acts" else label for label in labels], fontsize=8)
+        axis.legend(handles, ["fault" if label == "fault acts" else label for label in labels], fontsize=8)
     if verdict:
         time_line(axes[0], found)
         for axis, name in zip(axes[1:], process, strict=False):
