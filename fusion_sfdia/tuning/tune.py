@@ -26,6 +26,7 @@ from fusion_sfdia.core.silent import require_scale, silent, silent_scores
 from fusion_sfdia.tuning.delays import Delays, delays
 from fusion_sfdia.tuning.drift import require_no_drift
 from fusion_sfdia.tuning.rate import Rate, lasting
+from fusion_sfdia.tuning.remarks import remarks
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
 from fusion_sfdia.tuning.tail import Count, Threshold, counted, shortest, threshold
@@ -33,7 +34,6 @@ from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_
 
 Array = NDArray[Any]
 
-FAR, COLOURED, WRONG, WIDE, UNSURE = 3.0, 0.15, 1.5, 2.0, 1.5  # beyond which a figure is remarked on
 LEARNT_ON = 40  # samples above its limits from which a detector that learns sets them itself, before they are scaled
 
 
@@ -121,7 +121,7 @@ def _runs(log: Log) -> list[Log]:
 
 def _moments(logs: Sequence[Sequence[Log]], sources: Sequence[Source]) -> list[Callable[[float], str]]:
     """For each run what puts a time (s) in words: on its clock, with the run and the log where there are several."""
-    found = []
+    found: list[Callable[[float], str]] = []
     for source, runs in zip(sources, logs, strict=True):
         for i in range(len(runs)):
             which = f" of run {i}" * (len(runs) > 1) + f" of {source.name}" * (len(logs) > 1)
@@ -219,29 +219,5 @@ def _quality(
             "worst": float(np.max(late.delay[s])),
             "found": float(np.mean(late.found[s])),
         }
-    figures["remarks"] = _remarks(found, figures, limit)
+    figures["remarks"] = remarks(found, figures, limit)
     return figures
-
-
-def _remarks(found: Commissioning, figures: dict[str, Any], limit: Threshold) -> list[str]:
-    """What a user should know before relying on it."""
-    remarks = []
-    if found.parameters is not None:
-        away = np.abs(found.parameters.value - found.parameters.prior) / found.parameters.prior_sd
-        remarks += [
-            f"{name} is {a:.1f} of its stated deviations off: the model may lack something, or a fault be hidden in it"
-            for name, a in zip(found.parameters.names, away, strict=True)
-            if a > FAR
-        ]
-    if figures["coloured"] > COLOURED:
-        remarks.append(
-            f"{100 * figures['coloured']:.0f} % of the autocorrelations of the prediction errors are outside their bands: the "
-            "model lacks something, or a slow fault is in the log"
-        )
-    if not 1 / WRONG < figures["nis"] < WRONG:
-        remarks.append(f"prediction errors are {np.sqrt(figures['nis']):.2g} times as large as the model expects (NIS, root)")
-    if limit.scale > WIDE:
-        remarks.append(f"thresholds are {limit.scale:.2g} times those of a right model: small faults are not seen")
-    if limit.high > UNSURE * limit.low:
-        remarks.append("the threshold is uncertain by more than a factor of 1.5: a longer log would settle it")
-    return remarks
