@@ -32,8 +32,8 @@ def remarks(found: Commissioning, figures: Mapping[str, Any], limit: Threshold) 
         said.insert(
             0,
             "check the units of inputs and sensors: the plant as stated errs "
-            f"{np.sqrt(figures['nis_before']):.2g} times as much as it expects (NIS, root), and this log is predicted only with "
-            f"{', '.join(learnt)}, which is unlikely for the plant that was stated",
+            f"{np.sqrt(figures['nis_before']):.2g} times as much as it expects (NIS, root), and this log is predicted only "
+            f"with {', '.join(learnt)}, which is unlikely for the plant that was stated",
         )
     if figures["coloured"] > COLOURED:
         said.append(
