@@ -96,7 +96,9 @@ def test_a_frozen_sensor_is_refused() -> None:
     log = healthy()
     y = log.y.copy()
     y[100:120, 0, 2] = y[100, 0, 2]
-    with pytest.raises(ValueError, match="'q12' repeats one reading 19 times"):
+    with pytest.raises(
+        ValueError, match=r"'q12' shows the same reading 20 times in a row .*, until \d+ s of run 0: it is frozen"
+    ):
         commission(bare(), log._replace(y=y))
 
 
@@ -107,3 +109,10 @@ def test_a_log_that_is_too_short_is_refused() -> None:
     log = Log(*(a[:120] for a in healthy()))
     with pytest.raises(ValueError, match="expected at least 1000"):
         commission(bare(), log)
+
+
+def test_a_filter_that_diverges_is_refused_with_the_time_since_the_beginning() -> None:
+    log, own = healthy(), bare()
+    lost = replace(own, output=lambda t, x, u: own.output(t, x, u) + (np.nan if t > 1150 else 0.0))
+    with pytest.raises(ValueError, match="diverges 150 s after the beginning of one of the 2 stretches of the healthy log"):
+        commission(lost, log._replace(t=log.t + 1000.0), false_alarm=RATE)
