@@ -23,20 +23,33 @@ FACTORS |= {3.6: "", 180.0 / np.pi: "degrees for radians?", 30.0 / np.pi: "rpm f
 UNITS = ("degC", "degF", "barg", "psig", "bar", "psi", "kPa", "lb/h", "inch", "ft")  # tried where they convert to the plant's
 
 
+PRESSURE_FACTORS = (1.0, 10.0, 0.1, 100.0, 0.01, 1e3, 1e-3, 1e5, 1e-5, 1e6, 1e-6, 14.5038, 1 / 14.5038)
+
+
 class MixUp(NamedTuple):
-    """A mix-up of units: the reading as it should be, factor * reading + offset, and what it looks like, in words."""
+    """A mix-up of units: the reading as it should be, factor * reading + offset, and what it looks like, in words.
+
+    zero: the reading from which deviations count: of a gauge pressure, the atmosphere. usual: whether units of the quantity
+    differ so; factors of times and angles, of a pressure, count where nothing else explains it.
+    """
 
     factor: float
     offset: float
     text: str
+    zero: float = 0.0
+    usual: bool = True
+
+    def __call__(self, y: Any) -> Any:
+        return self.factor * y + self.offset
 
 
 def suspected_units(plant: Plant, log: Log) -> list[Finding]:
     """Findings on the sensors whose readings differ from the model's over the whole log as by a usual mix-up of units.
 
     The first readings are compared with what the model predicts from x0 under the inputs of the log, see `mix_up`; what
-    explains them has to hold, to half of the prediction, in each of PARTS parts of the log. Sensors that never move are not
-    suspected: they are dead. Nor are those whose prediction is within CLEAR standard deviations of 0, which fit any factor.
+    explains them has to hold, to half of the prediction and better than the readings as they are, in each of PARTS parts of the
+    log. Sensors that never move are not suspected: they are dead. Nor are those whose prediction is within CLEAR standard
+    deviations of 0, which fit any factor.
     """
     predicted = _predicted(plant, log)
     found = []
@@ -51,7 +64,7 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
             continue
         best = mix_up(readings[begin], predicted[begin, i], sensor.unit, sensor.noise_sigma)
         parts = [float(np.median(readings[part])) for part in np.array_split(with_reading, PARTS)]
-        if best is None or any(abs(best.factor * p + best.offset - e) > 0.5 * abs(e) for p in parts):
+        if best is None or any(abs(best(p) - e) > min(0.5 * abs(e - best.zero), abs(p - e)) for p in parts):
             continue
         unit = "" if sensor.unit == "1" else f" {sensor.unit}"
         text = f"{sensor.name} {best.text}: usually {parts[0]:.4g}{unit}, the model predicts {e:.4g}; state its unit in a map"
@@ -64,25 +77,29 @@ def mix_up(y: Array, expected: Array | float, unit: str, noise: float = 0.0) -> 
 
     With |e| the median of what is expected, and the error the median of the differences from it: where the error is above
     OFF |e|, the mix-up with the smallest explains y if that is within FITS |e| + noise, the standard deviation of a reading,
-    and BETTER times smaller.
+    and BETTER times smaller. Of a gauge pressure |e| is above the
+    atmosphere, and to be more than OFF of the absolute one.
     """
     e = float(np.median(np.abs(expected)))
 
     def error(mixed: MixUp) -> float:
-        return float(np.median(np.abs(mixed.factor * y + mixed.offset - expected)))
+        return float(np.median(np.abs(mixed(y) - expected)))
 
     if not (as_it_is := error(MixUp(1.0, 0.0, ""))) > OFF * e or not np.isfinite(as_it_is):
         return None
-    best = min(_mix_ups(unit), key=error)
-    return best if error(best) <= min(FITS * e + noise, as_it_is / BETTER) else None
+    mix_ups = [(m, float(np.median(np.abs(expected - m.zero)))) for m in _mix_ups(unit)]
+    explaining = [m for m, above in mix_ups if above > OFF * e and error(m) <= FITS * above + noise]
+    best = min(explaining, key=lambda m: (not m.usual, error(m)), default=None)
+    return best if best is not None and error(best) <= as_it_is / BETTER else None
 
 
 def _mix_ups(unit: str) -> list[MixUp]:
-    found = []
+    found, gauge = [], _gauge_mix_ups(unit)
     for factor, hint in FACTORS.items():
         about = f" ({hint})" if hint else ""
-        found.append(MixUp(1 / factor, 0.0, f"looks {factor:.6g} times too large{about}"))
-        found.append(MixUp(factor, 0.0, f"looks {factor:.6g} times too small"))
+        usual = not gauge or factor in PRESSURE_FACTORS
+        found.append(MixUp(1 / factor, 0.0, f"looks {factor:.6g} times too large{about}", usual=usual))
+        found.append(MixUp(factor, 0.0, f"looks {factor:.6g} times too small", usual=usual))
     found.append(MixUp(-1.0, 0.0, "looks of the wrong sign"))
     for other in UNITS:
         try:
@@ -93,6 +110,28 @@ def _mix_ups(unit: str) -> list[MixUp]:
             found.append(MixUp(factor, offset, f"looks as if in {other}, not {unit}"))
         if offset:
             found.append(MixUp(1 / factor, -offset / factor, f"looks as if converted from {other} twice"))
+    return [*found, *gauge]
+
+
+def _gauge_mix_ups(unit: str) -> list[MixUp]:
+    """Gauge and absolute pressure taken for each other, or the factor of a gauge pressure, which acts above the atmosphere."""
+    try:
+        absolute, gauge = conversion("Pa", unit).offset, conversion("Pa(g)", unit).offset
+    except ValueError:
+        return []
+    found = []
+    for is_gauge, taken_as_gauge in ((True, False), (False, True), (True, True)):
+        kind, taken = (("an absolute", "a gauge")[g] for g in (is_gauge, taken_as_gauge))
+        zero, taken_zero = ((absolute, gauge)[g] for g in (is_gauge, taken_as_gauge))
+        for factor in PRESSURE_FACTORS:
+            if factor == 1.0 and zero == taken_zero:
+                continue
+            text = f"looks as {kind} pressure, bar({'g' if is_gauge else 'a'}), taken for {taken} one"
+            if is_gauge == taken_as_gauge:
+                text = "looks as a gauge pressure"
+            if factor != 1.0:
+                text += f", {factor:.6g} times too small" if factor > 1 else f", {1 / factor:.6g} times too large"
+            found.append(MixUp(factor, zero - factor * taken_zero, text, zero))
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from realistic_logs import vessel
 
 from fusion_sfdia import registry
 from fusion_sfdia.core.log import Log
@@ -78,3 +79,30 @@ def test_mix_up_by_hand() -> None:
     gauge = mix_up(1.5 * y - 1.01325, 1.5 * y, "bar")
     assert gauge is not None and "barg" in gauge.text and gauge.offset == pytest.approx(1.01325)
     assert mix_up(1.1 * y, y, "m") is None and mix_up(2.0 * y, y, "m") is None
+
+
+def test_gauge_and_absolute_pressure_are_told_apart() -> None:
+    atmosphere = 101325.0
+    y = np.array([3.4e5, 3.6e5, 3.8e5])
+    for wrong, words, factor in (
+        (y - atmosphere, "a gauge pressure, bar(g), taken for an absolute one", 1.0),
+        (y + atmosphere, "an absolute pressure, bar(a), taken for a gauge one", 1.0),
+        ((y - atmosphere) / 1e3 + atmosphere, "a gauge pressure, 1000 times too small", 1e3),
+        ((y - atmosphere) / 1e3, "a gauge pressure, bar(g), taken for an absolute one, 1000 times too small", 1e3),
+    ):
+        found = mix_up(wrong, 1.03 * y, "Pa")  # of a model 3 % off
+        assert found is not None and found.text.endswith(words), words
+        assert found.factor == factor and found(wrong) == pytest.approx(y)
+    near_it = atmosphere + np.array([0.0, 500.0, 1000.0])  # an atmosphere off is there a sensor at 0
+    assert mix_up(near_it - atmosphere, near_it, "Pa") is None and mix_up(1.5 * near_it, near_it, "Pa") is None
+    assert mix_up(y - 0.6 * atmosphere, y, "Pa") is None  # a bias
+
+
+def test_a_bias_of_an_atmosphere_that_ends_is_no_mix_up() -> None:
+    plant, y = vessel(), np.full((STEPS, 3), np.nan)
+    t, u = 60.0 * np.arange(STEPS), np.tile([s.nominal for s in vessel().inputs], (STEPS, 1))
+    e = plant.output(0.0, plant.x0, u[0])[1]
+    y[:, 1] = e - 101325.0 + np.random.default_rng(0).normal(0.0, 1e3, STEPS)
+    assert [f.name for f in suspected_units(plant, Log(t, y, u))] == ["PT101"]
+    y[120:, 1] += 101325.0
+    assert suspected_units(plant, Log(t, y, u)) == []
