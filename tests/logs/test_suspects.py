@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from realistic_logs import vessel
 
-from fusion_sfdia import registry
+from fusion_sfdia import registry, two_tanks
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.fault_draws import draw_apart
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.logs.suspects import mix_up, suspected_units
+from fusion_sfdia.logs.findings import REMARKABLE
+from fusion_sfdia.logs.mix_ups import mix_up
+from fusion_sfdia.logs.suspects import suspected_units
 
 STEPS = 200
 
@@ -106,3 +108,35 @@ def test_a_bias_of_an_atmosphere_that_ends_is_no_mix_up() -> None:
     assert [f.name for f in suspected_units(plant, Log(t, y, u))] == ["PT101"]
     y[120:, 1] += 101325.0
     assert suspected_units(plant, Log(t, y, u)) == []
+
+
+def two_tanks_at(inflow: float, stated: float, *, level: float = 1.0) -> list[str]:
+    """Findings on a log of two tanks, whose inflow over its nominal value is stated as so many times more, as is a level."""
+    plant = two_tanks()
+    usual, x, y = np.array([s.nominal for s in plant.inputs]), plant.x0, []
+    rng, t = np.random.default_rng(0), plant.dt * np.arange(1, STEPS + 1)
+    for k in range(STEPS):
+        x = plant.guard(plant.step(t[k] - plant.dt, x, inflow * usual, plant.dt))[0]
+        y.append(plant.output(t[k], x, inflow * usual) + plant.sensor_sigma * rng.standard_normal(len(plant.sensors)))
+    u = np.tile(stated * inflow * usual, (STEPS, 1))
+    return [
+        str(f)
+        for f in suspected_units(plant, Log(t, np.array(y) * [level, 1.0, 1.0, 1.0], u))
+        if f.kind == "input unit suspected"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"), [(1e3, "1000 times too large"), (1e-3, "1000 times too small"), (3600.0, "per hour")]
+)
+def test_an_input_in_another_unit_is_suspected(stated: float, words: str) -> None:
+    assert "input unit suspected" in REMARKABLE
+    for inflow in (0.7, 1.0):
+        (found,) = two_tanks_at(inflow, stated)
+        assert found.startswith("input inflow looks") and words in found and "its nominal value is" in found
+    assert len(two_tanks_at(1.0, stated, level=1e3)) == 1  # with a sensor in another unit, too
+
+
+def test_an_input_that_is_far_from_its_nominal_value_is_not_suspected_where_the_readings_follow_it() -> None:
+    for inflow in (0.0, 1e-3, 0.012, 0.1, 3.0):
+        assert two_tanks_at(inflow, 1.0) == [], inflow
