@@ -73,6 +73,7 @@ def find_sources(
     own.update({s.name: (i, False, s) for i, s in enumerate(plant.sensors)})
     found: dict[str, Source] = {}
     unknown = []
+    wrong: dict[tuple[str, str, str], list[str]] = {}
     qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}
     for title, row_unit in zip(header, units, strict=True):
         name, bracket = split_title(title)
@@ -92,13 +93,14 @@ def find_sources(
         try:
             converted = conversion(unit, signal.unit, column.scale if column else 1.0)
         except ValueError as error:
-            raise ValueError(
-                f"{where}: column {name!r} is in {shown(unit)}, plant {plant.name!r} has it in {signal.unit!r}: {error}"
-            ) from error
+            wrong.setdefault((shown(unit), signal.unit, str(error)), []).append(name)
+            continue
         quality = _quality(log_map, title, column)
         if quality and quality not in header:
             raise ValueError(f"{where}: no column {shown(quality)} with the quality of {shown(title)}; correct the map")
         found[target] = Source(title, target, position, is_input, unit, converted, quality)
+    if wrong:
+        raise ValueError(f"{where}: {'; '.join(_of_wrong_unit(plant, *why, names) for why, names in wrong.items())}")
     _require_needed(where, header, plant, found, absent, nominal)
     if unknown and not other and not log_map.columns:
         raise ValueError(
@@ -106,6 +108,11 @@ def find_sources(
             "or ignore them with --other-columns (other_columns=True)"
         )
     return Sources(times, time_unit, tuple(found.values()), tuple(unknown))
+
+
+def _of_wrong_unit(plant: Plant, unit: str, wanted: str, error: str, names: list[str]) -> str:
+    which, are, them = (f"column {names[0]!r}", "is", "it") if len(names) == 1 else (f"columns {some(names)}", "are", "them")
+    return f"{which} {are} in {unit}, plant {plant.name!r} has {them} in {wanted!r}: {error}"
 
 
 def require_columns_of(plant: Plant, log_map: LogMap) -> None:
