@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from difflib import get_close_matches
 from typing import NamedTuple
 
 from fusion_sfdia.core.arguments import require_unique, shown
@@ -138,8 +139,17 @@ def _require_titles(where: str, header: Sequence[str], log_map: LogMap) -> None:
     """Raise ValueError for a column that the map names and the header lacks."""
     names = {*header, *(split_title(title)[0] for title in header)}
     if lacking := [title for title in log_map.columns if title not in names]:
+        free = [title for title in header if not {title, split_title(title)[0]} & {*log_map.columns, *log_map.time}]
+        near = {title: match for title in lacking for match in get_close_matches(title, free, n=1, cutoff=0.75)}
+        hint = f"; did you mean {some(list(near.values()))} for {some(list(near))}?" if near else ";"
+        kinds = {bool(log_map.columns[title].input) for title in lacking if title not in near}
+        options = [("--absent-sensors (absent_sensors=True)", False), ("--nominal-inputs (nominal_inputs=True)", True)]
+        given = " and ".join(option for option, is_input in options if is_input in kinds)
+        cure = f", or leave out of it what is not logged and give {given}" if given else ""
         kind = "tags" if log_map.tag else "columns"
-        raise ValueError(f"{where}: no {kind} {some(lacking)}, which the map names, among {some(header)}; correct the map")
+        raise ValueError(
+            f"{where}: no {kind} {some(lacking)}, which the map names, among {some(header)}{hint} correct the map{cure}"
+        )
 
 
 def _times(where: str, header: Sequence[str], log_map: LogMap) -> tuple[tuple[str, ...], str]:

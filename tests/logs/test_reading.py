@@ -138,6 +138,11 @@ def test_quality_needs_a_rule_for_numbers(tmp_path: Path) -> None:
 def test_columns_of_the_map_are_those_of_log_and_plant(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no columns 'L1', which the map names, among 'time', 'l1'"):
         load(tmp_path, rows(), columns={"L1": Column(sensor="l1")})
+    titles = ["time", "l1", "LIC102.PV", *TITLES[3:]]
+    with pytest.raises(ValueError, match=r"; did you mean 'LIC102.PV' for 'LI102.PV'\? correct the map$"):
+        load(tmp_path, rows(), titles=titles, columns={"LI102.PV": Column(sensor="l2")})
+    with pytest.raises(ValueError, match=r"; correct the map, or leave out of it what is not logged and give --absent-sensors"):
+        load(tmp_path, rows(), titles=titles, columns={"F30": Column(sensor="l2")})
     with pytest.raises(ValueError, match="the map has the sensor 'l9' for column 'l1'; sensors of plant 'two-tanks': 'l1'"):
         load(tmp_path, rows(), columns={"l1": Column(sensor="l9")})
     with pytest.raises(ValueError, match="the map has the sensor 'inflow'"):
