@@ -48,7 +48,10 @@ def add_diagnose(commands: Any) -> None:
     add_detector(one)
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument(
-        "--healthy", metavar="FROM..TO", help="a stretch of the log (s) in which all is in order, to tune on first"
+        "--healthy",
+        metavar="FROM..TO",
+        help="a stretch of the log in which all is in order, to tune on first: seconds, as 0..3600, or time stamps of the log, "
+        "as 2026-03-01T06:00..2026-03-01T14:20",
     )
     one.add_argument(
         "--out",

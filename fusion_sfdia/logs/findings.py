@@ -10,8 +10,8 @@ from fusion_sfdia.core.log import Log
 
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
-    "bad", "duplicates", "held", "inputs shifted", "left out", "masked", "nominal inputs", "order", "quality", "unit suspected",
-    "zone",
+    "bad", "duplicates", "held", "input unit suspected", "inputs shifted", "left out", "masked", "nominal inputs", "order",
+    "quality", "unit suspected", "zone",
 )  # fmt: skip
 
 

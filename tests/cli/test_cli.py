@@ -193,6 +193,13 @@ def test_the_help_of_compare_lists_faults_and_settings_of_the_protocol(capsys: p
     assert "replay, sign, published" in shown and "window=30, false_alarm=0.001" in shown
 
 
+def test_the_help_of_a_healthy_stretch_states_seconds_and_time_stamps(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["diagnose", "--help"])
+    shown = "".join(capsys.readouterr().out.split())
+    assert "seconds,as0..3600,ortimestampsofthelog,as2026-03-01T06:00..2026" in shown
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
