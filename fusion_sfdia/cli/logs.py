@@ -134,14 +134,17 @@ def _fault(text: str) -> tuple[str, str | None]:
 
 def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import diagnosing_detector
+    from fusion_sfdia.core.files import require_free
+    from fusion_sfdia.logs.reading import load_log
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
+    from fusion_sfdia.report.log_units import LogUnits
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
+    require_free(out, force=chosen.force)
     with printed_warnings():
         name, built, read = diagnosing_detector(chosen)
-        found = diagnose_log(
-            chosen.data, built, out, log_map=chosen.map, read=read, force=chosen.force, detector_name=name, **columns(chosen)
-        )
+        read = read or load_log(chosen.data, built.plant, chosen.map, **columns(chosen))
+        found = diagnose_log(chosen.data, built, out, read=read, force=chosen.force, detector_name=name)
     code = int(found.decisions.diverged.any())
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
@@ -152,7 +155,8 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         ]
         print(json.dumps(entries, indent=2))
         return code
-    print(f"{as_text(found, name)}\n{', '.join(FILES)}: in {out}")
+    shown = LogUnits(built.plant, read.columns).diagnosis(found)
+    print(f"{as_text(shown, name)}\n{', '.join(FILES)}: in {out}")
     return code
 
 
