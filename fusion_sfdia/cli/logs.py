@@ -90,7 +90,7 @@ def _check_log(chosen: argparse.Namespace) -> int:
 
 def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.fault_draws import draw_apart
-    from fusion_sfdia.evaluation.fault_effects import apply_faults
+    from fusion_sfdia.evaluation.fault_effects import apply_faults, magnitude_of
     from fusion_sfdia.evaluation.faults import load_faults
     from fusion_sfdia.evaluation.simulate import simulate
     from fusion_sfdia.logs.csv_log import write_log
@@ -113,9 +113,20 @@ def _simulate(chosen: argparse.Namespace) -> int:
     say = partial(print, file=sys.stderr if chosen.out == Path("/dev/stdout") else sys.stdout)
     say(f"{chosen.steps} readings of {len(model.sensors)} sensors in {chosen.out}, {count} fault{'s' * (count != 1)}")
     for f in faults:
-        size = "" if not f.magnitude else f", magnitude {f.magnitude:.4g}{' of the signal' if f.relative else ''}"
-        say(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{size}")
+        size = magnitude_of(model, f, recording.t, recording.signal[:, 0]) if f.magnitude else 0.0
+        say(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{_size(f, size, model)}")
     return 0
+
+
+def _size(fault: Any, size: float, plant: Any) -> str:
+    """The size of a fault in words: in the sensor's unit and over its noise; of one relative to the signal its share, too."""
+    if not size:
+        return ""
+    if fault.kind == "scale":
+        return f", factor {size:.4g}"
+    sensor = plant.sensors[plant.sensor_index(fault.sensor)]
+    share = f" ({fault.magnitude:.4g} of the signal)" if fault.relative else ""
+    return f", magnitude {size:.4g} {sensor.unit}{share}, {abs(size) / sensor.noise_sigma:.3g} sigma"
 
 
 def _fault(text: str) -> tuple[str, str | None]:
