@@ -168,7 +168,18 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         return code
     shown = LogUnits(built.plant, read.columns).diagnosis(found)
     print(f"{as_text(shown, name)}\n{', '.join(FILES)}: in {out}")
+    if found.health and found.health.suspect and chosen.tuned is None and chosen.healthy is None:
+        print(_untuned(chosen))
     return code
+
+
+def _untuned(chosen: argparse.Namespace) -> str:
+    """What to do where a model is suspect that was not tuned."""
+    given = "".join(f" --{o} {getattr(chosen, o)}" for o in ("plant", "detector", "map") if getattr(chosen, o) is not None)
+    return (
+        "the model is suspect and was not tuned to the real plant, so that events may be its errors: tune it with "
+        f"`fusion-sfdia tune{given} --healthy HEALTHY.csv`, on a log without a fault, then diagnose with --tuned tuned.toml"
+    )
 
 
 def _finite(value: Any) -> Any:

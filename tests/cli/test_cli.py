@@ -242,6 +242,8 @@ def test_a_diagnosis_begins_with_the_process(capsys: pytest.CaptureFixture[str],
         "process or model: outlet",
     ]
     assert out.splitlines()[3] == "  outlet 5.0 % +- 0.8 below the model since 15 s: not a sensor"
+    told = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
+    assert "the model is suspect and was not tuned" in out.splitlines()[-1] and told in out.splitlines()[-1]
     code, out, _ = call(capsys, *chosen, "--json")
     (event,) = json.loads(out)
     assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)

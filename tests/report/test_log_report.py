@@ -66,6 +66,16 @@ def test_the_verdict_is_first() -> None:
     ]
 
 
+def test_a_sensor_that_is_off_throughout_has_its_unit_questioned() -> None:
+    always = Y[:, 0] + 20 * PLANT.sensor_sigma * (np.arange(4) == 2)
+    seen = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), T, always, U[:, 0])
+    told = "q12 is off throughout, since before the log: check its unit and the inputs first"
+    assert told in as_text(seen, "loo").splitlines()
+    assert "since before" not in as_text(BOTH, "process-bank")
+    frozen = replace(seen, events=tuple(replace(e, fault="freeze") for e in seen.events))
+    assert not frozen.remarks
+
+
 def column(name: str, title: str, unit: str) -> Source:
     i = PLANT.sensor_index(name)
     return Source(title, name, i, False, unit, conversion(unit, PLANT.sensors[i].unit))
