@@ -26,7 +26,7 @@ from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
-from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
+from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, throughout, verdict
 from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, explained
@@ -69,8 +69,14 @@ class Diagnosis:
 
     @property
     def remarks(self) -> list[str]:
-        """What limits the detector, where that is less than half of the sensors, and the first gaps of the log, a line each."""
+        """What limits the detector, where that is less than half of the sensors, the sensors that were off already before the
+        log, and its first gaps, a line each.
+        """
         lines = [self.limit] if self.limit else []
+        lines += [
+            f"{name} is off throughout, since before the log: check its unit and the inputs first"
+            for name in dict.fromkeys(throughout(self.events, self.t))
+        ]
         lines += [
             f"gap from {self.clock.at(g.start)} to {self.clock.at(g.end)}: "
             + ("too long for the model, the estimate starts anew" if g.reset else f"predicted in {g.steps} steps")

@@ -205,6 +205,16 @@ def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:
     return found
 
 
+def throughout(events: Sequence[Event], t: Array) -> list[str]:
+    """The sensors that are off from the first of the readings at t (K,), or LASTING samples after, to the last.
+
+    A frozen or silent sensor is not among them: what it lacks is no question of units.
+    """
+    early = t[min(LASTING, len(t) - 1)]
+    named = [e for e in events if e.kind == "sensor" and e.fault not in ("freeze", "dropout")]
+    return [e.hypothesis for e in named if e.open and e.start <= early < e.end]
+
+
 def listed(names: Sequence[str], between: str = ", ", most: int = MOST_NAMES) -> str:
     """Names in a sentence, each once, of many the first few."""
     once = list(dict.fromkeys(names))

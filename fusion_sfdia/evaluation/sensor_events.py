@@ -74,7 +74,7 @@ def explained(
                 mine.append(replace(_with(e, of_it, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
         for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
             for a, b in stretches:
-                mine = _joined(mine, kind, t, a, b, sensor.name, sensor.unit)
+                mine = with_stretch(mine, kind, t, a, b, sensor.name, sensor.unit)
         with np.errstate(invalid="ignore"):
             z = after.error[:, i] / after.sd[:, i]
         faults += [_until_it_moves(e, t, z, frozen[i]) for e in mine]
@@ -109,7 +109,7 @@ def _with(e: Event, named: Named, sigma: float) -> Event:
     )
 
 
-def _joined(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: str, unit: str) -> list[Event]:
+def with_stretch(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: str, unit: str) -> list[Event]:
     """The events of a sensor with a stretch from sample a to b in which it is silent or frozen.
 
     Events of that kind that overlap the stretch are one with it, and so is, of a frozen sensor, any event that begins in it:

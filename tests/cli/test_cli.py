@@ -207,6 +207,20 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"fusion-sfdia {__version__}\n"
 
 
+def test_a_drawn_fault_is_stated_as_its_readings_show_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """In the sensor's unit, as share of the signal and over the noise."""
+    logs = []
+    for name, fault in (("healthy.csv", ()), ("faulty.csv", ("--fault", "weak-bias"))):
+        code, out, _ = call(capsys, "simulate", "--plant", "two-tanks", "--steps", "75", "--out", name, *fault)
+        assert code == 0
+        logs.append(np.genfromtxt(tmp_path / name, delimiter=",", skip_header=1))
+    told = re.search(r": bias from .* s, magnitude (\S+) \S+ \((\S+) of the signal\), (\S+) sigma", out)
+    assert told is not None
+    off = logs[1] - logs[0]
+    assert float(told[1]) == pytest.approx(off.flat[np.argmax(np.abs(off))], rel=1e-3)
+    assert 0.2 <= abs(float(told[2])) <= 0.4 < float(told[3])
+
+
 def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The strong and the weak fault of Shaheen 2024 are hundreds of sigma: the bank isolates their sensors and no other."""
     faults = ("--fault", "strong-bias:mass flow", "--fault", "weak-bias:pressure")
@@ -235,6 +249,8 @@ def test_a_diagnosis_begins_with_the_process(capsys: pytest.CaptureFixture[str],
         "process or model: outlet",
     ]
     assert out.splitlines()[3] == "  outlet 5.0 % +- 0.8 below the model since 15 s: not a sensor"
+    told = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
+    assert "the model is suspect and was not tuned" in out.splitlines()[-1] and told in out.splitlines()[-1]
     code, out, _ = call(capsys, *chosen, "--json")
     (event,) = json.loads(out)
     assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)
@@ -245,7 +261,8 @@ def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path
     for name, more in (("healthy.csv", ()), ("faulty.csv", ("--faults", "faults.toml"))):
         code, out, _ = call(capsys, "simulate", "--steps", "10", "--out", name, *more)
         assert code == 0
-    assert out.splitlines()[1] == "  p_3: bias from 50 s for inf s, magnitude 2e+05"
+    sigma = PLANT.sensors[PLANT.sensor_index("p_3")].noise_sigma
+    assert out.splitlines()[1] == f"  p_3: bias from 50 s for inf s, magnitude 2e+05 Pa, {2e5 / sigma:.3g} sigma"
     healthy, faulty = (np.genfromtxt(tmp_path / n, delimiter=",", skip_header=1) for n in ("healthy.csv", "faulty.csv"))
     column = 1 + PLANT.sensor_index("p_3")
     assert np.allclose((faulty - healthy)[:, column], np.where(healthy[:, 0] >= 50, 2e5, 0), rtol=0, atol=1e-8)

@@ -22,6 +22,7 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.tuning.rate import Rate
+from fusion_sfdia.tuning.response import ModelChangedWarning
 from fusion_sfdia.tuning.tail import counted
 from fusion_sfdia.tuning.tune import Source, tune
 from fusion_sfdia.tuning.tuned import Tuned
@@ -83,6 +84,8 @@ def test_a_file_gives_the_same_decisions_to_the_bit(tmp_path: Path) -> None:
     tuned().write(tmp_path / "tuned.toml")
     again = Tuned.read(tmp_path / "tuned.toml")
     assert again.document == tuned().document
+    with pytest.warns(ModelChangedWarning):
+        again.plant(replace(PLANT, step=lambda t, x, u, dt: 0.9 * x))
     log = with_fault(1, 100, lambda y: y + 12.0)
     one, two = (run(d, d.init((RUNS,)), log)[1] for d in (tuned().detector(PLANT), again.detector(PLANT)))
     for name, value in vars(one).items():
@@ -205,6 +208,7 @@ def spoiled(lines: list[str], seed: int) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:the model of plant 'chain' has changed")
 def test_generated_mistakes_in_a_file_are_refused_in_one_line_or_change_nothing_that_is_used(tmp_path: Path) -> None:
     tuned().write(tmp_path / "right.toml")
     lines, file = (tmp_path / "right.toml").read_text().splitlines(), tmp_path / "spoiled.toml"
