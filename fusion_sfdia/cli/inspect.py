@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import add_columns, add_plant, loaded, names, warn_of
+from fusion_sfdia.cli.options import add_columns, add_plant, loaded, names, printed_warnings, warn_of
 
 
 def add_inspect(commands: Any) -> None:
@@ -42,13 +42,14 @@ def _inspect(chosen: argparse.Namespace) -> int:
     healthy = None if chosen.data is None else loaded(chosen, chosen.data, model)
     if healthy is not None:
         warn_of(chosen.data, healthy.remarks)
-    found = inspect_plant(
-        model,
-        None if healthy is None else healthy.log,
-        detectors=None if chosen.detectors is None else names(chosen.detectors),
-        sensors=None if chosen.sensors is None else names(chosen.sensors),
-        simulated=not chosen.no_simulation,
-    )
+    with printed_warnings():
+        found = inspect_plant(
+            model,
+            None if healthy is None else healthy.log,
+            detectors=None if chosen.detectors is None else names(chosen.detectors),
+            sensors=None if chosen.sensors is None else names(chosen.sensors),
+            simulated=not chosen.no_simulation,
+        )
     text, data = as_text(found), json.dumps(as_json(found), indent=2)
     if chosen.out is not None:
         with all_or_none(chosen.out) as new:

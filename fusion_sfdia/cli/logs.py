@@ -48,7 +48,10 @@ def add_diagnose(commands: Any) -> None:
     add_detector(one)
     one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
     one.add_argument(
-        "--healthy", metavar="FROM..TO", help="a stretch of the log (s) in which all is in order, to tune on first"
+        "--healthy",
+        metavar="FROM..TO",
+        help="a stretch of the log in which all is in order, to tune on first: seconds, as 0..3600, or time stamps of the log, "
+        "as 2026-03-01T06:00..2026-03-01T14:20",
     )
     one.add_argument(
         "--out",
@@ -90,7 +93,7 @@ def _check_log(chosen: argparse.Namespace) -> int:
 
 def _simulate(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.evaluation.fault_draws import draw_apart
-    from fusion_sfdia.evaluation.fault_effects import apply_faults
+    from fusion_sfdia.evaluation.fault_effects import apply_faults, magnitude_of
     from fusion_sfdia.evaluation.faults import load_faults
     from fusion_sfdia.evaluation.simulate import simulate
     from fusion_sfdia.logs.csv_log import write_log
@@ -113,9 +116,20 @@ def _simulate(chosen: argparse.Namespace) -> int:
     say = partial(print, file=sys.stderr if chosen.out == Path("/dev/stdout") else sys.stdout)
     say(f"{chosen.steps} readings of {len(model.sensors)} sensors in {chosen.out}, {count} fault{'s' * (count != 1)}")
     for f in faults:
-        size = "" if not f.magnitude else f", magnitude {f.magnitude:.4g}{' of the signal' if f.relative else ''}"
-        say(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{size}")
+        size = magnitude_of(model, f, recording.t, recording.signal[:, 0]) if f.magnitude else 0.0
+        say(f"  {f.sensor}: {f.kind} from {f.onset:g} s for {f.length:g} s{_size(f, size, model)}")
     return 0
+
+
+def _size(fault: Any, size: float, plant: Any) -> str:
+    """The size of a fault in words: in the sensor's unit and over its noise; of one relative to the signal its share, too."""
+    if not size:
+        return ""
+    if fault.kind == "scale":
+        return f", factor {size:.4g}"
+    sensor = plant.sensors[plant.sensor_index(fault.sensor)]
+    share = f" ({fault.magnitude:.4g} of the signal)" if fault.relative else ""
+    return f", magnitude {size:.4g} {sensor.unit}{share}, {abs(size) / sensor.noise_sigma:.3g} sigma"
 
 
 def _fault(text: str) -> tuple[str, str | None]:
@@ -134,14 +148,17 @@ def _fault(text: str) -> tuple[str, str | None]:
 
 def _diagnose(chosen: argparse.Namespace) -> int:
     from fusion_sfdia.cli.tune import diagnosing_detector
+    from fusion_sfdia.core.files import require_free
+    from fusion_sfdia.logs.reading import load_log
     from fusion_sfdia.report.log_report import FILES, as_text, diagnose_log
+    from fusion_sfdia.report.log_units import LogUnits
 
     out = chosen.out or Path("diagnosis") / chosen.data.stem
+    require_free(out, force=chosen.force)
     with printed_warnings():
         name, built, read = diagnosing_detector(chosen)
-        found = diagnose_log(
-            chosen.data, built, out, log_map=chosen.map, read=read, force=chosen.force, detector_name=name, **columns(chosen)
-        )
+        read = read or load_log(chosen.data, built.plant, chosen.map, **columns(chosen))
+        found = diagnose_log(chosen.data, built, out, read=read, force=chosen.force, detector_name=name)
     code = int(found.decisions.diverged.any())
     if chosen.json:
         kinds = [{"kind": e.kind} if found.process_hypotheses else {} for e in found.events]
@@ -152,8 +169,20 @@ def _diagnose(chosen: argparse.Namespace) -> int:
         ]
         print(json.dumps(entries, indent=2))
         return code
-    print(f"{as_text(found, name)}\n{', '.join(FILES)}: in {out}")
+    shown = LogUnits(built.plant, read.columns).diagnosis(found)
+    print(f"{as_text(shown, name)}\n{', '.join(FILES)}: in {out}")
+    if found.health and found.health.suspect and chosen.tuned is None and chosen.healthy is None:
+        print(_untuned(chosen))
     return code
+
+
+def _untuned(chosen: argparse.Namespace) -> str:
+    """What to do where a model is suspect that was not tuned."""
+    given = "".join(f" --{o} {getattr(chosen, o)}" for o in ("plant", "detector", "map") if getattr(chosen, o) is not None)
+    return (
+        "the model is suspect and was not tuned to the real plant, so that events may be its errors: tune it with "
+        f"`fusion-sfdia tune{given} --healthy HEALTHY.csv`, on a log without a fault, then diagnose with --tuned tuned.toml"
+    )
 
 
 def _finite(value: Any) -> Any:

@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns, loaded, warn, warn_of
+from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns, loaded, printed_warnings, warn, warn_of
 from fusion_sfdia.registry import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ def tuned_plant(plant: Plant, file: Path) -> Plant:
 
     found = Tuned.read(file)
     try:
-        return found.plant(plant)
+        with printed_warnings():
+            return found.plant(plant)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
 
@@ -65,7 +66,8 @@ def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tupl
             f"{detector}"
         )
     try:
-        return found.detector_name, found.detector(registry.plant(plant))
+        with printed_warnings():
+            return found.detector_name, found.detector(registry.plant(plant))
     except ValueError as error:
         raise ValueError(f"{tuned}: {error}") from error
 

@@ -9,6 +9,7 @@ log and judged by the likelihood of the other half, and the reverse; what is kep
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,14 @@ from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windo
 from fusion_sfdia.commissioning.innovations import fixed, settling
 from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, louder_sensors, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
-from fusion_sfdia.commissioning.refusals import require_length, require_moving, require_no_fault, require_no_sensor
+from fusion_sfdia.commissioning.refusals import (
+    At,
+    require_length,
+    require_moving,
+    require_no_fault,
+    require_no_sensor,
+    require_readings,
+)
 from fusion_sfdia.commissioning.score import Fit, coloured, fitted
 from fusion_sfdia.commissioning.start import Start, first_state, with_start
 from fusion_sfdia.core.arguments import probability
@@ -72,19 +80,22 @@ def commission(plant: Plant, *healthy: Any, false_alarm: float = 1e-3) -> Plant:
     return commissioned(plant, *healthy, false_alarm=false_alarm).plant
 
 
-def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3) -> Commissioning:
+def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, at: At | None = None) -> Commissioning:
     """Adapt a plant to healthy readings of the real one, and report what was found.
 
     healthy: t (K,), y (K, N) or (K, B, N) of several runs, u, or a Log, a Recording or a frame, see `as_log`. false_alarm: the
     rate, per step over all sensors, for which thresholds are to be fitted later: `fit` of a detector needs at least
-    1 / false_alarm samples, best of other readings than these; None where a log of any length will do.
+    1 / false_alarm samples, best of other readings than these; None where a log of any length will do. at: the time of a sample
+    of a run in words, for errors; by default as in t.
     Raises ValueError for a log that is too short for the plant or the rate, that has a frozen sensor, or in which a bias of one
     sensor explains what the plant does not.
     """
     if false_alarm is not None:
         probability("false_alarm", false_alarm)
     log = as_runs(plant, healthy)
-    require_moving(plant, log)
+    at = at or partial(_at, log)
+    require_readings(plant, log)
+    require_moving(plant, log, at)
     settle = settling(fixed(plant), log)
     require_length(plant, log, settle, false_alarm)
     steps = len(log.t)
@@ -110,7 +121,7 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3) 
     if "parameters" in kept:
         result, parameters = _parameters(result, log, settled)
     seen = windows(result, log, settled)
-    require_no_fault(result, seen, log.t[settled][WINDOW - 1 :: WINDOW])
+    require_no_fault(result, seen, np.flatnonzero(settled)[WINDOW - 1 :: WINDOW], at)
     if "disturbances" in kept:
         result, disturbances = learnt(result, log, settled, seen)
         for disturbance in disturbances:
@@ -135,6 +146,10 @@ def as_runs(plant: Plant, healthy: Any) -> Log:
     else:
         u = u[:, None]
     return Log(t, y, np.broadcast_to(u, (*y.shape[:2], u.shape[-1])))
+
+
+def _at(log: Log, k: int, b: int) -> str:
+    return f"{log.t[k]:g} s" + (f" of run {b}" if log.y.shape[1] > 1 else "")
 
 
 def _parameters(plant: Plant, log: Log, use: Array) -> tuple[Plant, Estimate | None]:

@@ -39,6 +39,8 @@ LIKELY = 0.05, 0.99  # correlation of a disturbance between windows
 ELSEWHERE = 0.1  # of its mean: standard deviation of a disturbance in an operation that is not in the log, our choice
 LASTING = 100  # samples: operation changes no more slowly, our choice
 MOST = 4  # disturbances
+LEARNT = "learnt disturbance"
+ALONG = 0.3  # of what a sensor is moved most: what is moved less is not named
 
 
 class Windows(NamedTuple):
@@ -187,13 +189,33 @@ def with_disturbance(plant: Plant, found: Found) -> Plant:
     """The plant with the mean of a disturbance as an offset, and with what remains of it as a disturbance.
 
     A mismatch changes with the operating point: its size is taken as known to a tenth only, and as changing within 100 samples.
+    Its name states which sensors it moves most.
     """
     known = plant.uncertainty
     offset = Offset(np.zeros(len(plant.inputs)), found.state * found.mean, found.reading * found.mean, plant.dt)
     moved = with_offset(plant, offset)
-    names = {d.name for d in known.disturbances}
-    name = next(n for i in range(1, len(names) + 2) if (n := f"learnt disturbance {i}") not in names)
+    number = 1 + sum(d.name.startswith(LEARNT) for d in known.disturbances)
+    name = f"{LEARNT} {number} ({', '.join(moved_most(plant, found.state, found.reading))})"
     sd = float(np.hypot(found.sd, ELSEWHERE * found.mean))
     lasting = min(found.time_constant, LASTING * plant.dt)
     added = Disturbance(name, found.state * sd, found.reading * sd, 1.0, lasting)
     return replace(moved, uncertainty=replace(moved.uncertainty, disturbances=(*known.disturbances, added)))
+
+
+def moved_most(plant: Plant, state: Array, reading: Array) -> list[str]:
+    """Names of the sensors whose readings a disturbance moves most over their noise, within a window: at most two of them.
+
+    From the initial state under the usual inputs; where the model does not hold there, what it adds to the readings at once.
+    """
+    x, pushed = plant.x0, plant.x0
+    change = np.abs(reading)
+    for k in range(WINDOW):
+        t = k * plant.dt
+        u, after = plant.input_at(t), t + plant.dt
+        with np.errstate(all="ignore"):  # beyond the limits of the model
+            x, pushed = plant.step(t, x, u, plant.dt), plant.step(t, pushed, u, plant.dt) + state
+            moved = plant.output(after, pushed, u) + reading - plant.output(after, x, u)
+        change = np.fmax(change, np.abs(moved))
+    change = change / plant.sensor_sigma
+    order = [i for i in np.argsort(-change)[:2] if change[i] >= ALONG * np.max(change)]
+    return [plant.sensor_names[i] for i in order]

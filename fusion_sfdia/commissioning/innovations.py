@@ -119,9 +119,10 @@ def filtered(model: Plant, log: Log) -> Iterator[Sample]:
         gain_half = joint.C @ half
         x = joint.x + (gain_half @ normal[..., None])[..., 0]
         if not np.all(np.isfinite(x)):
+            where = "the healthy log" if log.y.shape[1] == 1 else f"one of the {log.y.shape[1]} stretches of the healthy log"
             raise ValueError(
-                f"the filter on plant {model.name!r} diverges at {t:g} s of the healthy log; check its inputs and "
-                "units, and that it starts near the plant's x0"
+                f"the filter on plant {model.name!r} diverges {t - float(log.t[0]):g} s after the beginning of {where}; check "
+                "its inputs and units, and that it starts near the plant's x0"
             )
         p = joint.P - gain_half @ np.swapaxes(gain_half, -1, -2)
         floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])

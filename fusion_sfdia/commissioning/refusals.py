@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
+At = Callable[[int, int], str]  # the time of sample k of run b in words
 
 REFUSED = 1e-4  # probability that a healthy log is refused by each of the tests
 LARGE = 3.0  # sigma: a smaller constant bias is a matter of calibration, which is learnt
@@ -36,33 +38,38 @@ def require_length(plant: Plant, log: Log, settle: int, false_alarm: float | Non
         )
 
 
-def require_moving(plant: Plant, log: Log) -> None:
-    """Raise ValueError for a sensor without readings, and for one that repeats a reading too often to be alive.
+def require_readings(plant: Plant, log: Log) -> None:
+    """Raise ValueError for a sensor without readings."""
+    for i, sensor in enumerate(plant.sensors):
+        if not np.any(np.isfinite(log.y[..., i])):
+            raise ValueError(
+                f"sensor {sensor.name!r} has no reading in the healthy log; give one, or build the plant without it"
+            )
+
+
+def require_moving(plant: Plant, log: Log, at: At) -> None:
+    """Raise ValueError for a sensor that repeats a reading too often to be alive.
 
     Of M readings of which a share q repeats the one before, a run of L repeats has a probability of at most M q^L; q counts
     the sensor's repeats but those of its longest run, and one more.
     """
     y = log.y
     for i, sensor in enumerate(plant.sensors):
-        if not np.any(np.isfinite(y[..., i])):
-            raise ValueError(
-                f"sensor {sensor.name!r} has no reading in the healthy log; give one, or build the plant without it"
-            )
         same = y[1:, :, i] == y[:-1, :, i]
         steps = np.arange(len(same))[:, None]
         run = steps - np.maximum.accumulate(np.where(same, -1, steps), axis=0)
-        at = int(np.argmax(np.max(run, axis=1)))
-        most, many = int(np.max(run)), same.size
+        end, of = (int(j) for j in np.unravel_index(int(np.argmax(run)), run.shape))
+        most, many = int(run[end, of]), same.size
         share = (np.sum(same) - most + 1) / (many - most + 1)
         if most > 1 and many * share**most < REFUSED:
             raise ValueError(
-                f"sensor {sensor.name!r} repeats one reading {most} times until {log.t[at + 1]:g} s of the healthy log: it is "
-                "frozen; repair it, or leave these readings out (NaN)"
+                f"sensor {sensor.name!r} shows the same reading {most + 1} times in a row in the healthy log, until "
+                f"{at(end + 1, of)}: it is frozen; repair it, or leave these readings out (NaN)"
             )
 
 
-def require_no_fault(plant: Plant, seen: Windows, times: Array) -> None:
-    """Raise ValueError where a bias of one sensor explains what the plant does not in a window; times (M,): their ends, s.
+def require_no_fault(plant: Plant, seen: Windows, ends: Array, at: At) -> None:
+    """Raise ValueError where a bias of one sensor explains what the plant does not in a window; ends (M,): their last samples.
 
     A bias counts from 3 sigma. For one of sensor i, T = g_i^2 / I_ii is chi-square with 1 degree of freedom when healthy; what
     is left of g' I^-1 g, chi-square with the rank of I less one, says whether it explains everything.
@@ -73,7 +80,7 @@ def require_no_fault(plant: Plant, seen: Windows, times: Array) -> None:
         for b in range(runs):
             sensor, size, explains = _alone(seen.g[b, w], seen.info[b, w], count, REFUSED / (count * runs * many))
             if explains and abs(size) >= LARGE:
-                raise _contradiction(plant, sensor, size, f"in the {WINDOW} samples until {times[w]:g} s of run {b}")
+                raise _contradiction(plant, sensor, size, f"in the {WINDOW} samples until {at(int(ends[w]), b)}")
 
 
 def require_no_sensor(plant: Plant, found: Found) -> None:

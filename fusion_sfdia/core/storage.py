@@ -129,7 +129,8 @@ def state_of(path: str | Path, detector: Detector, arrays: Mapping[str, NDArray[
     if str(arrays["fingerprint"]) != fingerprint(detector):
         raise ValueError(
             f"{path} was saved by another detector, other settings or another plant than {type(detector).__name__} "
-            f"on {detector.plant.name!r}; build the detector as it was when the state was saved"
+            f"on {detector.plant.name!r}; build the detector as it was then, on the command line with the same "
+            "--plant, --detector and --tuned, or begin anew with another file"
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # init has warned before the state was saved

@@ -26,7 +26,7 @@ from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
-from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, verdict
+from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, throughout, verdict
 from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, explained
@@ -69,8 +69,14 @@ class Diagnosis:
 
     @property
     def remarks(self) -> list[str]:
-        """What limits the detector, where that is less than half of the sensors, and the first gaps of the log, a line each."""
+        """What limits the detector, where that is less than half of the sensors, the sensors that were off already before the
+        log, and its first gaps, a line each.
+        """
         lines = [self.limit] if self.limit else []
+        lines += [
+            f"{name} is off throughout, since before the log: check its unit and the inputs first"
+            for name in dict.fromkeys(throughout(self.events, self.t))
+        ]
         lines += [
             f"gap from {self.clock.at(g.start)} to {self.clock.at(g.end)}: "
             + ("too long for the model, the estimate starts anew" if g.reset else f"predicted in {g.steps} steps")
@@ -168,7 +174,7 @@ def diagnose_run(
     after = hindsight(model if isinstance(model, Plant) else detector.plant, taken, out, each)
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
-    _warn(detector, log, decisions, gaps)
+    _warn(detector, log, decisions, gaps, clock)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     names, rate = detector.plant.sensor_names, alarm_rate_of(detector)
     health = health_of(names, after, starts, rate, against_the_model(events, decisions, t, clock))
@@ -222,14 +228,18 @@ def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, cl
     return tuple(found)
 
 
-def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]) -> None:
+def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap], clock: Clock) -> None:
     """Warn of what the events do not show."""
     (t, y, u), remarks = log, []
+
+    def first(flags: Array) -> str:
+        return clock.at(float(t[np.argmax(flags)]))
+
     for g in gaps:
         if g.reset:
             remarks.append(
-                f"no row for {g.end - g.start:g} s before {g.end:g} s, {g.steps:.4g} steps of the model: the estimate starts "
-                "anew from the initial state; check that times are in seconds"
+                f"no row for {g.end - g.start:g} s before {clock.at(g.end)}, {g.steps:.4g} steps of the model: the estimate "
+                "starts anew from the initial state; check that times are in seconds"
             )
     silent = [s.name for s, none in zip(detector.plant.sensors, np.all(np.isnan(y), axis=0), strict=True) if none]
     if silent:
@@ -250,13 +260,13 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
             where = np.flatnonzero(absurd[:, i])
             remarks.append(
                 f"{signals[i].name}: {where.size} of {t.size} values are impossible, the first {values[where[0], i]:g} "
-                f"{signals[i].unit} at {t[where[0]]:g} s; {fate}: leave such cells empty, or check units"
+                f"{signals[i].unit} at {first(absurd[:, i])}; {fate}: leave such cells empty, or check units"
             )
     if np.any(decisions.capped):
         most, of = getattr(detector, "most_faults", "too many"), len(detector.plant.sensors)
         remarks.append(
             f"more sensors would be isolated in {np.sum(decisions.capped)} of {t.size} samples, first at "
-            f"{t[np.argmax(decisions.capped)]:g} s, but {most} of {of} are excluded already, all that the detector "
+            f"{first(decisions.capped)}, but {most} of {of} are excluded already, all that the detector "
             f"allows ({_why(detector)}): check the model, or pass max_faults"
         )
     for flags, what, cure in (
@@ -264,7 +274,6 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
         (decisions.diverged, "diverged and is not valid", "check units, inputs and parameters, or cut the log before"),
     ):
         if np.any(flags):
-            first = f"{np.sum(flags)} of {t.size} samples, first at {t[np.argmax(flags)]:g} s"
-            remarks.append(f"the estimate {what} in {first}; {cure}")
+            remarks.append(f"the estimate {what} in {np.sum(flags)} of {t.size} samples, first at {first(flags)}; {cure}")
     for remark in remarks:
         warnings.warn(remark, DiagnosisWarning, stacklevel=4)  # the caller of diagnose

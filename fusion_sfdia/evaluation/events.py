@@ -62,7 +62,7 @@ class Event:
         kind = " or ".join([self.fault, *self.fault_alternatives])
         if not math.isfinite(self.size):
             return kind or "size unknown"
-        size = f"{kind or 'size'} {self.size:.4g} {self.unit}"
+        size = with_unit(f"{kind or 'size'} {self.size:.4g}", self.unit)
         if not math.isfinite(self.low):
             return size
         return f"{size} ({self.low:.4g} to {self.high:.4g}), {abs(self.sigmas):.3g} sigma"
@@ -110,7 +110,7 @@ class ProcessEvent(Event):
         share = np.isfinite(self.nominal) and self.nominal != 0
         scale, unit = (100.0 / abs(self.nominal), "%") if share else (1.0, self.unit)
         size, sd = with_spread(abs(self.size) * scale, self.sd * scale)
-        return f"{self.hypothesis} {size} {unit} +- {sd} {'below' if self.size < 0 else 'above'} the model"
+        return f"{self.hypothesis} {with_unit(size, unit)} +- {sd} {'below' if self.size < 0 else 'above'} the model"
 
 
 @dataclass(frozen=True)
@@ -205,11 +205,26 @@ def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:
     return found
 
 
+def throughout(events: Sequence[Event], t: Array) -> list[str]:
+    """The sensors that are off from the first of the readings at t (K,), or LASTING samples after, to the last.
+
+    A frozen or silent sensor is not among them: what it lacks is no question of units.
+    """
+    early = t[min(LASTING, len(t) - 1)]
+    named = [e for e in events if e.kind == "sensor" and e.fault not in ("freeze", "dropout")]
+    return [e.hypothesis for e in named if e.open and e.start <= early < e.end]
+
+
 def listed(names: Sequence[str], between: str = ", ", most: int = MOST_NAMES) -> str:
     """Names in a sentence, each once, of many the first few."""
     once = list(dict.fromkeys(names))
     more = len(once) - most
     return between.join(once) if more < 2 else f"{between.join(once[:most])}{between}{more} more"
+
+
+def with_unit(value: str, unit: str) -> str:
+    """A value as text with its unit, which a pure number has not."""
+    return value if unit in ("", "1") else f"{value} {unit}"
 
 
 def with_spread(value: float, sd: float) -> tuple[str, str]:

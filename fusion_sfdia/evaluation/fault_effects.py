@@ -74,6 +74,14 @@ def apply_faults(
     return FaultedReadings(faulty.reshape(y.shape), active.reshape(y.shape), (faulty - healthy).reshape(y.shape))
 
 
+def magnitude_of(plant: Plant, fault: Fault, t: Array, signal: Array) -> float:
+    """The magnitude of a fault in its sensor's unit (a factor for scale), in a run of noise-free readings (K, N) at t."""
+    if not fault.relative:
+        return fault.magnitude
+    first = _rows(fault, t, plant.dt)[0]
+    return fault.magnitude * _amplitude(fault, signal[:, plant.sensor_index(fault.sensor)], first)
+
+
 def _amplitude(fault: Fault, column: Array, onset: int) -> float:
     """|signal| at the onset, at the last known sample before it where it is missing there, else at the first known one."""
     if not (known := np.flatnonzero(np.isfinite(column))).size:

@@ -21,6 +21,7 @@ from fusion_sfdia.evaluation.hindsight import Hindsight
 Array = NDArray[Any]
 
 TOGETHER = 20  # samples: events of one sensor less far apart are judged together, as spikes and noise raise many
+HEALTHY = 2.0  # standard deviations: root mean square of residuals up to which a sensor that moves again is right
 STILL = 0.4  # share of equal successive readings of a healthy sensor above which they mean nothing
 
 
@@ -73,8 +74,10 @@ def explained(
                 mine.append(replace(_with(e, of_it, sensor.noise_sigma), confidence=confidence, alternatives=rivals))
         for kind, stretches in (("freeze", frozen[i]), ("dropout", silent[i])):
             for a, b in stretches:
-                mine = _joined(mine, kind, t, a, b, sensor.name, sensor.unit)
-        faults += mine
+                mine = with_stretch(mine, kind, t, a, b, sensor.name, sensor.unit)
+        with np.errstate(invalid="ignore"):
+            z = after.error[:, i] / after.sd[:, i]
+        faults += [_until_it_moves(e, t, z, frozen[i]) for e in mine]
     return (*found, *sorted(faults, key=lambda e: (e.start, e.hypothesis)))
 
 
@@ -106,7 +109,7 @@ def _with(e: Event, named: Named, sigma: float) -> Event:
     )
 
 
-def _joined(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: str, unit: str) -> list[Event]:
+def with_stretch(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: str, unit: str) -> list[Event]:
     """The events of a sensor with a stretch from sample a to b in which it is silent or frozen.
 
     Events of that kind that overlap the stretch are one with it, and so is, of a frozen sensor, any event that begins in it:
@@ -134,6 +137,22 @@ def _joined(events: list[Event], kind: str, t: Array, a: int, b: int, sensor: st
             alternatives=(),
         )
     return [*kept, one]
+
+
+def _until_it_moves(e: Event, t: Array, z: Array, frozen: Sequence[tuple[int, int]]) -> Event:
+    """An event of a sensor, ended where its equal readings end; z (K,): residuals over their standard deviations.
+
+    The detector isolates the sensor for a while longer, until it trusts it again. Where the residuals of these readings are
+    not those of a healthy sensor, the event goes on.
+    """
+    ends = [b for _, b in frozen if e.start <= t[b] <= e.end]
+    if e.fault != "freeze" or not ends or t[ends[-1]] == e.end:
+        return e
+    rest = z[ends[-1] + 1 : int(np.searchsorted(t, e.end)) + 1]
+    rest = rest[np.isfinite(rest)]
+    if rest.size and np.mean(rest**2) > HEALTHY**2:
+        return e
+    return replace(e, end=float(t[ends[-1]]), open=False)
 
 
 def rivals_at(detector: Detector, decisions: Decision, i: int, k: int) -> tuple[float, tuple[str, ...]]:

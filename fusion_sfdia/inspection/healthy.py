@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fusion_sfdia import registry
+from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.evaluation.diagnose import diagnose_run
 from fusion_sfdia.identification.whiteness import Whiteness, whiteness
 from fusion_sfdia.inspection.findings import REMARK, Finding
@@ -28,7 +31,8 @@ class OnHealthy(NamedTuple):
 
 
 def on_healthy(plant: Plant, log: Log, detector: str) -> OnHealthy:
-    """Examine a healthy log of one run; ValueError where it is too short."""
+    """Examine a healthy log of one run, with the disturbances that the plant states; ValueError where it is too short."""
+    plant = augment(replace(plant, uncertainty=Uncertainty(disturbances=plant.uncertainty.disturbances)))
     found = diagnose_run(registry.detector(detector, plant), log)
     return OnHealthy(len(log.t), whiteness(plant, log), detector, tuple(map(str, found.events)))
 

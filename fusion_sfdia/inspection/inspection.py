@@ -14,6 +14,7 @@ from fusion_sfdia.core.log import as_log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.inspection.cost import cost, of_cost
 from fusion_sfdia.inspection.detectability import DETECTORS, Tried, tried
+from fusion_sfdia.inspection.feedthrough import feedthrough, of_feedthrough
 from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding, mistakes, not_analytic
 from fusion_sfdia.inspection.healthy import OnHealthy, of_healthy, on_healthy
 from fusion_sfdia.inspection.observability import Observability, observability, of_readings
@@ -121,6 +122,7 @@ def inspect_plant(
         remarks += of_runs(runs, 0 if readings is None else readings.redundancy.faults)
     of_log = None if log is None else on_healthy(found, log, DETECTORS[0])
     remarks += [] if of_log is None else of_healthy(found, of_log)
+    remarks += [] if log is None else of_feedthrough(found, feedthrough(found, log))
     findings = sorted(remarks, key=lambda f: f.kind != MISTAKE)
     return Inspection(found, tuple(findings), _derivatives(found), step, readings, theory, runs, pattern, of_log)
 

@@ -92,10 +92,12 @@ def of_readings(plant: Plant, found: Observability) -> Iterator[Finding]:
             f"{', '.join(found.unseen)}; their estimates are predictions: add a sensor, or leave them out",
         )
     for name, states in found.needed:
+        those = ", ".join(states)
         yield Finding(
             REMARK,
             name,
-            f"only this sensor determines {', '.join(states)}: its fault cannot be told from a change of the plant; add one",
+            f"only this sensor determines {those}: the figures on its faults take the plant as modelled; a change of the plant "
+            f"that moves {those} cannot be told from a fault of this sensor, so add one where the plant may change",
         )
     of = found.redundancy
     count = len(plant.sensors)

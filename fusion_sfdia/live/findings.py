@@ -38,7 +38,7 @@ class Findings:
         y = np.where(decision.absurd, np.nan, seen.y)
         self.look.take(seen._replace(y=y, u=u, decision=self.changes.recent[-1][1]))
         if any(c.what in ("opened", "closed") for c in now):
-            self.look.happened()
+            self.look.happened([c.id for c in now if c.what == "closed"])
         opened = [(c.id, c.event) for c in now if c.what == "opened" and c.event]
         return [*now, *self._told(seen.t, *self.look.changes(opened, clock, self.changes.count + 1))]
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.logs.findings import counted
 
 Array = NDArray[Any]
 
@@ -30,9 +31,10 @@ class InOrder:
     """Takes rows as they arrive and returns them in order, each with the seconds to the next one where that is known.
 
     A row is held until one has arrived that is `reorder` s later, or more than MOST_HELD are held, and is returned in its
-    place. A row is late, and lost, where one not before it was returned and diagnosed; of rows with equal times the first
-    counts. The first row, and one later than all others by more than `longest_gap` s, wait for the next row: if that is
-    earlier by more than `reorder`, the clock of the waiting row was wrong, and it is lost.
+    place. A row is late, and lost, where one after it was returned and diagnosed. Of rows with equal times the first counts,
+    since what is diagnosed cannot be taken back; the others are duplicates. The first row, and one later than all others by
+    more than `longest_gap` s, wait for the next row: if that is earlier by more than `reorder`, the clock of the waiting row
+    was wrong, and it is lost.
     """
 
     reorder: float
@@ -41,6 +43,7 @@ class InOrder:
     held: list[Row] = field(default_factory=list)  # by time
     waiting: Row | None = None
     late: int = 0  # rows since the last one that was not
+    again: int = 0  # duplicates since the last row that was none
     loaded: float | None = None  # s, the last row of a loaded state: until another is diagnosed, no line about rows it has
 
     def push(self, row: Row, last: float | None, clock: Clock) -> list[tuple[Row, float]]:
@@ -66,6 +69,7 @@ class InOrder:
 
     def rest(self) -> list[tuple[Row, float]]:
         """The rows that are held, at the end of the input."""
+        self._count_duplicates()
         return self._returned(len(self.held))
 
     def _returned(self, count: int) -> list[tuple[Row, float]]:
@@ -75,23 +79,32 @@ class InOrder:
         return list(zip(rows, [*ahead, np.inf][:count], strict=True))
 
     def _is_late(self, t: float, last: float | None, clock: Clock) -> bool:
-        """Whether a row at t is late or has the time of one that is held, and a line for a run of such rows."""
+        """Whether a row at t is late or a duplicate, and a line for a run of such rows."""
         k = bisect_left(self.held, t, key=_time)
         same = any(row.t == t for row in (*self.held[k : k + 1], *([self.waiting] if self.waiting else [])))
         said = last is None or last != self.loaded
+        if (same or t == last) and not self.late:
+            self.again += said
+            return True
+        self._count_duplicates()
         last = t if same else last
         if last is None or t > last:
             if self.late:
-                self.refused(f"{self.late} rows until {clock.at(t)} were not taken")
+                self.refused(f"{counted(self.late, 'row')} until {clock.at(t)} not taken")
             self.late = 0
             return False
         if not self.late and said:
             self.refused(
-                f"row at {clock.at(t)}: it is not later than the last one, at {clock.at(last)}; it is not taken, nor "
+                f"row at {clock.at(t)}: it is earlier than the last one, at {clock.at(last)}; it is not taken, nor "
                 "is another until then; start with a new state if the clock was set back"
             )
         self.late += said
         return True
+
+    def _count_duplicates(self) -> None:
+        if self.again:
+            self.refused(f"{counted(self.again, 'duplicate')} dropped, the first row of each time kept")
+        self.again = 0
 
 
 def _time(row: Row) -> float:

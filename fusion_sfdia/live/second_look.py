@@ -15,7 +15,7 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import Decision, Detector, stack
 from fusion_sfdia.evaluation.absent import DUE, REPEATED, repeats
 from fusion_sfdia.evaluation.diagnose import against_the_model
-from fusion_sfdia.evaluation.events import Event, events_of
+from fusion_sfdia.evaluation.events import Event, events_of, spans
 from fusion_sfdia.evaluation.hindsight import LEAD, Hindsight, begun, looked
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import TOGETHER, alarm_rate_of, explained
@@ -46,7 +46,9 @@ class Seen(NamedTuple):
 
 @dataclass
 class NamedEvent:
-    """An event with its id as it was last reported, None before; final: whether it has not changed for long after its end."""
+    """An event with its id as it was last reported, None before; end: of its isolation, which may last longer than the fault;
+    final: whether it has not changed for long after that.
+    """
 
     id: int
     hypothesis: str
@@ -86,8 +88,11 @@ class SecondLook:
         if len(self.ahead) > LEAD:
             self._look()
 
-    def happened(self) -> None:
-        """An event has opened or closed."""
+    def happened(self, closed: Sequence[int] = ()) -> None:
+        """An event has opened or closed; those with the ids `closed`, with the end of their isolation, are named again."""
+        for e in self.named:
+            if e.id in closed and e.told is not None and not e.told.open:
+                e.told = None
         self.due, self.pause = min(self.due or self.count + EACH, self.count + EACH), EACH
 
     def _freeze(self) -> None:
@@ -213,7 +218,7 @@ class SecondLook:
             for other in own[1:]:  # those that are one with the first
                 self.named.remove(other)
             known.start = event.start if event.start > times[0] else min(known.start, event.start)
-            known.end, event = event.end, replace(event, start=known.start)
+            known.end, event = self._trusted(event), replace(event, start=known.start)
             if known.told is None or _differs(known.told, event):
                 known.told = event
                 found.append((known.id, event))
@@ -222,6 +227,13 @@ class SecondLook:
         for e in self.named:
             e.final |= e.end < settled
         return found
+
+    def _trusted(self, event: Event) -> float:
+        """The last time at which the sensor of an event is isolated without a break since its end."""
+        i = self.detector.plant.sensor_names.index(event.hypothesis)
+        isolated = np.array([s.decision.isolated[i] for s in self.window])
+        times = [s.t for s in self.window]
+        return max([event.end, *(times[b] for a, b in spans(isolated, self.gap) if times[a] <= event.end)])
 
     def _health(self, health: Health) -> str:
         verdict = health.line.partition(":")[0]

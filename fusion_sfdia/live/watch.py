@@ -57,7 +57,9 @@ class Watch:
     Rows that are not as expected never end a watch:
 
     - A row whose numbers do not fit, or without an input, is not taken.
-    - A row not later than the last one diagnosed, late, out of order or after a clock was set back, is not taken, one line for
+    - A row with the time of another is a duplicate: the first counts, since what is diagnosed cannot be taken back. One line
+      for the number of a run of them.
+    - A row earlier than the last one diagnosed, late, out of order or after a clock was set back, is not taken, one line for
       the first and one for the number of them. Directly after `load` such rows are in the state already: no line.
     - The first row, and one later by more than longest_gap, wait for the next row. If that is later still, the time is right:
       after such a gap the detector starts anew, a "reset", and what stood is closed. If it is earlier by more than `reorder`,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from difflib import get_close_matches
 from typing import NamedTuple
 
 from fusion_sfdia.core.arguments import require_unique, shown
@@ -73,6 +74,7 @@ def find_sources(
     own.update({s.name: (i, False, s) for i, s in enumerate(plant.sensors)})
     found: dict[str, Source] = {}
     unknown = []
+    wrong: dict[tuple[str, str, str], list[str]] = {}
     qualities = {_quality(log_map, title, log_map.columns.get(title)) for title in header} - {""}
     for title, row_unit in zip(header, units, strict=True):
         name, bracket = split_title(title)
@@ -92,13 +94,14 @@ def find_sources(
         try:
             converted = conversion(unit, signal.unit, column.scale if column else 1.0)
         except ValueError as error:
-            raise ValueError(
-                f"{where}: column {name!r} is in {shown(unit)}, plant {plant.name!r} has it in {signal.unit!r}: {error}"
-            ) from error
+            wrong.setdefault((shown(unit), signal.unit, str(error)), []).append(name)
+            continue
         quality = _quality(log_map, title, column)
         if quality and quality not in header:
             raise ValueError(f"{where}: no column {shown(quality)} with the quality of {shown(title)}; correct the map")
         found[target] = Source(title, target, position, is_input, unit, converted, quality)
+    if wrong:
+        raise ValueError(f"{where}: {'; '.join(_of_wrong_unit(plant, *why, names) for why, names in wrong.items())}")
     _require_needed(where, header, plant, found, absent, nominal)
     if unknown and not other and not log_map.columns:
         raise ValueError(
@@ -106,6 +109,11 @@ def find_sources(
             "or ignore them with --other-columns (other_columns=True)"
         )
     return Sources(times, time_unit, tuple(found.values()), tuple(unknown))
+
+
+def _of_wrong_unit(plant: Plant, unit: str, wanted: str, error: str, names: list[str]) -> str:
+    which, are, them = (f"column {names[0]!r}", "is", "it") if len(names) == 1 else (f"columns {some(names)}", "are", "them")
+    return f"{which} {are} in {unit}, plant {plant.name!r} has {them} in {wanted!r}: {error}"
 
 
 def require_columns_of(plant: Plant, log_map: LogMap) -> None:
@@ -131,8 +139,17 @@ def _require_titles(where: str, header: Sequence[str], log_map: LogMap) -> None:
     """Raise ValueError for a column that the map names and the header lacks."""
     names = {*header, *(split_title(title)[0] for title in header)}
     if lacking := [title for title in log_map.columns if title not in names]:
+        free = [title for title in header if not {title, split_title(title)[0]} & {*log_map.columns, *log_map.time}]
+        near = {title: match for title in lacking for match in get_close_matches(title, free, n=1, cutoff=0.75)}
+        hint = f"; did you mean {some(list(near.values()))} for {some(list(near))}?" if near else ";"
+        kinds = {bool(log_map.columns[title].input) for title in lacking if title not in near}
+        options = [("--absent-sensors (absent_sensors=True)", False), ("--nominal-inputs (nominal_inputs=True)", True)]
+        given = " and ".join(option for option, is_input in options if is_input in kinds)
+        cure = f", or leave out of it what is not logged and give {given}" if given else ""
         kind = "tags" if log_map.tag else "columns"
-        raise ValueError(f"{where}: no {kind} {some(lacking)}, which the map names, among {some(header)}; correct the map")
+        raise ValueError(
+            f"{where}: no {kind} {some(lacking)}, which the map names, among {some(header)}{hint} correct the map{cure}"
+        )
 
 
 def _times(where: str, header: Sequence[str], log_map: LogMap) -> tuple[tuple[str, ...], str]:

@@ -40,7 +40,7 @@ def conversion(unit: str, target: str, scale: float = 1.0) -> Conversion:
         source, wanted = (_units(text) for text in (unit, target))
         ends = [float(_registry().Quantity(x, source).m_as(wanted)) for x in (0.0, -1e6, 1e6)]
     except pint.DimensionalityError as error:
-        raise ValueError(f"unit {shown(unit)} does not convert to {target!r}; give the unit that the column is in") from error
+        raise ValueError(f"unit {shown(unit)} does not convert to {target!r}; {_cure(unit, target)}") from error
     except Exception as error:  # pint raises errors of many kinds for texts that are no units
         unknown = unit if is_unknown(unit) else target
         raise ValueError(
@@ -55,6 +55,17 @@ def conversion(unit: str, target: str, scale: float = 1.0) -> Conversion:
     offset = 0.0 if abs(ends[0]) < 1e-300 else ends[0]
     factor = (ends[2] - ends[1]) / 2e6 if offset else float(_registry().Quantity(1.0, source).m_as(wanted))
     return Conversion(factor * scale, offset)
+
+
+def _cure(unit: str, target: str) -> str:
+    """What to state in a map of a column in a unit of another dimension."""
+    of = "" if target == "1" else f" {target}"
+    if unit.strip() in ("%", "percent"):
+        return f'for % of a span state in a map unit = "{target}" and as scale a hundredth of the span, scale = 0.04 for 4{of}'
+    if target == "1":
+        scale = f"1 over its full value, scale = 0.001 for 1000 {unit}"
+        return f'give the unit that the column is in, or in a map unit = "1" and as scale {scale}'
+    return f'give the unit that the column is in, or in a map unit = "{target}" and as scale the {target} of 1 {unit}'
 
 
 @cache

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.log import Log
+from fusion_sfdia.logs.columns import Source
 
 # what changes or questions the readings; the other kinds describe the log
 REMARKABLE = (
-    "bad", "duplicates", "held", "inputs shifted", "left out", "masked", "nominal inputs", "order", "quality", "unit suspected",
-    "zone",
+    "bad", "duplicates", "held", "input unit suspected", "inputs shifted", "left out", "masked", "nominal inputs", "order",
+    "quality", "unit suspected", "zone",
 )  # fmt: skip
 
 
@@ -31,13 +32,14 @@ class Finding:
 class LoadedLog(NamedTuple):
     """A log as it was read: times, readings and inputs of the plant, its wall-clock start, and what was found and done.
 
-    absent: the sensors without a column.
+    absent: the sensors without a column. columns: what was read of each sensor and input, with its title and unit.
     """
 
     log: Log
     clock: Clock
     findings: tuple[Finding, ...]
     absent: tuple[str, ...] = ()
+    columns: tuple[Source, ...] = ()
 
     @property
     def suspects(self) -> tuple[str, ...]:

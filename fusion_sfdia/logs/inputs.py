@@ -13,8 +13,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.findings import Finding, counted
 from fusion_sfdia.logs.log_map import AT_THE_SAMPLE, LogMap
+from fusion_sfdia.logs.mix_ups import input_mix_up
 from fusion_sfdia.logs.order import Rows
-from fusion_sfdia.logs.suspects import mix_up
 
 Array = NDArray[Any]
 
@@ -57,7 +57,7 @@ def require_known(where: str, rows: Rows, c: Source, u: Array, plant: Plant, nee
     try:
         require_within_limits(where, plant, signal, values[needed], own[needed])
     except ValueError as error:
-        mixed = None if signal.low <= usual <= signal.high else mix_up(values[needed], signal.nominal, signal.unit)
+        mixed = None if signal.low <= usual <= signal.high else input_mix_up(values[needed], signal)
         hint = f": {c.name} {mixed.text}, as its nominal value is {signal.nominal:g}" if mixed else ""
         raise ValueError(f"{error}{hint}") from error
 

@@ -55,7 +55,7 @@ def load_log(
         count = len(sources.ignored)
         findings.append(Finding("ignored", "", count, f"{counted(count, 'column')} not used: {some(sources.ignored)}"))
     absent = tuple(n for n in plant.sensor_names if n not in {c.name for c in sources.columns})
-    return LoadedLog(log, times.clock, (*overview(plant, log, times), *findings), absent)
+    return LoadedLog(log, times.clock, (*overview(plant, log, times), *findings), absent, sources.columns)
 
 
 def _log(

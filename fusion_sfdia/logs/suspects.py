@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,36 +10,31 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.gaps import steps_in
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.logs.conversion import conversion
+from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.logs.findings import Finding
+from fusion_sfdia.logs.mix_ups import BETTER, MixUp, input_mix_up, mix_up
 
 Array = NDArray[Any]
 
-ROWS, STEPS = 500, 2000  # at the beginning of a log that are predicted, and steps of the model for them
+ROWS, STEPS, PARTS = 500, 2000, 4  # at the beginning of a log that are predicted, and steps of the model for them
 CLEAR = 10.0  # standard deviations of a sensor: a smaller prediction tells nothing about a unit
-OFF, FITS, BETTER, PARTS = 0.15, 0.1, 5.0, 4
-FACTORS = {10.0: "", 100.0: "percent for a fraction?", 1e3: "", 1e5: "", 1e6: "", 60.0: "per minute?", 3600.0: "per hour?"}
-FACTORS |= {3.6: "", 180.0 / np.pi: "degrees for radians?", 30.0 / np.pi: "rpm for rad/s?", 14.5038: "psi for bar?"}
-UNITS = ("degC", "degF", "barg", "psig", "bar", "psi", "kPa", "lb/h", "inch", "ft")  # tried where they convert to the plant's
-
-
-class MixUp(NamedTuple):
-    """A mix-up of units: the reading as it should be, factor * reading + offset, and what it looks like, in words."""
-
-    factor: float
-    offset: float
-    text: str
 
 
 def suspected_units(plant: Plant, log: Log) -> list[Finding]:
-    """Findings on the sensors whose readings differ from the model's over the whole log as by a usual mix-up of units.
+    """Findings on the inputs and sensors that differ from the model's over the whole log as by a usual mix-up of units.
 
-    The first readings are compared with what the model predicts from x0 under the inputs of the log, see `mix_up`; what
-    explains them has to hold, to half of the prediction, in each of PARTS parts of the log. Sensors that never move are not
-    suspected: they are dead. Nor are those whose prediction is within CLEAR standard deviations of 0, which fit any factor.
+    Of inputs see `suspected_inputs`. The first readings are compared with what the model predicts from x0 under the inputs of
+    the log, suspected ones as they should be, see `mix_up`; what explains them has to hold, to half of the prediction and
+    better than the readings as they are, in each of PARTS parts of the log. Sensors that never move are not suspected: they
+    are dead. Nor are those whose prediction is within CLEAR standard deviations of 0, which fit any factor.
     """
+    mixed = suspected_inputs(plant, log)
+    found = [_of_input(plant.inputs[j], log.u[:, j], best) for j, best in mixed.items()]
+    log = _corrected(log, mixed)
     predicted = _predicted(plant, log)
-    found = []
+    if predicted is None:
+        nominal = plant.output(float(log.t[0]), plant.x0, plant.input_at(float(log.t[0])))
+        predicted = np.tile(np.asarray(nominal, dtype=float), (max(min(ROWS, log.t.size), PARTS), 1))
     for i, sensor in enumerate(plant.sensors):
         readings = log.y[:, i]
         with_reading = np.flatnonzero(np.isfinite(readings))
@@ -51,7 +46,7 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
             continue
         best = mix_up(readings[begin], predicted[begin, i], sensor.unit, sensor.noise_sigma)
         parts = [float(np.median(readings[part])) for part in np.array_split(with_reading, PARTS)]
-        if best is None or any(abs(best.factor * p + best.offset - e) > 0.5 * abs(e) for p in parts):
+        if best is None or any(abs(best(p) - e) > min(0.5 * abs(e - best.zero), abs(p - e)) for p in parts):
             continue
         unit = "" if sensor.unit == "1" else f" {sensor.unit}"
         text = f"{sensor.name} {best.text}: usually {parts[0]:.4g}{unit}, the model predicts {e:.4g}; state its unit in a map"
@@ -59,49 +54,49 @@ def suspected_units(plant: Plant, log: Log) -> list[Finding]:
     return found
 
 
-def mix_up(y: Array, expected: Array | float, unit: str, noise: float = 0.0) -> MixUp | None:
-    """Return the mix-up of units that explains values y (K,) where others are expected, in that unit; None where none does.
+def suspected_inputs(plant: Plant, log: Log) -> dict[int, MixUp]:
+    """The inputs, by position, whose values differ from their nominal one as by a usual mix-up of units, see `input_mix_up`.
 
-    With |e| the median of what is expected, and the error the median of the differences from it: where the error is above
-    OFF |e|, the mix-up with the smallest explains y if that is within FITS |e| + noise, the standard deviation of a reading,
-    and BETTER times smaller.
+    An input may be far from its nominal value, off or throttled, for a whole log: then the readings follow it. It is suspected
+    where they contradict it: their differences from the prediction, in standard deviations and 1 more, are together, as a
+    product over the sensors, BETTER times smaller with the mix-up undone than without.
     """
-    e = float(np.median(np.abs(expected)))
-
-    def error(mixed: MixUp) -> float:
-        return float(np.median(np.abs(mixed.factor * y + mixed.offset - expected)))
-
-    if not (as_it_is := error(MixUp(1.0, 0.0, ""))) > OFF * e or not np.isfinite(as_it_is):
-        return None
-    best = min(_mix_ups(unit), key=error)
-    return best if error(best) <= min(FITS * e + noise, as_it_is / BETTER) else None
+    candidates = {j: m for j, s in enumerate(plant.inputs) if (m := input_mix_up(log.u[:, j], s)) is not None}
+    if not candidates:
+        return {}
+    undone = _misfit(plant, _corrected(log, candidates))
+    as_they_are = {j: _misfit(plant, _corrected(log, {i: m for i, m in candidates.items() if i != j})) for j in candidates}
+    return {j: m for j, m in candidates.items() if undone + np.log(BETTER) < as_they_are[j]}
 
 
-def _mix_ups(unit: str) -> list[MixUp]:
-    found = []
-    for factor, hint in FACTORS.items():
-        about = f" ({hint})" if hint else ""
-        found.append(MixUp(1 / factor, 0.0, f"looks {factor:.6g} times too large{about}"))
-        found.append(MixUp(factor, 0.0, f"looks {factor:.6g} times too small"))
-    found.append(MixUp(-1.0, 0.0, "looks of the wrong sign"))
-    for other in UNITS:
-        try:
-            factor, offset = conversion(other, unit)
-        except ValueError:
-            continue
-        if (factor, offset) != (1.0, 0.0):
-            found.append(MixUp(factor, offset, f"looks as if in {other}, not {unit}"))
-        if offset:
-            found.append(MixUp(1 / factor, -offset / factor, f"looks as if converted from {other} twice"))
-    return found
+def _misfit(plant: Plant, log: Log) -> float:
+    """Sum over the sensors of the logarithm of 1 + the usual difference from the prediction, in standard deviations."""
+    if (predicted := _predicted(plant, log)) is None:
+        return np.inf
+    off = np.abs(log.y[: len(predicted)] - predicted) / plant.sensor_sigma
+    return float(sum(np.log1p(np.median(one[np.isfinite(one)])) for one in off.T if np.isfinite(one).any()))
 
 
-def _predicted(plant: Plant, log: Log) -> Array:
-    """Readings (K', N) that the model predicts for the first rows, from x0 under the inputs of the log; without a model that
-    holds there, those of its nominal operation.
-    """
+def _corrected(log: Log, mixed: dict[int, MixUp]) -> Log:
+    u = log.u.copy()
+    for j, best in mixed.items():
+        u[:, j] = best(u[:, j])
+    return log._replace(u=u)
+
+
+def _of_input(signal: Signal, u: Array, best: MixUp) -> Finding:
+    unit = "" if signal.unit == "1" else f" {signal.unit}"
+    text = (
+        f"input {signal.name} {best.text}: usually {np.median(u[u != 0]):.4g}{unit}, its nominal value is {signal.nominal:.4g}"
+    )
+    return Finding(
+        "input unit suspected", signal.name, u.size, f"{text}, and the readings contradict it; state its unit in a map"
+    )
+
+
+def _predicted(plant: Plant, log: Log) -> Array | None:
+    """Readings (K', N) that the model predicts for the first rows, from x0 under the inputs of the log; None where it fails."""
     rows = min(ROWS, log.t.size)
-    nominal = np.asarray(plant.output(float(log.t[0]), plant.x0, plant.input_at(float(log.t[0]))), dtype=float)
     gaps = np.diff(log.t[:rows], prepend=log.t[0] - plant.dt)
     parts = np.maximum(steps_in(gaps, plant.dt), 1)
     rows = int(np.searchsorted(np.cumsum(parts), STEPS, side="right"))
@@ -114,7 +109,7 @@ def _predicted(plant: Plant, log: Log) -> Array:
                 try:
                     x = plant.guard(plant.step(t_start, x, log.u[k], dt))[0]
                 except (ValueError, ArithmeticError):
-                    return np.tile(nominal, (max(rows, PARTS), 1))
+                    return None
             predicted.append(plant.output(float(log.t[k]), x, log.u[k]))
     found = np.array(predicted, dtype=float)
-    return found if rows >= PARTS and np.isfinite(found).all() else np.tile(nominal, (max(rows, PARTS), 1))
+    return found if rows >= PARTS and np.isfinite(found).all() else None

@@ -97,18 +97,32 @@ def _of_text(path: Path, log_map: LogMap) -> Table:
         rows = [(n, row[:-1] if len(row) == width else row) for n, row in rows]
     titles = _titles(str(path), [c.strip() for c in rows[0][1]])
     width, below = len(titles), rows[1:]
-    for n, row in below:
+    for i, (n, row) in enumerate(below):
         if len(row) != width:
-            raise ValueError(
-                f"{path}, row {n}: {len(row)} cells under a header of {width}; leave a missing reading's cell empty"
-                + (", or state the lines before the header as `preamble` in a map" if n == below[0][0] and width < 3 else "")
-            )
+            cure = _cure_of_width(rows[: i + 2], log_map)
+            raise ValueError(f"{path}, row {n}: {len(row)} cells under a header of {width}; {cure}")
     units = [""] * width
     if log_map.unit_row and below:
         units, below = [c.strip().strip("[]") for c in below[0][1]], below[1:]
         if any(re.fullmatch(r"[+-]?\d+[.,]\d*", unit) for unit in units):
             raise ValueError(f"{path}: the row below the header holds numbers, no units; leave unit_row out of the map")
     return Table(str(path), titles, [[row[i] for _, row in below] for i in range(width)], [n for n, _ in below], units)
+
+
+def _cure_of_width(rows: list[tuple[int, list[str]]], log_map: LogMap) -> str:
+    """What fits rows of which the last is not as wide as the first: another separator, or lines before the header."""
+    empty, (begin, header), (n, last) = "leave a missing reading's cell empty", rows[0], rows[-1]
+    if len(header) > 2 or len(last) < len(header):
+        return empty
+    counts = [
+        (log_map.separator.join(row).count(mark), -k, mark) for k, row in rows for mark in ";\t|," if mark != log_map.separator
+    ]
+    count, k, mark = max(counts)  # of the first row with the most of them, the header
+    found = [f'separator = "{mark}"'.replace("\t", "\\t")] if count > 1 else []
+    lines = (-k if found else n) - 1
+    if lines >= begin:
+        found.append(f"preamble = {lines}, the lines before the header")
+    return f"state in a map {' and '.join(found)}, or {empty}" if found else empty
 
 
 def _parquet(path: Path) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis, decided, diagnose_run
 from fusion_sfdia.evaluation.events import Event, events_of, median, spans
+from fusion_sfdia.evaluation.sensor_events import with_stretch
 from fusion_sfdia.identification.choice import Candidate, ModelChoice, choose_model
 from fusion_sfdia.identification.runs import groups_of, runs_of
 from fusion_sfdia.monitoring.calibration import Calibration, calibrate
@@ -33,9 +34,9 @@ FALSE_ALARM = 1e-2  # of samples: some hundred healthy samples set no lower one
 class Monitored:
     """What a monitor finds in a log.
 
-    diagnosis: of the bank on the identified model. beside: the diagnoses of the other methods by name. frozen: sensors that
-    repeat one reading longer than they did when healthy. moved: sensors that never moved when healthy, and do. log: as it was
-    judged, on equal steps, with the sensors of the model.
+    diagnosis: of the bank on the identified model, with the frozen sensors. beside: the diagnoses of the other methods by name.
+    frozen: sensors that repeat one reading longer than they did when healthy. moved: sensors that never moved when healthy, and
+    do. log: as it was judged, on equal steps, with the sensors of the model.
     """
 
     diagnosis: Diagnosis
@@ -47,7 +48,6 @@ class Monitored:
 
     def __str__(self) -> str:
         lines = [str(self.diagnosis)]
-        lines += [f"  {e.hypothesis} frozen {e.when(self.diagnosis.clock)}" for e in self.frozen]
         lines += [
             f"  {e.hypothesis} moved {e.when(self.diagnosis.clock)}, by {e.size:.4g} {e.unit}; never when healthy"
             for e in self.moved
@@ -120,7 +120,8 @@ class Monitor:
         fixed = frozen(self.channels, [self.sensors[i] for i in moving], t, judged.y)
         moved = [e for name, value in self.still.items() for e in self._moved(names.index(name), value, t, y)]
         missing = [name for name, column in zip(names, y.T, strict=True) if not np.isfinite(column).any()]
-        return Monitored(found.pop("bank"), found, tuple(fixed), tuple(moved), tuple(missing), judged)
+        bank = with_frozen(found.pop("bank"), fixed)
+        return Monitored(bank, found, tuple(fixed), tuple(moved), tuple(missing), judged)
 
     def _moved(self, i: int, value: float, t: Array, y: Array) -> list[Event]:
         signal, off = self.sensors[i], y[:, i] - value
@@ -128,6 +129,16 @@ class Monitor:
             Event(signal.name, float(t[a]), float(t[b]), median(off[a : b + 1]), signal.unit, b == len(t) - 1)
             for a, b in spans(np.isfinite(off) & (off != 0), GAP)
         ]
+
+
+def with_frozen(found: Diagnosis, frozen: Sequence[Event]) -> Diagnosis:
+    """A diagnosis in which each frozen stretch of a sensor is one event, with those of the detector that it explains."""
+    events = list(found.events)
+    for e in frozen:
+        own = [o for o in events if o.kind == "sensor" and o.hypothesis == e.hypothesis]
+        a, b = np.searchsorted(found.t, (e.start, e.end)).tolist()
+        events = [o for o in events if o not in own] + with_stretch(own, "freeze", found.t, a, b, e.hypothesis, e.unit)
+    return replace(found, events=tuple(sorted(events, key=lambda e: (e.kind == "sensor", e.start, e.hypothesis))))
 
 
 def beside(detector: Any, log: Log, clock: Clock) -> Diagnosis:

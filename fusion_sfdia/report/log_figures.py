@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, UndecidedEvent, listed
-from fusion_sfdia.report.plots import COLOURS, shade
+from fusion_sfdia.report.plots import COLOURS, TimeAxis, shade
 
 Array = NDArray[Any]
 
@@ -31,29 +29,6 @@ KINDS = {  # of events: the word and the colour
     "sensor": ("sensor", COLOURS[0]),
     "other": ("other fault", COLOURS[3]),
 }
-
-
-class TimeAxis(NamedTuple):
-    """How times t (s) are drawn: wall-clock times, or minutes, hours or days."""
-
-    clock: Clock
-    seconds: float
-    label: str
-
-    def __call__(self, t: Any) -> Any:
-        """Times (s), a number or (K,), as places on the axis."""
-        if self.clock.start is None:
-            return np.asarray(t) / self.seconds
-        return float(date2num(self.clock.start)) + np.asarray(t) / 86400  # type: ignore[no-untyped-call]
-
-    def label_on(self, axes: Axes) -> None:
-        """Name the axis, with wall-clock times where there are any."""
-        axes.set_xlabel(self.label)
-        if self.clock.start is not None:
-            zone = self.clock.start.tzinfo
-            locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
-            axes.xaxis.set_major_locator(locator)
-            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))  # type: ignore[no-untyped-call]
 
 
 def time_axis(found: Diagnosis) -> TimeAxis:
@@ -199,7 +174,7 @@ def process_size(axes: Axes, found: Diagnosis, name: str) -> None:
     axes.plot(x, size * scale, color=COLOURS[1], label="above the model")
     axes.fill_between(x, (size - 2 * sd) * scale, (size + 2 * sd) * scale, color=COLOURS[1], alpha=0.2, label="+- 2 sd", lw=0)
     axes.axhline(0.0, color="0.4", linewidth=1)
-    axes.set(ylabel=name if share else f"{name} [{events[0].unit}]")
+    axes.set(ylabel=name if share or events[0].unit == "1" else f"{name} [{events[0].unit}]")
     at.label_on(axes)
     if share:
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))

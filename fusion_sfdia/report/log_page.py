@@ -18,7 +18,7 @@ from fusion_sfdia import __version__
 from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis
-from fusion_sfdia.evaluation.events import Event, ProcessEvent, with_spread
+from fusion_sfdia.evaluation.events import Event, ProcessEvent, with_spread, with_unit
 from fusion_sfdia.report.log_figures import overview, time_line, zoom
 from fusion_sfdia.report.page import inline, part
 from fusion_sfdia.report.plots import figure_svg, panels
@@ -124,10 +124,10 @@ def _sentence(text: str) -> str:
 def _row(found: Diagnosis, e: Event) -> dict[str, Any]:
     """An event as texts."""
     known, interval = math.isfinite(e.size), ""
-    size = f"{e.size:.4g} {e.unit}" if known else ""
+    size = with_unit(f"{e.size:.4g}", e.unit) if known else ""
     if isinstance(e, ProcessEvent) and known:
         value, sd = with_spread(e.size, e.sd)
-        size = f"{value} {e.unit} +- {sd}"
+        size = f"{with_unit(value, e.unit)} +- {sd}"
     if known and math.isfinite(e.low):
         interval = f"{e.low:.4g} to {e.high:.4g}"
     kinds = {"process": "process or model", "undecided": "cannot tell", "other": "other fault"}

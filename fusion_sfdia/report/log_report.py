@@ -24,8 +24,9 @@ from fusion_sfdia.logs.check import check_log, checked, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.report.log_figures import process_size, thinned, time_line
+from fusion_sfdia.report.log_figures import process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
+from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.plots import panels, time_series, write_figure
 
 FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
@@ -67,7 +68,8 @@ def diagnose_log(
     except ValueError as error:
         raise ValueError(f"{data}: {error}") from error
     with all_or_none(out) as new:
-        write_diagnosis(new, plant, log.y, log.u, found, About(data.name, detector_name or type(detector).__name__))
+        about = About(data.name, detector_name or type(detector).__name__)
+        write_diagnosis(new, plant, log.y, log.u, found, about, LogUnits(plant, loaded.columns))
     return found
 
 
@@ -87,14 +89,25 @@ def as_text(found: Diagnosis, detector: str) -> str:
 
 
 def write_diagnosis(
-    out: Path, plant: Plant, y: NDArray[np.float64], u: NDArray[np.float64], found: Diagnosis, about: About = UNNAMED
+    out: Path,
+    plant: Plant,
+    y: NDArray[np.float64],
+    u: NDArray[np.float64],
+    found: Diagnosis,
+    about: About = UNNAMED,
+    shown_in: LogUnits | None = None,
 ) -> None:
-    """Write FILES into the folder: y (K, N) the readings as they came, u (K, m) the inputs."""
+    """Write FILES into the folder: y (K, N) the readings as they came, u (K, m) the inputs.
+
+    shown_in: the names and units of the report and the figure; tables are in those of the plant.
+    """
     header, rows = found.table()
     _write_table(out / "events.csv", header, rows)
     taken, made = np.where(found.decisions.absurd, np.nan, y), found.decisions.reconstruction
     write_log(out / "reconstructed.csv", plant, found.t, made, u, replaced=np.isfinite(made) & (made != taken))
     _write_scores(out / "scores.csv", plant, found)
+    if shown_in is not None:
+        plant, taken, found = shown_in.plant, shown_in.readings(taken), shown_in.diagnosis(found)
     write_figure(out, "diagnosis", lambda: draw(plant, taken, found))
     write_page(out / "report.html", plant, taken, found, about)
 
@@ -145,9 +158,10 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
         made = found.decisions.reconstruction[:, i]
         shown = np.union1d(thinned(y[:, i]), thinned(made))
         series = {"reading": y[shown, i], "reconstructed": made[shown]}
-        time_series(axis, found.t[shown], series, ylabel=f"{name} [{plant.sensors[i].unit}]", spans=spans)
+        label = f"{name} [{plant.sensors[i].unit}]"
+        time_series(axis, found.t[shown], series, ylabel=label, spans=spans, at=time_axis(found))
         handles, labels = axis.get_legend_handles_labels()
-        axis.legend(handles, ["isolated" if label == "fault acts" else label for label in labels], fontsize=8)
+        axis.legend(handles, ["fault" if label == "fault acts" else label for label in labels], fontsize=8)
     if verdict:
         time_line(axes[0], found)
         for axis, name in zip(axes[1:], process, strict=False):

@@ -14,10 +14,12 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.files import atomic_write
 
 Array = NDArray[Any]
@@ -52,6 +54,32 @@ class Bars(NamedTuple):
     low: Sequence[float]
     high: Sequence[float]
     published: Sequence[float]
+
+
+class TimeAxis(NamedTuple):
+    """How times t (s) are drawn: wall-clock times, or minutes, hours or days."""
+
+    clock: Clock
+    seconds: float
+    label: str
+
+    def __call__(self, t: Any) -> Any:
+        """Times (s), a number or (K,), as places on the axis."""
+        if self.clock.start is None:
+            return np.asarray(t) / self.seconds
+        return float(date2num(self.clock.start)) + np.asarray(t) / 86400  # type: ignore[no-untyped-call]
+
+    def label_on(self, axes: Axes) -> None:
+        """Name the axis, with wall-clock times where there are any."""
+        axes.set_xlabel(self.label)
+        if self.clock.start is not None:
+            zone = self.clock.start.tzinfo
+            locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
+            axes.xaxis.set_major_locator(locator)
+            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))  # type: ignore[no-untyped-call]
+
+
+MINUTES = TimeAxis(Clock(), 60.0, "time (min)")
 
 
 @contextmanager
@@ -191,12 +219,14 @@ def time_series(
     ylabel: str,
     spans: Sequence[tuple[float, float]] = (),
     levels: Mapping[str, float] | None = None,
+    at: TimeAxis = MINUTES,
 ) -> None:
-    """Signals (K,) over t (K,) in s, drawn in minutes; spans (s): when a fault acts; levels: horizontal lines by name."""
+    """Signals (K,) over t (K,) in s; spans (s): when a fault acts; levels: horizontal lines by name; at: how t is drawn."""
     for i, (label, values) in enumerate(series.items()):
-        axes.plot(t / 60, values, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=label)
+        axes.plot(at(t), values, color=COLOURS[i % len(COLOURS)], linestyle=DASHES[i % len(DASHES)], label=label)
     for i, (name, level) in enumerate((levels or {}).items()):
         axes.axhline(level, color="black", linestyle=DASHES[-1 - i % len(DASHES)], linewidth=1, label=name)
-    shade(axes, [(start / 60, end / 60) for start, end in spans], color="0.85", zorder=0, label="fault acts")
-    axes.set(xlabel="time (min)", ylabel=ylabel)
+    shade(axes, [(float(at(start)), float(at(end))) for start, end in spans], color="0.85", zorder=0, label="fault acts")
+    axes.set_ylabel(ylabel)
+    at.label_on(axes)
     axes.legend(fontsize=8)

@@ -51,12 +51,12 @@ class Trends(NamedTuple):
     freedom: Array
 
 
-def require_no_drift(plant: Plant, log: Log, settle: int, sigma: Array, at: Callable[[int], str]) -> None:
+def require_no_drift(plant: Plant, log: Log, settle: int, sigma: Array, at: Callable[[int, int], str]) -> None:
     """Raise ValueError where a sensor drifts by more than its sigma (N,), or a parameter by more than its declared deviation.
 
     plant: with its parameters as the whole log of runs shows them. settle: samples that are left out at the beginning of each
-    run. at: the time of a sample in words. A parameter and a sensor may explain a log about as well: it is refused then, too,
-    unless the plant declares that the parameter changes so fast.
+    run. at: the time of a sample of a run in words. A parameter and a sensor may explain a log about as well: it is refused
+    then, too, unless the plant declares that the parameter changes so fast.
     """
     found = trends(plant, log, settle, sigma)
     if not found.freedom.any():
@@ -71,7 +71,7 @@ def require_no_drift(plant: Plant, log: Log, settle: int, sigma: Array, at: Call
         return
     first, others = moved[0], [found.names[i] for i in order if i != moved[0]]
     also = f"; {' or '.join(others[:2])} would explain it about as well" if others else ""
-    when = f"from {at(settle)} to {at(len(log.t) - 1)}" + (f" of {log.y.shape[1]} runs" if log.y.shape[1] > 1 else "")
+    when = f"from {at(settle, 0)} to {at(len(log.t) - 1, log.y.shape[1] - 1)}"
     if first < p:
         raise ValueError(
             f"{found.names[first]} moves {when}, by {change[first]:+.1f} times its declared deviation{also}: give a log in "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,29 +18,36 @@ EVEN = 0.01  # of dt: times of runs side by side may differ by so much
 LEAST = 40  # samples of a run
 
 
-def as_even_runs(plant: Plant, logs: Sequence[Log]) -> Log:
+class EvenRuns(NamedTuple):
+    """A log of runs, the times (K, B) at which they were recorded, and of which of the logs each is (B,)."""
+
+    log: Log
+    times: Array
+    of: tuple[int, ...]
+
+
+def as_even_runs(plant: Plant, logs: Sequence[Log]) -> EvenRuns:
     """The logs of one run each, cut at gaps, as one Log of runs of the length at which most samples are used.
 
     The runs take the times of the first: a model's dependence on the time of day is lost. Unevenly sampled stretches cannot
     stand side by side; the longest is then used alone. ValueError where no stretch is long enough.
     """
-    parts = [part for log in logs for part in _without_gaps(plant, log)]
-    parts = [p for p in parts if len(p.t) >= LEAST]
-    if not parts:
+    whole = [(i, part) for i, log in enumerate(logs) for part in _without_gaps(plant, log) if len(part.t) >= LEAST]
+    if not whole:
         raise ValueError(
             f"no stretch of {LEAST} samples without a gap in the healthy logs; plant {plant.name!r} steps over "
             f"{stated_step(plant):g} s at most: give longer logs, or a plant with another max_dt"
         )
-    longest = max(parts, key=lambda p: len(p.t))
-    even = [p for p in parts if np.max(np.abs(np.diff(p.t) - plant.dt)) <= EVEN * plant.dt]
-    if len(parts) == 1 or not even or sum(len(p.t) for p in even) <= len(longest.t):
-        return Log(longest.t, longest.y[:, None], longest.u[:, None])
-    lengths = [len(p.t) for p in even]
+    alone, longest = max(whole, key=lambda part: len(part[1].t))
+    even = [(i, p) for i, p in whole if np.max(np.abs(np.diff(p.t) - plant.dt)) <= EVEN * plant.dt]
+    lengths = [len(p.t) for _, p in even]
+    if len(whole) == 1 or sum(lengths) <= len(longest.t):
+        return EvenRuns(Log(longest.t, longest.y[:, None], longest.u[:, None]), longest.t[:, None], (alone,))
     length = max(sorted(set(lengths)), key=lambda n: sum(k // n * (n - LEAST) for k in lengths))
     cut = [slice(i * length, (i + 1) * length) for i in range(max(lengths) // length)]
-    runs = [(p.y[s], p.u[s]) for p in even for s in cut[: len(p.t) // length]]
-    first = next(p for p in even if len(p.t) >= length)
-    return Log(first.t[:length], np.stack([y for y, _ in runs], axis=1), np.stack([u for _, u in runs], axis=1))
+    runs = [(i, Log(*(a[s] for a in p))) for i, p in even for s in cut[: len(p.t) // length]]
+    t, y, u = (np.stack([run[j] for _, run in runs], axis=1) for j in range(3))
+    return EvenRuns(Log(t[:, 0], y, u), t, tuple(i for i, _ in runs))
 
 
 def _without_gaps(plant: Plant, log: Log) -> list[Log]:

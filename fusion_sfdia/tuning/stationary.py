@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.tuning.spikes import require_no_spike
 
 Array = NDArray[Any]
 
@@ -19,19 +20,28 @@ LAGS = 20
 REFUSED = 1e-4  # probability that a healthy log is refused by each of the tests
 FACTOR = 2.0  # of a variance between stretches that a plant in order may show, our choice
 SHIFT = 1.0  # standard deviation: the same of a mean
-SPIKE = 10.0  # standard deviations
+NAMED = 3  # stretches by their times, of more the number
 
 
-def require_stationary(plant: Plant, residuals: tuple[Array, Array], middle: int, at: Callable[[int], str]) -> None:
+def require_stationary(
+    plant: Plant, residuals: tuple[Array, Array], u: Array, middle: int, at: Callable[[int, int], str]
+) -> None:
     """Raise ValueError where a log is not of one kind throughout.
 
     residuals (K, B, N): errors of each reading predicted from all others, in standard deviations, NaN where missing, by the
-    plants that were learnt from the samples before and from `middle` on. at: the time of a sample in words.
+    plants that were learnt from the samples before and from `middle` on. u (K, B, m): inputs that acted until each
+    sample. at: the time of a sample of a run in words.
     """
     first, second = residuals
-    _require_alike(plant, first[:middle], first[middle:], f"from {at(0)} to {at(middle - 1)}")
-    _require_alike(plant, second[middle:], second[:middle], f"from {at(middle)} to {at(len(first) - 1)}")
-    require_even(plant, np.concatenate([second[:middle], first[middle:]]), at)
+    _require_alike(plant, first[:middle], first[middle:], _spans(first.shape[1], 0, middle - 1, at))
+    _require_alike(plant, second[middle:], second[:middle], _spans(first.shape[1], middle, len(first) - 1, at))
+    require_even(plant, np.concatenate([second[:middle], first[middle:]]), u, at)
+
+
+def _spans(runs: int, first: int, last: int, at: Callable[[int, int], str]) -> str:
+    """The samples from first to last of all runs in words."""
+    spans = [f"from {at(first, b)} to {at(last, b)}" for b in range(runs)]
+    return ", ".join(spans[:NAMED]) + (f" and in {runs - NAMED} more stretches alike" if runs > NAMED else "")
 
 
 def _require_alike(plant: Plant, own: Array, other: Array, learnt: str) -> None:
@@ -51,7 +61,7 @@ def _require_alike(plant: Plant, own: Array, other: Array, learnt: str) -> None:
         )
 
 
-def require_even(plant: Plant, residual: Array, at: Callable[[int], str]) -> None:
+def require_even(plant: Plant, residual: Array, u: Array, at: Callable[[int, int], str]) -> None:
     """Raise ValueError where residuals (K, B, N) have a spike, or a stretch unlike the others.
 
     In each stretch of L samples the mean and the variance of a sensor's residual are compared with their medians over all
@@ -59,8 +69,7 @@ def require_even(plant: Plant, residual: Array, at: Callable[[int], str]) -> Non
     """
     steps, runs, count = residual.shape
     middle = np.nanmedian(residual, axis=(0, 1))
-    spread = 1.4826 * np.nanmedian(np.abs(residual - middle), axis=(0, 1))
-    _require_no_spike(plant, residual, middle, spread, at)
+    require_no_spike(plant, residual, u, at)
     many = int(np.clip(steps // LEAST, 1, STRETCHES))
     ends = np.linspace(0, steps, many + 1).astype(int)
     if many * runs < 3:
@@ -83,24 +92,12 @@ def require_even(plant: Plant, residual: Array, at: Callable[[int], str]) -> Non
         what = f"lies {(mean[s, b, i] - usual_mean[i]) / np.sqrt(usual[i]):+.1f} of its standard deviations off"
     else:
         what = f"is {np.sqrt(power[s, b, i] / usual[i]):.2g} times as large"
-    where = f"from {at(int(ends[s]))} to {at(int(ends[s + 1]) - 1)}" + (f" of run {b}" if runs > 1 else "")
+    where = f"from {at(int(ends[s]), int(b))} to {at(int(ends[s + 1]) - 1, int(b))}"
     raise ValueError(
         f"the healthy log is not stationary: {where} the error of sensor {plant.sensors[i].name!r}, predicted from all "
         f"others, {what}, compared with the other stretches; a fault, or an operation for which the model does not hold: leave "
         "these readings out (NaN), or give another log"
     )
-
-
-def _require_no_spike(plant: Plant, residual: Array, middle: Array, spread: Array, at: Callable[[int], str]) -> None:
-    size = np.nan_to_num(np.abs(residual - middle) / np.maximum(spread, np.finfo(float).tiny))
-    k, b, i = np.unravel_index(int(np.argmax(size)), size.shape)
-    if size[k, b, i] > SPIKE:
-        run = f" of run {b}" if residual.shape[1] > 1 else ""
-        raise ValueError(
-            f"sensor {plant.sensors[i].name!r} contradicts all others at {at(int(k))}{run}, by {size[k, b, i]:.1f} of its "
-            f"standard deviations, as do {int(np.sum(size > SPIKE)) - 1} more readings; leave spikes out (NaN), or give a log "
-            "without faults"
-        )
 
 
 def _mean_square(a: Array, axis: tuple[int, ...]) -> Array:

@@ -34,7 +34,9 @@ def within(t: NDArray[np.float64], between: str, clock: Clock) -> NDArray[np.boo
     """
     start, dots, end = (part.strip() for part in between.partition(".."))
     if not dots:
-        raise ValueError(f"--healthy is {shown(between)}; expected FROM..TO, such as 0..3600 (s)")
+        raise ValueError(
+            f"--healthy is {shown(between)}; expected FROM..TO, such as 0..3600 (s) or 2026-03-01T06:00..2026-03-01T14:20"
+        )
     low, high = (_time(text, clock) if text else usual for text, usual in ((start, -np.inf), (end, np.inf)))
     inside = (t >= low) & (t <= high)
     if not np.any(inside):

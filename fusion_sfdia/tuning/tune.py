@@ -7,7 +7,7 @@ the whole log.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fusion_sfdia import __version__, registry
 from fusion_sfdia.commissioning.commission import Commissioning, as_runs, commissioned
 from fusion_sfdia.commissioning.parameters import moved
+from fusion_sfdia.commissioning.refusals import require_moving
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.log import Log
@@ -25,6 +26,7 @@ from fusion_sfdia.core.silent import require_scale, silent, silent_scores
 from fusion_sfdia.tuning.delays import Delays, delays
 from fusion_sfdia.tuning.drift import require_no_drift
 from fusion_sfdia.tuning.rate import Rate, lasting
+from fusion_sfdia.tuning.remarks import remarks
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
 from fusion_sfdia.tuning.tail import Count, Threshold, counted, shortest, threshold
@@ -32,7 +34,6 @@ from fusion_sfdia.tuning.tuned import Tuned, acting_plant, learnt_plant, learnt_
 
 Array = NDArray[Any]
 
-FAR, COLOURED, WRONG, WIDE, UNSURE = 3.0, 0.15, 1.5, 2.0, 1.5  # beyond which a figure is remarked on
 LEARNT_ON = 40  # samples above its limits from which a detector that learns sets them itself, before they are scaled
 
 
@@ -61,19 +62,23 @@ def tune(
     """
     plant, rate, entry = registry.plant(plant), Rate.of(false_alarm), registry.find_detector(detector)
     logs = [_runs(as_runs(plant, (one,))) for one in healthy]
-    log = as_even_runs(plant, [run for runs in logs for run in runs])
+    origin = list(sources) or [Source(f"readings {i + 1}") for i in range(len(logs))]
+    each, moments = [run for runs in logs for run in runs], _moments(logs, origin)
+    for run, moment in zip(each, moments, strict=True):
+        require_moving(plant, as_runs(plant, (run,)), partial(_at, run.t[:, None], (0,), [moment]))
+    log, times, of = as_even_runs(plant, each)
+    at = partial(_at, times, of, moments)
     dt = float(np.median(np.diff(log.t)))
     per_sample = rate.per_sample(dt)
     _require_enough(log, 0, rate, dt)
-    found = commissioned(plant, log, false_alarm=None)
+    found = commissioned(plant, log, false_alarm=None, at=at)
     _require_enough(log, found.settle, rate, dt)
-    clock = sources[0].clock if sources else Clock()
-    settled, middle = log.t[found.settle :], found.middle - found.settle
     at_the_mean = plant if found.parameters is None else moved(plant, found.parameters)
     sigma = np.minimum(plant.sensor_sigma, found.plant.sensor_sigma)
-    require_no_drift(at_the_mean, log, found.settle, sigma, lambda k: clock.at(float(log.t[k])))
-    residuals = [fit.single[found.settle :] for fit in found.fits]
-    require_stationary(plant, (residuals[0], residuals[1]), middle, lambda k: clock.at(float(settled[k])))
+    require_no_drift(at_the_mean, log, found.settle, sigma, at)
+    first, second = (fit.single[found.settle :] for fit in found.fits)
+    settled, middle = partial(_at, times[found.settle :], of, moments), found.middle - found.settle
+    require_stationary(plant, (first, second), log.u[found.settle :], middle, settled)
 
     build = partial(_build, entry, per_sample, (len(log.t) - found.settle) // 2 * log.y.shape[1])
     parts = _held_out_scores(found, log, build)
@@ -92,7 +97,6 @@ def tune(
     for i, row in enumerate(tables["sensors"].values()):
         row |= {f"delay_{size:g}": float(late.delay[s, i]) for s, size in enumerate(late.sizes)}
     used = {"name": entry.name, "threshold_scale": limit.scale, "false_alarm": str(rate), "per_sample": per_sample}
-    origin = [Source(f"readings {i + 1}") for i in range(len(logs))] if not sources else list(sources)
     provenance = {
         "healthy": [
             {
@@ -113,6 +117,25 @@ def tune(
 def _runs(log: Log) -> list[Log]:
     """Each run of a log by itself: y (K, N), u (K, m)."""
     return [Log(log.t, log.y[:, i], log.u[:, i]) for i in range(log.y.shape[1])]
+
+
+def _moments(logs: Sequence[Sequence[Log]], sources: Sequence[Source]) -> list[Callable[[float], str]]:
+    """For each run what puts a time (s) in words: on its clock, with the run and the log where there are several."""
+    found: list[Callable[[float], str]] = []
+    for source, runs in zip(sources, logs, strict=True):
+        for i in range(len(runs)):
+            which = f" of run {i}" * (len(runs) > 1) + f" of {source.name}" * (len(logs) > 1)
+            found.append(partial(_moment, source.clock, which))
+    return found
+
+
+def _moment(clock: Clock, which: str, t: float) -> str:
+    return clock.at(t) + which
+
+
+def _at(times: Array, of: Sequence[int], moments: Sequence[Callable[[float], str]], k: int, b: int) -> str:
+    """The time of sample k of run b in words; times (K, B), of: which of the moments each run has."""
+    return moments[of[b]](float(times[k, b]))
 
 
 def _cut(log: Log, start: int, end: int) -> Log:
@@ -196,29 +219,5 @@ def _quality(
             "worst": float(np.max(late.delay[s])),
             "found": float(np.mean(late.found[s])),
         }
-    figures["remarks"] = _remarks(found, figures, limit)
+    figures["remarks"] = remarks(found, figures, limit)
     return figures
-
-
-def _remarks(found: Commissioning, figures: dict[str, Any], limit: Threshold) -> list[str]:
-    """What a user should know before relying on it."""
-    remarks = []
-    if found.parameters is not None:
-        away = np.abs(found.parameters.value - found.parameters.prior) / found.parameters.prior_sd
-        remarks += [
-            f"{name} is {a:.1f} of its stated deviations off: the model may lack something, or a fault be hidden in it"
-            for name, a in zip(found.parameters.names, away, strict=True)
-            if a > FAR
-        ]
-    if figures["coloured"] > COLOURED:
-        remarks.append(
-            f"{100 * figures['coloured']:.0f} % of the autocorrelations of the prediction errors are outside their bands: the "
-            "model lacks something, or a slow fault is in the log"
-        )
-    if not 1 / WRONG < figures["nis"] < WRONG:
-        remarks.append(f"prediction errors are {np.sqrt(figures['nis']):.2g} times as large as the model expects (NIS, root)")
-    if limit.scale > WIDE:
-        remarks.append(f"thresholds are {limit.scale:.2g} times those of a right model: small faults are not seen")
-    if limit.high > UNSURE * limit.low:
-        remarks.append("the threshold is uncertain by more than a factor of 1.5: a longer log would settle it")
-    return remarks

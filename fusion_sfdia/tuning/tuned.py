@@ -24,13 +24,15 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
 from fusion_sfdia.tuning.document import read_document, write_document
 from fusion_sfdia.tuning.rate import Rate
+from fusion_sfdia.tuning.response import response, warn_of_change
 
 Array = NDArray[Any]
 
 COMMENTS = {
     "": "A plant and a detector tuned on healthy readings by `fusion-sfdia tune`; for `diagnose --tuned`.\n"
     "SI units, standard deviations, seconds. Thresholds hold for these values: tune again rather than edit.",
-    "plant": "For this plant only: the digest is of the names and units of its states, inputs, sensors and parameters.",
+    "plant": "For this plant only: the digest is of the names and units of its states, inputs, sensors and parameters.\n"
+    "response: two numbers by which a change of its equations is noticed.",
     "detector": "threshold_scale is a factor on all thresholds, which healthy readings exceed at the stated rate.",
     "sensors": "Noise of each sensor, and what the plant states; delay of a bias of so many sigma (s, see quality).",
     "process_noise": "Factor on the standard deviation that the plant states, of all states of a unit.",
@@ -72,8 +74,9 @@ class Tuned:
         return dict(self.document["quality"])
 
     def plant(self, plant: Plant) -> Plant:
-        """The plant with what was learnt; ValueError where the file is of another plant."""
+        """The plant with what was learnt; ValueError where the file is of another plant, a warning where its model changed."""
         require_same_plant(self.document, plant)
+        warn_of_change(self.document["plant"], plant)
         return learnt_plant(self.document, plant)
 
     def detector(self, plant: Plant) -> Any:
@@ -162,6 +165,7 @@ def plant_table(plant: Plant) -> dict[str, Any]:
         "states": len(plant.states),
         "inputs": [s.name for s in plant.inputs],
         "digest": hashlib.sha256(text.encode()).hexdigest()[:16],
+        "response": response(plant),
     }
 
 

@@ -193,11 +193,32 @@ def test_the_help_of_compare_lists_faults_and_settings_of_the_protocol(capsys: p
     assert "replay, sign, published" in shown and "window=30, false_alarm=0.001" in shown
 
 
+def test_the_help_of_a_healthy_stretch_states_seconds_and_time_stamps(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["diagnose", "--help"])
+    shown = "".join(capsys.readouterr().out.split())
+    assert "seconds,as0..3600,ortimestampsofthelog,as2026-03-01T06:00..2026" in shown
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
     assert stop.value.code == 0
     assert capsys.readouterr().out == f"fusion-sfdia {__version__}\n"
+
+
+def test_a_drawn_fault_is_stated_as_its_readings_show_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """In the sensor's unit, as share of the signal and over the noise."""
+    logs = []
+    for name, fault in (("healthy.csv", ()), ("faulty.csv", ("--fault", "weak-bias"))):
+        code, out, _ = call(capsys, "simulate", "--plant", "two-tanks", "--steps", "75", "--out", name, *fault)
+        assert code == 0
+        logs.append(np.genfromtxt(tmp_path / name, delimiter=",", skip_header=1))
+    told = re.search(r": bias from .* s, magnitude (\S+) \S+ \((\S+) of the signal\), (\S+) sigma", out)
+    assert told is not None
+    off = logs[1] - logs[0]
+    assert float(told[1]) == pytest.approx(off.flat[np.argmax(np.abs(off))], rel=1e-3)
+    assert 0.2 <= abs(float(told[2])) <= 0.4 < float(told[3])
 
 
 def test_simulate_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -228,6 +249,8 @@ def test_a_diagnosis_begins_with_the_process(capsys: pytest.CaptureFixture[str],
         "process or model: outlet",
     ]
     assert out.splitlines()[3] == "  outlet 5.0 % +- 0.8 below the model since 15 s: not a sensor"
+    told = f"`fusion-sfdia tune --plant two-tanks --detector {detector} --healthy HEALTHY.csv`"
+    assert "the model is suspect and was not tuned" in out.splitlines()[-1] and told in out.splitlines()[-1]
     code, out, _ = call(capsys, *chosen, "--json")
     (event,) = json.loads(out)
     assert (event["kind"], event["hypothesis"], event["start"], event["open"]) == ("process", "outlet", 15.0, True)
@@ -238,7 +261,8 @@ def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path
     for name, more in (("healthy.csv", ()), ("faulty.csv", ("--faults", "faults.toml"))):
         code, out, _ = call(capsys, "simulate", "--steps", "10", "--out", name, *more)
         assert code == 0
-    assert out.splitlines()[1] == "  p_3: bias from 50 s for inf s, magnitude 2e+05"
+    sigma = PLANT.sensors[PLANT.sensor_index("p_3")].noise_sigma
+    assert out.splitlines()[1] == f"  p_3: bias from 50 s for inf s, magnitude 2e+05 Pa, {2e5 / sigma:.3g} sigma"
     healthy, faulty = (np.genfromtxt(tmp_path / n, delimiter=",", skip_header=1) for n in ("healthy.csv", "faulty.csv"))
     column = 1 + PLANT.sensor_index("p_3")
     assert np.allclose((faulty - healthy)[:, column], np.where(healthy[:, 0] >= 50, 2e5, 0), rtol=0, atol=1e-8)
@@ -278,7 +302,11 @@ INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
         ),
         (filled(INLET, "2e9"), 2, r"other.csv, row 2, column p_inlet: 2e\+09 Pa; plant 'gas-pipeline' holds from 1e\+06 to"),
         (lambda rows: rows[5].__setitem__(0, "1e9"), 2, "other.csv, row 7, column time: 60.0 s after 1000000000.0 s"),
-        (lambda rows: rows[-1].__setitem__(0, "1e9"), 0, r"warning: no row for 1e\+09 s before 1e\+09 s, 1e\+08 steps of the "),
+        (
+            lambda rows: rows[-1].__setitem__(0, "1e9"),
+            0,
+            r"warning: no row for 1e\+09 s before 1000000000 s, 1e\+08 steps of the ",
+        ),
     ],
     ids=["silent", "sensor", "gap", "guarded", "inlet", "order", "years"],
 )

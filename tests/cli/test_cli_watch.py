@@ -77,7 +77,7 @@ def test_what_is_no_row_is_said_and_counted_and_ends_nothing(
     assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == events
     said = err.splitlines()
     assert "fusion-sfdia: line 22: 2 cells under a header of 6" in said[0] and "line 23: column time [s]: " in said[1]
-    assert "row at 20 s: it is not later than the last one, at 100 s" in said[2]
+    assert "row at 20 s: it is earlier than the last one, at 100 s" in said[2]
     assert said[-1] == f"fusion-sfdia: {len(said) - 1} remarks in all"
     assert watched(monkeypatch, b"time,l1\n1,2\n") == 2
     assert "no column for the sensors" in capsys.readouterr().err

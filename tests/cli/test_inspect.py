@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fusion_sfdia import simulate
@@ -57,6 +58,15 @@ def test_a_healthy_log_is_examined(capsys: pytest.CaptureFixture[str], tmp_path:
     write_log(tmp_path / "log.csv", plant, recording.t, recording.y[:, 0], recording.u_of_runs[:, 0])
     assert main(["inspect", "--plant", "two-tanks", "--data", str(tmp_path / "log.csv"), "--no-simulation"]) == 0
     assert "100 readings, normalised innovation squared" in capsys.readouterr().out
+
+
+def test_warnings_are_printed_as_those_of_the_other_commands(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    plant = two_tanks()
+    recording = simulate(plant, 100, seeds=[4])
+    y = recording.y[:, 0] + np.where(recording.t > 150, 1.0, 0.0)[:, None] * 20 * plant.sensor_sigma * [1, -1, 1, -1.5]
+    write_log(tmp_path / "log.csv", plant, recording.t, y, recording.u_of_runs[:, 0])
+    assert main(["inspect", "--plant", "two-tanks", "--data", str(tmp_path / "log.csv"), "--no-simulation"]) == 0
+    assert capsys.readouterr().err.startswith("fusion-sfdia: warning: more sensors would be isolated in ")
 
 
 def test_a_log_with_a_map_is_read_as_diagnose_reads_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.commissioning.commission import commission, commissioned
+from fusion_sfdia.commissioning.disturbances import Found, with_disturbance
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, secants
@@ -82,11 +83,22 @@ def test_a_log_of_the_model_itself_changes_nothing() -> None:
     np.testing.assert_array_equal(found.plant.sensor_sigma, two_tanks().sensor_sigma)
 
 
+def test_a_learnt_disturbance_is_named_after_the_sensors_it_moves_most() -> None:
+    none = np.empty((0, 0))
+    plant = bare()
+    for state, reading in (([0.0, 1e-3], [0.0] * 4), ([0.0, 0.0], [0.0, 0.0, 1e-5, 0.0])):
+        plant = with_disturbance(plant, Found(np.array(state), np.array(reading), none, none, 0.0, 1.0, 100.0, 1.0))
+    names = [d.name for d in plant.uncertainty.disturbances]
+    assert names == ["learnt disturbance 1 (l2, q2)", "learnt disturbance 2 (q12)"]
+
+
 def test_a_frozen_sensor_is_refused() -> None:
     log = healthy()
     y = log.y.copy()
     y[100:120, 0, 2] = y[100, 0, 2]
-    with pytest.raises(ValueError, match="'q12' repeats one reading 19 times"):
+    with pytest.raises(
+        ValueError, match=r"'q12' shows the same reading 20 times in a row .*, until \d+ s of run 0: it is frozen"
+    ):
         commission(bare(), log._replace(y=y))
 
 
@@ -97,3 +109,10 @@ def test_a_log_that_is_too_short_is_refused() -> None:
     log = Log(*(a[:120] for a in healthy()))
     with pytest.raises(ValueError, match="expected at least 1000"):
         commission(bare(), log)
+
+
+def test_a_filter_that_diverges_is_refused_with_the_time_since_the_beginning() -> None:
+    log, own = healthy(), bare()
+    lost = replace(own, output=lambda t, x, u: own.output(t, x, u) + (np.nan if t > 1150 else 0.0))
+    with pytest.raises(ValueError, match="diverges 150 s after the beginning of one of the 2 stretches of the healthy log"):
+        commission(lost, log._replace(t=log.t + 1000.0), false_alarm=RATE)

@@ -76,3 +76,17 @@ def test_a_dead_and_a_frozen_sensor_are_events() -> None:
     assert (dead.hypothesis, dead.fault, dead.start, dead.end, dead.open) == ("l1", "dropout", t[0], t[-1], True)
     assert (frozen.hypothesis, frozen.fault, frozen.open) == ("q2", "freeze", True) and np.isnan(frozen.size)
     assert str(dead) == "l1: 5 s to end of the log, dropout" and found.verdict == "sensors l1, q2"
+
+
+@pytest.mark.parametrize("after", [0.0, 12.0], ids=["repaired", "biased"])
+def test_a_freeze_ends_where_the_readings_move_again_unless_they_are_wrong(after: float) -> None:
+    plant = tanks()
+    t, _, y, u = readings(plant, 120, 1, seed=0)
+    y, sigma = y[:, 0].copy(), plant.sensor_sigma[2]
+    y[40:70, 2] = y[40, 2] + 15 * sigma
+    y[70:90, 2] += after * sigma
+    found = diagnose(LeaveOneOutBank(plant, window=5, false_alarm=1e-6), t, y, u[:, 0])
+    (frozen,) = found.events
+    trusted = t[np.flatnonzero(found.decisions.isolated[:, 2])[-1]]
+    assert (frozen.hypothesis, frozen.fault, frozen.start, frozen.open) == ("q12", "freeze", t[40], False)
+    assert trusted > t[69] and frozen.end == (trusted if after else t[69])

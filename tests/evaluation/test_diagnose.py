@@ -1,13 +1,16 @@
 """From a log to events."""
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 from toy_plants import chain, changed, readings, tanks
 
+from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import run
-from fusion_sfdia.evaluation.diagnose import DiagnosisWarning
+from fusion_sfdia.core.log import Log
+from fusion_sfdia.evaluation.diagnose import DiagnosisWarning, diagnose_run
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.simulate import simulate
@@ -206,6 +209,9 @@ def test_limits_of_a_diagnosis_are_warned_of() -> None:
     ):
         found = diagnose(LeaveOneOutBank(plant, window=1), t, biased, u)
     assert found.decisions.isolated[10:].sum(axis=-1).max() == 2
+    start = Clock(datetime(2026, 3, 1, 23, 59, tzinfo=UTC))
+    with pytest.warns(DiagnosisWarning, match=r"in 20 of 30 samples, first at 2026-03-01 23:59:55\+00:00, but"):
+        diagnose_run(LeaveOneOutBank(plant, window=1), Log(t, biased, u), clock=start)
     broken = replace(plant, output=lambda t, x, u: plant.output(t, x, u) * (np.nan if t > 50 else 1))
     with pytest.warns(DiagnosisWarning, match="diverged and is not valid in 20 of 30 samples, first at 55 s"):
         found = diagnose(CentralFilter(broken), t, y, u)

@@ -55,6 +55,12 @@ def test_an_accepted_parameter_is_stated_relative_to_the_model() -> None:
     assert str(diagnosis) == f"process or model: outlet\n  {event}"
 
 
+def test_a_pure_number_has_no_unit() -> None:
+    event = ProcessEvent("learnt disturbance 1 (T3, L2)", 0.0, 9.0, 17.5, "1", False, 1.4, np.nan)
+    assert str(event) == "learnt disturbance 1 (T3, L2) 17.5 +- 1.4 above the model from 0 s to 9 s: not a sensor"
+    assert Event("pH", 0.0, 9.0, 0.5, "1", False, fault="bias").extent == "bias 0.5"
+
+
 def test_an_error_without_nominal_value_is_stated_in_its_unit() -> None:
     (event,) = found(accept=(NEVER, 9), release=(NEVER, 20)).events
     assert str(event) == "error of inflow 4.2e-05 m3/s +- 6e-06 above the model from 45 s to 95 s: not a sensor"

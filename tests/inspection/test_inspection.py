@@ -12,6 +12,8 @@ import pytest
 from toy_plants import Array, chain, tanks
 
 from fusion_sfdia import Numerics, Plant, Sensor, Signal, inspect_plant, linear_plant, simulate
+from fusion_sfdia.core.augment import augment
+from fusion_sfdia.core.uncertainty import Disturbance, Uncertainty
 from fusion_sfdia.inspection.text import as_json, as_text
 
 INFLOW = Signal("inflow", "m/s", nominal=0.01)
@@ -132,7 +134,12 @@ def test_a_sensor_that_is_never_used_again_on_its_own_is_listed() -> None:
     found = inspect_plant(counter(1), detectors=["loo-glr"], sensors=["sum_1"])
     assert found.kept_out == ("sum_1",)
     assert "never on their own: sum_1" in str(found)
-    needed = [f for f in found.remarks if f.about == "sum_1" and "only this sensor determines sum" in f.text]
+    needed = [
+        f
+        for f in found.remarks
+        if f.about == "sum_1"
+        and "only this sensor determines sum: the figures on its faults take the plant as modelled" in f.text
+    ]
     assert len(needed) == 1
     assert inspect_plant(counter(2), simulated=False).kept_out == ()
 
@@ -208,3 +215,12 @@ def test_names_that_are_unknown_are_refused() -> None:
         inspect_plant(chain(3), sensors=["x9"])
     with pytest.raises(ValueError, match="unknown detector 'loo-grl'"):
         inspect_plant(chain(3), detectors=["loo-grl"])
+
+
+def test_a_log_is_predicted_along_the_disturbances_that_tuning_has_learnt() -> None:
+    ramp = Disturbance("leak", state=np.array([0.0, 0.005]), reading=np.zeros(4), sd=1.0, time_constant=500.0)
+    made = replace(plant(levels), uncertainty=Uncertainty(disturbances=(ramp,)))
+    log = simulate(made, 300, seeds=[7], truth=augment(made), process_noise=True)
+    within, without = (inspect_plant(p, log, simulated=False).healthy for p in (made, plant(levels)))
+    assert within is not None and without is not None
+    assert abs(within.white.nis - 1) < 4 * np.sqrt(2 / (280 * 4)) < without.white.nis - 1

@@ -68,7 +68,7 @@ def test_rows_within_the_time_are_put_in_order_and_later_ones_are_lost_and_count
     late = [*others[:40], straggler, *others[40:]]
     watch = Watch(bank(), reorder=20.0, refused=remarks.append)
     assert lines_of(watch, late) == lines_of(Watch(bank()), others)
-    assert len(remarks) == 2 and "not later than the last one" in remarks[0] and remarks[1].startswith("1 rows until")
+    assert len(remarks) == 2 and "earlier than the last one" in remarks[0] and remarks[1].startswith("1 row until")
     lines_of(Watch(bank(), refused=(lost := []).append), disordered)
     assert lost  # without the option
 

@@ -28,7 +28,7 @@ def rows_of() -> Rows:
     y[110:160, 3] += sigma[3] * np.linspace(0, 30, 50)
     y[[200, 206, 212], 1] += 30 * sigma[1]
     y[250:290, 0] += 10 * sigma[0] * rng.standard_normal(40)
-    y[320:350, 2] = y[320, 2]
+    y[320:350, 2] = y[320, 2] + 15 * sigma[2]
     y[370:400, 3] = np.nan
     return [(float(s), r, a) for s, r, a in zip(t, y, u[:, 0], strict=True)]
 
@@ -66,6 +66,11 @@ def test_the_events_and_kinds_are_those_of_a_diagnosis() -> None:
     assert first.id == opened.id and first.t == opened.t + EACH * 5.0
     assert first.event and first.event.open and first.event.fault == "bias"
     assert [c.reason for c in changes if c.what == "health"] == [expected.health.line]
+    freeze = next(e for e in events if e.fault == "freeze")
+    assert freeze.end == rows[349][0]
+    (*_, closed, again) = (c for c in changes if c.event and c.event.hypothesis == "q12")  # the isolation ends later
+    assert (closed.what, again.what, again.id) == ("closed", "named", closed.id)
+    assert closed.event and closed.event.end > freeze.end and again.event and again.event.end == freeze.end
 
 
 @pytest.mark.parametrize("cut", [55, 128, 214, 333, 384])

@@ -148,7 +148,7 @@ def test_a_state_of_another_kind_or_detector_is_refused(tmp_path: Path) -> None:
     assert not path.exists()  # nothing to save yet
     taken(watch, faulty()[:30])
     watch.save(path)
-    with pytest.raises(ValueError, match="saved by another detector, other settings or another plant"):
+    with pytest.raises(ValueError, match=r"saved by another detector, other settings or another plant.* the same --plant, "):
         Watch.load(path, LeaveOneOutBank(tanks(), window=6))
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(ValueError, match=r"not the saved state of a watch .*damaged.* name another file"):
@@ -158,15 +158,29 @@ def test_a_state_of_another_kind_or_detector_is_refused(tmp_path: Path) -> None:
 def test_late_rows_are_skipped_with_a_line_for_the_first_and_their_number() -> None:
     rows, remarks = faulty()[:40], []
     watch = Watch(bank(), refused=remarks.append)
-    disordered = [*rows[:20], rows[19], rows[5], rows[6], *rows[20:30], rows[28], *rows[30:]]
+    disordered = [*rows[:20], rows[4], rows[5], rows[19], *rows[20:30], rows[28], *rows[30:]]
     samples = taken(watch, disordered)
     expected = taken(Watch(bank()), rows)
     assert repr(changes_of(samples)) == repr(changes_of(expected))
     assert remarks[0] == (
-        "row at 100 s: it is not later than the last one, at 100 s; it is not taken, nor is another until then; start with a "
+        "row at 25 s: it is earlier than the last one, at 100 s; it is not taken, nor is another until then; start with a "
         "new state if the clock was set back"
     )
-    assert remarks[1] == "3 rows until 105 s were not taken" and remarks[3] == "1 rows until 155 s were not taken"
+    assert remarks[1] == "3 rows until 105 s not taken" and remarks[3] == "1 row until 155 s not taken"
+
+
+def test_duplicates_are_counted_in_a_line_and_the_first_counts() -> None:
+    rows, remarks = faulty()[:40], []
+    again = [(t, y + 1.0, u) for t, y, u in rows]
+    expected = changes_of(taken(Watch(bank()), rows))
+    for reorder in (0.0, 20.0):
+        watch = Watch(bank(), reorder=reorder, refused=remarks.append)
+        given = [rows[0], again[0], *rows[1:20], again[19], again[19], *rows[20:], again[39]]
+        samples = [*taken(watch, given), *watch.rest()]
+        assert repr(changes_of(samples)) == repr(expected)
+        said = [f"{count} dropped, the first row of each time kept" for count in ("1 duplicate", "2 duplicates", "1 duplicate")]
+        assert remarks == said
+        remarks.clear()
 
 
 def test_a_wrong_clock_in_one_row_is_noticed_in_the_next() -> None:

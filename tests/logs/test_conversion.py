@@ -49,6 +49,9 @@ def test_equal_units_leave_the_bits() -> None:
     ("unit", "target", "message"),
     [
         ("kg", "K", "unit 'kg' does not convert to 'K'; give the unit that the column is in"),
+        ("%", "m", 'unit = "m" and as scale a hundredth of the span, scale = 0.04 for 4 m'),
+        ("rpm", "1", 'unit = "1" and as scale 1 over its full value, scale = 0.001 for 1000 rpm'),
+        ("kg", "K", 'in a map unit = "K" and as scale the K of 1 kg'),
         ("Nm3/h", "m3/s", "pint does not know 'Nm3/h'"),
         ("C", "K", "unit 'C' does not convert to 'K'"),
         ("furlong/", "m", "pint does not know 'furlong/'"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,11 @@ def test_quality_needs_a_rule_for_numbers(tmp_path: Path) -> None:
 def test_columns_of_the_map_are_those_of_log_and_plant(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no columns 'L1', which the map names, among 'time', 'l1'"):
         load(tmp_path, rows(), columns={"L1": Column(sensor="l1")})
+    titles = ["time", "l1", "LIC102.PV", *TITLES[3:]]
+    with pytest.raises(ValueError, match=r"; did you mean 'LIC102.PV' for 'LI102.PV'\? correct the map$"):
+        load(tmp_path, rows(), titles=titles, columns={"LI102.PV": Column(sensor="l2")})
+    with pytest.raises(ValueError, match=r"; correct the map, or leave out of it what is not logged and give --absent-sensors"):
+        load(tmp_path, rows(), titles=titles, columns={"F30": Column(sensor="l2")})
     with pytest.raises(ValueError, match="the map has the sensor 'l9' for column 'l1'; sensors of plant 'two-tanks': 'l1'"):
         load(tmp_path, rows(), columns={"l1": Column(sensor="l9")})
     with pytest.raises(ValueError, match="the map has the sensor 'inflow'"):
@@ -228,6 +234,24 @@ def test_a_unit_that_does_not_convert_is_refused(tmp_path: Path) -> None:
     path.write_text("time,l1,l2,q12,q2,inflow [m3/s]\n1,1,1,1,1,1\n")
     with pytest.raises(ValueError, match="'inflow' is in 'm3/s', plant 'two-tanks' has it in 'pint of beer'"):
         load_log(path, plant)
+    path.write_text("time,l1 [%],l2 [%],q12 [rpm],q2,inflow\n1,1,1,1,1,1\n")
+    with pytest.raises(ValueError, match=r"columns 'l1', 'l2' are in '%', .* for 4 m; column 'q12' is in 'rpm', "):
+        load_log(path, PLANT)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "cure"),
+    [
+        ("separator", 'row 4: 3 cells under a header of 1; state in a map separator = ";", or leave'),
+        ("preamble", "row 3: 3 cells under a header of 1; state in a map preamble = 2, the lines before the header, or leave"),
+        ("both", 'row 4: 3 cells under a header of 1; state in a map separator = ";" and preamble = 2, the lines'),
+    ],
+)
+def test_a_separator_or_preamble_that_no_map_states_is_named(tmp_path: Path, left_out: str, cure: str) -> None:
+    (tmp_path / "log.csv").write_text("Plant historian\nof tank 1\ntime;l1;l2\n0;50,1;50,2\n1;50,1;50,2\n")
+    stated = {k: v for k, v in {"separator": ";", "preamble": 2}.items() if left_out not in (k, "both")}
+    with pytest.raises(ValueError, match=re.escape(cure)):
+        load_log(tmp_path / "log.csv", PLANT, LogMap(**stated))
 
 
 def test_long_format_duplicates_and_unknown_tags(tmp_path: Path) -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from realistic_logs import vessel
 
-from fusion_sfdia import registry
+from fusion_sfdia import registry, two_tanks
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.fault_draws import draw_apart
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording, simulate
-from fusion_sfdia.logs.suspects import mix_up, suspected_units
+from fusion_sfdia.logs.findings import REMARKABLE
+from fusion_sfdia.logs.mix_ups import mix_up
+from fusion_sfdia.logs.suspects import suspected_units
 
 STEPS = 200
 
@@ -78,3 +81,62 @@ def test_mix_up_by_hand() -> None:
     gauge = mix_up(1.5 * y - 1.01325, 1.5 * y, "bar")
     assert gauge is not None and "barg" in gauge.text and gauge.offset == pytest.approx(1.01325)
     assert mix_up(1.1 * y, y, "m") is None and mix_up(2.0 * y, y, "m") is None
+
+
+def test_gauge_and_absolute_pressure_are_told_apart() -> None:
+    atmosphere = 101325.0
+    y = np.array([3.4e5, 3.6e5, 3.8e5])
+    for wrong, words, factor in (
+        (y - atmosphere, "a gauge pressure, bar(g), taken for an absolute one", 1.0),
+        (y + atmosphere, "an absolute pressure, bar(a), taken for a gauge one", 1.0),
+        ((y - atmosphere) / 1e3 + atmosphere, "a gauge pressure, 1000 times too small", 1e3),
+        ((y - atmosphere) / 1e3, "a gauge pressure, bar(g), taken for an absolute one, 1000 times too small", 1e3),
+    ):
+        found = mix_up(wrong, 1.03 * y, "Pa")  # of a model 3 % off
+        assert found is not None and found.text.endswith(words), words
+        assert found.factor == factor and found(wrong) == pytest.approx(y)
+    near_it = atmosphere + np.array([0.0, 500.0, 1000.0])  # an atmosphere off is there a sensor at 0
+    assert mix_up(near_it - atmosphere, near_it, "Pa") is None and mix_up(1.5 * near_it, near_it, "Pa") is None
+    assert mix_up(y - 0.6 * atmosphere, y, "Pa") is None  # a bias
+
+
+def test_a_bias_of_an_atmosphere_that_ends_is_no_mix_up() -> None:
+    plant, y = vessel(), np.full((STEPS, 3), np.nan)
+    t, u = 60.0 * np.arange(STEPS), np.tile([s.nominal for s in vessel().inputs], (STEPS, 1))
+    e = plant.output(0.0, plant.x0, u[0])[1]
+    y[:, 1] = e - 101325.0 + np.random.default_rng(0).normal(0.0, 1e3, STEPS)
+    assert [f.name for f in suspected_units(plant, Log(t, y, u))] == ["PT101"]
+    y[120:, 1] += 101325.0
+    assert suspected_units(plant, Log(t, y, u)) == []
+
+
+def two_tanks_at(inflow: float, stated: float, *, level: float = 1.0) -> list[str]:
+    """Findings on a log of two tanks, whose inflow over its nominal value is stated as so many times more, as is a level."""
+    plant = two_tanks()
+    usual, x, y = np.array([s.nominal for s in plant.inputs]), plant.x0, []
+    rng, t = np.random.default_rng(0), plant.dt * np.arange(1, STEPS + 1)
+    for k in range(STEPS):
+        x = plant.guard(plant.step(t[k] - plant.dt, x, inflow * usual, plant.dt))[0]
+        y.append(plant.output(t[k], x, inflow * usual) + plant.sensor_sigma * rng.standard_normal(len(plant.sensors)))
+    u = np.tile(stated * inflow * usual, (STEPS, 1))
+    return [
+        str(f)
+        for f in suspected_units(plant, Log(t, np.array(y) * [level, 1.0, 1.0, 1.0], u))
+        if f.kind == "input unit suspected"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stated", "words"), [(1e3, "1000 times too large"), (1e-3, "1000 times too small"), (3600.0, "per hour")]
+)
+def test_an_input_in_another_unit_is_suspected(stated: float, words: str) -> None:
+    assert "input unit suspected" in REMARKABLE
+    for inflow in (0.7, 1.0):
+        (found,) = two_tanks_at(inflow, stated)
+        assert found.startswith("input inflow looks") and words in found and "its nominal value is" in found
+    assert len(two_tanks_at(1.0, stated, level=1e3)) == 1  # with a sensor in another unit, too
+
+
+def test_an_input_that_is_far_from_its_nominal_value_is_not_suspected_where_the_readings_follow_it() -> None:
+    for inflow in (0.0, 1e-3, 0.012, 0.1, 3.0):
+        assert two_tanks_at(inflow, 1.0) == [], inflow

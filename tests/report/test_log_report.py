@@ -19,11 +19,14 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
+from fusion_sfdia.logs.columns import Source
+from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.named import diagnose
 from fusion_sfdia.report.log_figures import MOST_POINTS, thinned, time_axis
 from fusion_sfdia.report.log_page import About
 from fusion_sfdia.report.log_report import FILES, as_text, draw, progress, write_diagnosis
+from fusion_sfdia.report.log_units import LogUnits
 
 NEVER = 10**6
 PLANT = tanks()
@@ -63,6 +66,44 @@ def test_the_verdict_is_first() -> None:
     ]
 
 
+def test_a_sensor_that_is_off_throughout_has_its_unit_questioned() -> None:
+    always = Y[:, 0] + 20 * PLANT.sensor_sigma * (np.arange(4) == 2)
+    seen = diagnose(LeaveOneOutBank(PLANT, false_alarm=1e-6), T, always, U[:, 0])
+    told = "q12 is off throughout, since before the log: check its unit and the inputs first"
+    assert told in as_text(seen, "loo").splitlines()
+    assert "since before" not in as_text(BOTH, "process-bank")
+    frozen = replace(seen, events=tuple(replace(e, fault="freeze") for e in seen.events))
+    assert not frozen.remarks
+
+
+def column(name: str, title: str, unit: str) -> Source:
+    i = PLANT.sensor_index(name)
+    return Source(title, name, i, False, unit, conversion(unit, PLANT.sensors[i].unit))
+
+
+def test_people_see_the_tags_and_units_of_their_log_and_tables_those_of_the_plant(tmp_path: Path) -> None:
+    shown_in = LogUnits(PLANT, [column("q12", "FI12.PV", "m3/h"), column("l1", "LI1.PV [mm]", "mm"), column("l2", "l2", "")])
+    assert as_text(shown_in.diagnosis(BOTH), "process-bank").splitlines()[1::3] == [
+        "process or model: outlet; cannot tell: l1 (LI1.PV) or error of inflow; sensor q12 (FI12.PV)",
+        "  cannot tell: l1 (LI1.PV) or error of inflow, from 10 s to 25 s",
+    ]
+    told = "q12 (FI12.PV): 105 s to end of the log, bias 0.4319 m3/h (0.4208 to 0.443), 20 sigma"
+    assert as_text(shown_in.diagnosis(BOTH), "process-bank").splitlines()[-1] == f"  {told}"
+    write_diagnosis(tmp_path, PLANT, BIASED, U[:, 0], BOTH, shown_in=shown_in)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert f"{told}." in page and "0.4319 m3/h" in page and "0.00012" not in page
+    assert "sensor,q12,105.0,200.0,0.000119" in (tmp_path / "events.csv").read_text(encoding="utf-8")
+
+
+def test_a_size_is_a_difference_without_the_offset_of_its_unit() -> None:
+    kelvin = replace(PLANT, sensors=(replace(PLANT.sensors[0], unit="K"), *PLANT.sensors[1:]))
+    shown_in = LogUnits(kelvin, [Source("TI", "l1", 0, False, "degC", conversion("degC", "K"))])
+    five = replace(BOTH.events[-1], hypothesis="l1", size=5.0, low=4.0, high=6.0, unit="K")
+    (event,) = shown_in.diagnosis(replace(BOTH, events=(five,))).events
+    assert event.extent.startswith("bias 5 degC (4 to 6)")
+    assert shown_in.readings(np.full((1, 4), 300.0))[0] == pytest.approx([26.85, 300.0, 300.0, 300.0])
+
+
 def test_the_files_have_kinds_and_standard_deviations(tmp_path: Path) -> None:
     write_diagnosis(tmp_path, PLANT, BIASED, U[:, 0], BOTH)
     assert {p.name for p in tmp_path.iterdir()} == set(FILES)
@@ -94,6 +135,18 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     np.testing.assert_allclose(shown[8:], -0.05)  # of the nominal value
     assert np.isnan(shown[:8]).all()
     assert len({axes.get_xlim() for axes in figure.axes}) == 1
+
+
+@pytest.mark.parametrize("hours", [False, True])
+def test_readings_are_drawn_on_the_axis_of_the_time_line(hours: bool) -> None:
+    seen = replace(BOTH, t=1000 * T, events=tuple(replace(e, start=1000 * e.start, end=1000 * e.end) for e in BOTH.events))
+    line, *rest = draw(PLANT, BIASED, seen if hours else replace(BOTH, clock=WHEN)).axes
+    labels = [axes.get_xlabel() for axes in (line, *rest)]
+    assert set(labels) == {"time (h)" if hours else "time (CET)"}
+    for axes in rest:
+        x = np.asarray(axes.get_lines()[0].get_xdata(), dtype=float)
+        low, high = line.get_xlim()
+        assert axes.get_xlim() == (low, high) and np.all((x >= low) & (x <= high)) and np.ptp(x) > 0.9 * (high - low)
 
 
 def test_without_events_the_figure_shows_that() -> None:

@@ -18,7 +18,7 @@ def log(steps: int, first: float = 1.0, dt: float = 1.0) -> Log:
 
 
 def test_one_log_is_one_run() -> None:
-    found = as_even_runs(PLANT, [log(100)])
+    found = as_even_runs(PLANT, [log(100)]).log
     assert found.y.shape == (100, 1, 2)
     np.testing.assert_array_equal(found.y[:, 0], log(100).y)
 
@@ -26,21 +26,23 @@ def test_one_log_is_one_run() -> None:
 def test_a_gap_parts_a_log_and_each_part_begins_anew() -> None:
     first, second = log(300), log(290, first=5000.0)
     both = Log(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
-    found = as_even_runs(PLANT, [both])
+    found, times, of = as_even_runs(PLANT, [log(100), both])
     assert found.y.shape == (290, 2, 2)
     np.testing.assert_array_equal(found.y[:, 1], second.y)
     np.testing.assert_array_equal(found.t, first.t[:290])
+    np.testing.assert_array_equal(times, np.stack([first.t[:290], second.t], axis=1))
+    assert of == (1, 1)
 
 
 def test_the_length_is_that_which_uses_most_samples() -> None:
-    assert as_even_runs(PLANT, [log(1000), log(310)]).y.shape == (310, 4, 2)
-    assert as_even_runs(PLANT, [log(1000), log(60)]).y.shape == (1000, 1, 2)
+    assert as_even_runs(PLANT, [log(1000), log(310)]).log.y.shape == (310, 4, 2)
+    assert as_even_runs(PLANT, [log(1000), log(60)]).log.y.shape == (1000, 1, 2)
 
 
 def test_an_unevenly_sampled_log_stands_alone() -> None:
     uneven = log(200)
     uneven = uneven._replace(t=uneven.t + 0.3 * np.sin(np.arange(200)))
-    assert as_even_runs(PLANT, [uneven, log(100)]).y.shape == (200, 1, 2)
+    assert as_even_runs(PLANT, [uneven, log(100)]).log.y.shape == (200, 1, 2)
 
 
 def test_a_log_of_gaps_is_refused() -> None:

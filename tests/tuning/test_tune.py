@@ -6,6 +6,7 @@ import inspect
 import random
 import re
 from dataclasses import replace
+from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,15 @@ import pytest
 from toy_plants import chain, readings
 
 from fusion_sfdia import registry
+from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.tuning.rate import Rate
+from fusion_sfdia.tuning.response import ModelChangedWarning
 from fusion_sfdia.tuning.tail import counted
-from fusion_sfdia.tuning.tune import tune
+from fusion_sfdia.tuning.tune import Source, tune
 from fusion_sfdia.tuning.tuned import Tuned
 from fusion_sfdia.tuning.words import as_text
 
@@ -81,6 +84,8 @@ def test_a_file_gives_the_same_decisions_to_the_bit(tmp_path: Path) -> None:
     tuned().write(tmp_path / "tuned.toml")
     again = Tuned.read(tmp_path / "tuned.toml")
     assert again.document == tuned().document
+    with pytest.warns(ModelChangedWarning):
+        again.plant(replace(PLANT, step=lambda t, x, u, dt: 0.9 * x))
     log = with_fault(1, 100, lambda y: y + 12.0)
     one, two = (run(d, d.init((RUNS,)), log)[1] for d in (tuned().detector(PLANT), again.detector(PLANT)))
     for name, value in vars(one).items():
@@ -136,13 +141,27 @@ def test_another_plant_is_refused_with_the_reason() -> None:
     ("log", "reason"),
     [
         (with_fault(1, 150, lambda y: y + 30.0), "'s1' contradicts all others"),
-        (with_fault(0, 100, lambda y: y[:1] + 0 * y), "'s0' repeats one reading 199 times"),
+        (with_fault(0, 100, lambda y: y[:1] + 0 * y), "'s0' shows the same reading 200 times in a row"),
     ],
     ids=["bias", "freeze"],
 )
 def test_a_log_with_a_fault_is_refused(log: Log, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         tune(PLANT, log, false_alarm=RATE)
+
+
+def test_times_in_a_log_with_a_gap_are_those_of_its_clock() -> None:
+    """The gap cuts runs of 100 samples, of which the last two are frozen across their border."""
+    one = Log(*(a[:, 0] for a in (healthy().t[:, None], healthy().y, healthy().u)))
+    y = one.y.copy()
+    y[180:240, 0] = y[180, 0]
+    log = Log(np.where(np.arange(STEPS) < 100, one.t, one.t + 1000), y, one.u)
+    sources = [Source("january.csv", Clock(datetime(2026, 1, 1))), Source("july.csv", Clock(datetime(2026, 7, 1)))]
+    frozen = f"until {datetime(2026, 7, 1) + timedelta(seconds=log.t[239])}"
+    with pytest.raises(ValueError, match=f"'s0' shows the same reading 60 times .*, {frozen}: it is frozen"):
+        tune(PLANT, log, false_alarm=RATE, sources=sources[1:])
+    with pytest.raises(ValueError, match=f"'s0' .*, {frozen} of july.csv: it is frozen"):
+        tune(PLANT, one, log, false_alarm=RATE, sources=sources)
 
 
 def test_the_default_detector_is_that_of_the_commands() -> None:
@@ -189,6 +208,7 @@ def spoiled(lines: list[str], seed: int) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:the model of plant 'chain' has changed")
 def test_generated_mistakes_in_a_file_are_refused_in_one_line_or_change_nothing_that_is_used(tmp_path: Path) -> None:
     tuned().write(tmp_path / "right.toml")
     lines, file = (tmp_path / "right.toml").read_text().splitlines(), tmp_path / "spoiled.toml"

@@ -1,0 +1,78 @@
+"""A diagnosis in the tags and units of the log that it was read from, for the people who work with these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.evaluation.diagnose import Diagnosis
+from fusion_sfdia.evaluation.events import Event, UndecidedEvent
+from fusion_sfdia.logs.columns import Source, split_title
+from fusion_sfdia.logs.conversion import conversion
+
+Array = NDArray[Any]
+
+
+class LogUnits:
+    """How the sensors of a plant are called and measured in a log, by the columns that feed them.
+
+    A sensor is shown as "flow (FI130.PV)", its tag behind it, in the unit of its column. A size, which is a difference, is
+    scaled and not shifted: 5 K are 5 degC. Sensors without a column and other hypotheses stay as they are.
+    """
+
+    def __init__(self, plant: Plant, columns: Sequence[Source]) -> None:
+        self.names = {s.name: s.name for s in plant.sensors}
+        self.factor, self.offset = np.ones(len(plant.sensors)), np.zeros(len(plant.sensors))  # plant = factor log + offset
+        sensors = list(plant.sensors)
+        for c in columns:
+            if c.is_input:
+                continue
+            s, title = sensors[c.position], split_title(c.title)[0]
+            name = self.names[c.name] = c.name if title == c.name else f"{c.name} ({title})"
+            self.factor[c.position], self.offset[c.position] = conversion(c.unit, s.unit)
+            sigma, bound = (v and v / abs(self.factor[c.position]) for v in (s.sigma, s.bound))
+            sensors[c.position] = replace(s, name=name, unit=c.unit or s.unit, sigma=sigma, bound=bound)
+        self.own = plant.sensor_names
+        self.plant = replace(plant, sensors=tuple(sensors))  # names, units and noise alone: its output is the plant's
+
+    def readings(self, y: Array) -> Array:
+        """Readings (K, N) in the units of the log."""
+        return np.asarray((y - self.offset) / self.factor)
+
+    def diagnosis(self, found: Diagnosis) -> Diagnosis:
+        """A diagnosis for people: events, health and readings in the names and units of the log, Decisions else as they are."""
+        after, health = found.after, found.health
+        if after is not None:
+            after = after._replace(error=after.error / self.factor, sd=after.sd / np.abs(self.factor))
+        if health is not None:
+            health = health._replace(excess={self._named(name): value for name, value in health.excess.items()})
+        made = self.readings(found.decisions.reconstruction)
+        return replace(
+            found,
+            events=tuple(self._event(e) for e in found.events),
+            decisions=replace(found.decisions, reconstruction=made),
+            after=after,
+            health=health,
+        )
+
+    def _event(self, e: Event) -> Event:
+        e = replace(e, alternatives=tuple(map(self._named, e.alternatives)))
+        if isinstance(e, UndecidedEvent):
+            suspects = tuple(map(self._named, e.suspects))
+            return replace(e, hypothesis=" or ".join(suspects), suspects=suspects)
+        if e.kind != "sensor" or e.hypothesis not in self.own:
+            return e
+        i = self.own.index(e.hypothesis)
+        ends = sorted((e.low / self.factor[i], e.high / self.factor[i]))
+        unit = self.plant.sensors[i].unit
+        return replace(
+            e, hypothesis=self._named(e.hypothesis), size=e.size / self.factor[i], low=ends[0], high=ends[1], unit=unit
+        )
+
+    def _named(self, name: str) -> str:
+        return self.names.get(name, name)
