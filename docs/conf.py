@@ -77,16 +77,17 @@ copyright = author
 linkcheck_ignore = ["https?://.*"]  # `make docs` has no network; links within the site are checked by the build itself
 
 OUTSIDE = re.compile(r"\[([^\]\n]+)\]\(((?:\.\./)+[^)#\s]*)(#[^)\s]*)?\)")
+NOTEBOOK = re.compile(r"\[([^\]]+)\]\((\w+)\.ipynb\)")
 CODE = re.compile(r"(`[^`]*`)")
 MARKUP = re.compile(r"([*|]|(?<=\w)_(?!\w))")
 
 
 def links_outside(app: Sphinx, page: str, source: list[str]) -> None:
-    """Links to folders of the repository become their text: a site cannot show a folder. Notebooks are beside `docs` in the
-    repository and within it on the site.
+    """Links to folders of the repository become their text: a site cannot show a folder. Links of notebooks, which are beside
+    `docs` in the repository and within it on the site, begin at the top of the site.
     """
     if page.startswith("notebooks/"):
-        source[0] = source[0].replace("](../docs/", "](../")
+        source[0] = NOTEBOOK.sub(r"{doc}`\1 </notebooks/\2>`", source[0].replace("](../docs/", "](/"))
         return
     here = (HERE / page).parent
 
