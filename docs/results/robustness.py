@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from statistics import mean, median
 
 from fusion_sfdia.comparison.protocol import HEALTHY
-from fusion_sfdia.evaluation.results import Row, read_rows, write_rows
+from fusion_sfdia.evaluation.results import Row, read_rows, rounded, write_rows
 from fusion_sfdia.report.content import Table
 from fusion_sfdia.robustness.aims import BIAS, DRIFT, EXACT, FALSE, SMALL_BIAS, found, mismatches, process_faults
 from fusion_sfdia.robustness.report import METHOD, cases_table, findings
@@ -41,11 +40,6 @@ input fails, `uio` attribute to sensors. From a log alone `robust-glr`, too, tak
 fault where it shows in the readings at once: without a declared cause nothing tells it from a bias."""
 
 
-def rounded(row: Row) -> Row:
-    """Numbers to three digits."""
-    return replace(row, **{c: float(f"{getattr(row, c):.{DIGITS}g}") for c in ("value", "low", "high")})
-
-
 def load(paths: Sequence[Path]) -> list[Row]:
     """The rows that the page shows."""
     first: dict[tuple[str, ...], Row] = {}
@@ -53,7 +47,7 @@ def load(paths: Sequence[Path]) -> list[Row]:
         for row in read_rows(path):
             key = (row.plant, row.detector, row.fault, row.condition, row.metric)
             if row.scenario == SCENARIO and row.metric not in LEFT_OUT:
-                first.setdefault(key, rounded(row))
+                first.setdefault(key, rounded(row, DIGITS))
     return list(first.values())
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from math import log
 from pathlib import Path
@@ -17,7 +16,7 @@ from textwrap import fill
 import numpy as np
 
 from fusion_sfdia.benchmarks.speed.growth import ABOVE, CASES
-from fusion_sfdia.evaluation.results import Row, read_rows, write_rows
+from fusion_sfdia.evaluation.results import Row, read_rows, rounded, write_rows
 
 HERE = Path(__file__).parent
 NUMBERS, PAGE, FIGURE = HERE / "speed.csv", HERE / "speed.md", HERE / "speed-scaling.svg"
@@ -74,17 +73,14 @@ fusion-sfdia compare --scheduler tls://host:8786 --out comparison
 """
 
 
-def rounded(row: Row) -> Row:
-    """Numbers to three digits."""
-    return replace(row, **{c: float(f"{getattr(row, c):.{DIGITS}g}") for c in ("value", "low", "high")})
-
-
 def load(paths: Sequence[Path]) -> list[Row]:
     """The rows of all runs, sorted as they were measured."""
     first: dict[tuple[str, ...], Row] = {}
     for path in paths:
         for row in read_rows(path):
-            first.setdefault((row.scenario, row.plant, row.detector, row.quantity, row.condition, row.metric), rounded(row))
+            first.setdefault(
+                (row.scenario, row.plant, row.detector, row.quantity, row.condition, row.metric), rounded(row, DIGITS)
+            )
     return list(first.values())
 
 

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,12 @@ def row_of(
 
 def _number(value: float) -> float | None:
     return None if math.isnan(value) else float(value)
+
+
+def rounded(row: Row, digits: int) -> Row:
+    """The row with its value and interval to so many significant digits, as results are committed."""
+    value, low, high = (float(f"{number:.{digits}g}") for number in (row.value, row.low, row.high))
+    return replace(row, value=value, low=low, high=high)
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:

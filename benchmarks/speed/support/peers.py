@@ -56,6 +56,12 @@ def tangent() -> Array:
     return complex_step_jacobian(step, X)
 
 
+def bank_of(linear: Callable[[Array], Call]) -> Call:
+    """The linear filters of all sensors but one, for each sensor; linear: the filter of the sensors with these indices."""
+    each = [linear(np.delete(np.arange(SIZE), i)) for i in range(SIZE)]
+    return lambda: np.array([call() for call in each])
+
+
 def this_package(kind: str) -> Call | None:
     """The filters of this package, on the plant; "bank" with mixture and diagnosis too."""
     plant, nothing, H = lorenz_96("indices"), np.empty(0), np.eye(SIZE)
@@ -175,8 +181,7 @@ def by_filterpy(kind: str) -> Call | None:
     if kind == "kf":
         return linear(everything)
     if kind == "bank":
-        each = [linear(np.delete(everything, i)) for i in range(SIZE)]
-        return lambda: np.array([call() for call in each])
+        return bank_of(linear)
     if kind == "ukf":
         points = MerweScaledSigmaPoints(SIZE, **POINTS)
         sigma = UnscentedKalmanFilter(SIZE, SIZE, DT, hx=lambda x: x, fx=lambda x, dt: step(x), points=points)
@@ -216,8 +221,7 @@ def by_pykalman(kind: str) -> Call | None:
     if kind == "kf":
         return linear(everything)
     if kind == "bank":
-        each = [linear(np.delete(everything, i)) for i in range(SIZE)]
-        return lambda: np.array([call() for call in each])
+        return bank_of(linear)
     if kind == "ukf":
         sigma = AdditiveUnscentedKalmanFilter(step, lambda x: x, Q, R, X, P)
         return lambda: np.asarray(sigma.filter_update(X, P, Y)[0])
@@ -275,8 +279,7 @@ def by_stonesoup(kind: str) -> Call | None:
     if kind == "kf":
         return linear(everything)
     if kind == "bank":
-        each = [linear(np.delete(everything, i)) for i in range(SIZE)]
-        return lambda: np.array([call() for call in each])
+        return bank_of(linear)
     if kind == "ukf":
         return filtered(UnscentedKalmanPredictor(Lorenz(), **POINTS), UnscentedKalmanUpdater(whole, **POINTS), gaussian, read)
     members = (X + np.random.default_rng(0).standard_normal((MEMBERS, SIZE))).T.view(StateVectors)
