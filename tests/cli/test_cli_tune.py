@@ -81,7 +81,9 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     # the other commands on a plant
     for k, more in enumerate(((), ("--tuned", "louder.toml"))):
         call(capsys, "simulate", *plant, "--steps", "400", "--truth", "model", *more, "--out", f"of_{k}.csv")
-    once, twice = (pandas.read_csv(f"of_{k}.csv")["s0 [1]"][200:] for k in (0, 1))  # .95^200: where a run begins does not matter
+    once, twice = (
+        pandas.read_csv(f"of_{k}.csv")["s0 [1]"][200:] for k in (0, 1)
+    )  # .95^200: where a run begins does not matter
     np.testing.assert_allclose(twice, 2 * once, atol=1e-3)
     assert call(capsys, "check-log", *plant, "--data", "b.csv", "--tuned", "louder.toml")[0] == 0
     given: list[Any] = []
