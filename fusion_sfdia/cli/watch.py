@@ -84,6 +84,7 @@ def _watch(chosen: argparse.Namespace) -> int:
         "at_sample": log_map.inputs == AT_THE_SAMPLE or bool(chosen.opcua or chosen.mqtt),
         "longest_gap": chosen.longest_gap,
         "reorder": chosen.reorder,
+        "keep_last": log_map.duplicates == "last",
         "kinds": not chosen.no_kinds,
         "refused": refused,
     }
