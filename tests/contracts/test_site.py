@@ -44,3 +44,11 @@ def test_commands_of_the_site_exist(root: Path) -> None:
     text = "\n".join(path.read_text(encoding="utf-8") for path in (root / "docs").glob("[gier]*/*.md"))
     named = set(re.findall(r"fusion-sfdia ([a-z][\w-]*)", text))
     assert len(named) > 8 and named <= set(known), named - set(known)
+
+
+def test_a_newcomer_finds_the_install_and_a_chosen_fault_at_once(root: Path) -> None:
+    """The landing page states how to install; the first page of the guide has a fault file that is read, and explains NIS."""
+    first = (root / "docs" / "guide" / "first-fault.md").read_text(encoding="utf-8")
+    assert "pip install ." in (root / "docs" / "index.md").read_text(encoding="utf-8")
+    (written,) = re.findall(r"%%writefile (\S+\.toml)", first)
+    assert f"--faults {written}" in first and "NIS is the mean square of the prediction errors" in first
