@@ -93,6 +93,7 @@ logger = getLogger(__name__)
 OUTSIDE = re.compile(r"\[([^\]\n]+)\]\(((?:\.\./)+[^)#\s]*)(#[^)\s]*)?\)")
 NOTEBOOK = re.compile(r"\[([^\]]+)\]\((\w+)\.ipynb\)")
 CODE = re.compile(r"(`[^`]*`)")
+NDARRAY = re.compile(r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?typing\.Any\]\]")
 MARKUP = re.compile(r"([*|]|(?<=\w)_(?!\w))")
 
 
@@ -131,6 +132,13 @@ def as_restructured_text(app: Sphinx, what: str, name: str, obj: Any, options: A
             lines[k] += ":"
 
 
+def short_arrays(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, arguments: str | None, result: str | None
+) -> tuple[str | None, str | None]:
+    """A signature with `ndarray` in place of its generic form; shapes are in the text."""
+    return arguments and NDARRAY.sub("~numpy.ndarray", arguments), result and NDARRAY.sub("~numpy.ndarray", result)
+
+
 def skipped(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
     """Fields of a NamedTuple are described in the text of their class."""
     return True if type(obj).__name__ == "_tuplegetter" else None
@@ -158,5 +166,6 @@ def setup(app: Sphinx) -> None:
     app.connect("builder-inited", thumbnails)
     app.connect("source-read", links_outside)
     app.connect("autodoc-process-docstring", as_restructured_text)
+    app.connect("autodoc-process-signature", short_arrays)
     app.connect("autodoc-skip-member", skipped)
     app.connect("build-finished", check_links)
