@@ -84,7 +84,7 @@ nitpick_ignore_regex = [
     (r"py:obj", r".*"),  # backticks in a docstring: a link where they name something public, else a parameter, a field, a file
     (r"py:class", r"(numpy|filterpy|collections|pathlib|datetime)\..*"),  # other projects have inventories only on the network
     (r"py:class", r"fusion_sfdia\.\w+\..*"),  # types of fields that the text of their class describes
-    (r"py:class", r".*\[.*|\w+"),  # the same in annotations that Python does not evaluate: aliases, and pieces of generics
+    (r"py:class", r"\w+"),  # the same, and aliases, in annotations that Python does not evaluate
 ]
 linkcheck_allowed_redirects = {rf"https://{re.escape(host)}.*": r"https://.*" for host in HOSTS}
 linkcheck_timeout = 30  # s
@@ -132,11 +132,14 @@ def as_restructured_text(app: Sphinx, what: str, name: str, obj: Any, options: A
             lines[k] += ":"
 
 
-def short_arrays(
+def readable(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, arguments: str | None, result: str | None
 ) -> tuple[str | None, str | None]:
-    """A signature with `ndarray` in place of its generic form; shapes are in the text."""
-    return arguments and NDARRAY.sub("~numpy.ndarray", arguments), result and NDARRAY.sub("~numpy.ndarray", result)
+    """A signature with `ndarray` in place of its generic form, as shapes are in the text, and with `...` for a default that a
+    dataclass makes anew: `<factory>` is no Python, and the whole signature would be shown as it is.
+    """
+    arguments, result = (part and NDARRAY.sub("~numpy.ndarray", part) for part in (arguments, result))
+    return arguments and arguments.replace("<factory>", "..."), result
 
 
 def skipped(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
@@ -166,6 +169,6 @@ def setup(app: Sphinx) -> None:
     app.connect("builder-inited", thumbnails)
     app.connect("source-read", links_outside)
     app.connect("autodoc-process-docstring", as_restructured_text)
-    app.connect("autodoc-process-signature", short_arrays)
+    app.connect("autodoc-process-signature", readable)
     app.connect("autodoc-skip-member", skipped)
     app.connect("build-finished", check_links)
