@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import judged_runs, row
-from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, Results, grid, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, STRENGTHS, Results, grid, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
@@ -42,7 +42,9 @@ def isolation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on the paper's faults of every quantity; Fig. 6 has the weak bias."""
     faults = settings["faults"]
     assert isinstance(faults, tuple)
-    return tasks(settings, grid(fault=faults, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(True,)), seeds)
+    together = [[f for f in strength if f in faults] for strength in STRENGTHS]
+    fault = [of_one for of_one in together if of_one]
+    return tasks(settings, grid(detector=(*PAPER, *OURS), fault=fault, quantity=[list(QUANTITIES)], accommodate=(True,)), seeds)
 
 
 def isolation_summary(settings: Settings, results: Results) -> Summary:
