@@ -64,13 +64,14 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
             at("diverged", cell.divergence),
             at("fault_mape_percent", _size_error(cell["size_error"])),
         ]
-    weak = judged_runs([r for r in results if r[0]["fault"] == "weak-bias"], "detector")
+    of_faults = judged_runs(results, "detector", "fault")
+    weak = {detector: cell for (detector, fault), cell in of_faults.items() if fault == "weak-bias"}
     figure = Figure(
         "isolation-weak-bias",
         "Isolation matrices, weak bias",
         "Each row is a faulty sensor (63, by quantity, inlet to outlet), grey where no run has this fault; each column is "
         "the isolated sensor. Yellow on the diagonal: correct; yellow in the first column: missed.",
-        lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for (d,), c in weak.items()}),
+        lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for d, c in weak.items()}),
         "Five confusion matrices of 64 by 64, one per detector",
     )
     remarks = [
