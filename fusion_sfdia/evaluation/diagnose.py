@@ -165,13 +165,11 @@ def diagnose_run(
     for i, stretches in enumerate(frozen):
         for a, b in stretches:
             out[a : b + 1, i] = True
-    taken = track._replace(y=track.y.copy(), u=track.u.copy())
-    taken.y[track.own] = y
-    if decisions.absurd_input.shape == u.shape:
-        usual = np.array([detector.plant.input_at(float(time)) for time in t], dtype=float).reshape(u.shape)
-        taken.u[track.own] = np.where(decisions.absurd_input, usual, u)
+    track.y[track.own], own = y, np.flatnonzero(track.own)
+    for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)) if decisions.absurd_input.shape == u.shape else ():
+        track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
     model = getattr(detector, "model", None)  # of principal components it is no plant
-    after = hindsight(model if isinstance(model, Plant) else detector.plant, taken, out, each)
+    after = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps, clock)

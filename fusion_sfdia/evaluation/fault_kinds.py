@@ -79,16 +79,14 @@ def name(error: Array, sd: Array, sigma: float, y: Array, *, still: bool, over: 
     if not still and pairs.size >= 4 and np.mean(pairs == 0) >= EQUAL:
         worst = int(np.argmax(np.abs(z)))
         return Named("freeze", *_interval(float(e[worst]), float(s[worst])))
-    others: tuple[str, ...]
-    scores, ramps, rho = _scores(z, x / max(x[-1], 1.0))
     if z.size <= FEW:
         kind = "spikes" if over else "bias"
-        others = () if over else ("spikes", "drift", "noise")
-    else:
-        kind = max(scores, key=lambda k: scores[k])
-        weight = {k: float(np.exp(v - scores[kind])) for k, v in scores.items()}
-        total = sum(weight.values())
-        others = tuple(k for k in sorted(weight, key=lambda k: -weight[k]) if k != kind and weight[k] / total > POSSIBLE)
+        return Named(kind, *_size(kind, e, s, sigma, [], 0.0), () if over else ("spikes", "drift", "noise"))
+    scores, ramps, rho = _scores(z, x / max(x[-1], 1.0))
+    kind = max(scores, key=lambda k: scores[k])
+    weight = {k: float(np.exp(v - scores[kind])) for k, v in scores.items()}
+    total = sum(weight.values())
+    others = tuple(k for k in sorted(weight, key=lambda k: -weight[k]) if k != kind and weight[k] / total > POSSIBLE)
     return Named(kind, *_size(kind, e, s, sigma, ramps, rho), others)
 
 
@@ -133,23 +131,23 @@ def _normal(r: Array) -> float:
 
 def _spikes(z: Array) -> float:
     """Log likelihood of standard normal numbers z (n,), up to the same constant, of which some are larger."""
-    best = -np.inf
     square = z * z
     quiet = -square / 2
-    for share in (0.02, 0.05, 0.1, 0.2, 0.3, 0.5):
-        variance = 25.0
-        for _ in range(20):  # expectation and maximisation of l^2
-            loud = -square / (2 * variance) - np.log(variance) / 2
-            total = np.logaddexp(np.log(1 - share) + quiet, np.log(share) + loud)
-            weight = np.exp(np.log(share) + loud - total)
-            variance = max(4.0, float(weight @ square / max(np.sum(weight), 1e-300)))
-        best = max(best, float(np.sum(total)))
+    share = np.array([0.02, 0.05, 0.1, 0.2, 0.3, 0.5])[:, None]
+    variance = np.full(share.shape, 25.0)
+    for _ in range(20):  # expectation and maximisation of l^2
+        loud = -square / (2 * variance) - np.log(variance) / 2
+        total = np.logaddexp(np.log(1 - share) + quiet, np.log(share) + loud)
+        weight = np.exp(np.log(share) + loud - total)
+        variance = np.maximum(4.0, (weight @ square)[:, None] / np.maximum(np.sum(weight, axis=-1, keepdims=True), 1e-300))
+    best = float(np.max(np.sum(total, axis=-1)))
     height = np.abs(z)[np.abs(z) > QUIET]
     if height.size:
         m = float(np.median(height))
         jump = np.logaddexp(-((z - m) ** 2) / 2, -((z + m) ** 2) / 2) - np.log(2)
-        for share in (0.1, 0.3, 0.5, 0.7, 0.9):
-            best = max(best, float(np.sum(np.logaddexp(np.log(1 - share) + quiet, np.log(share) + jump))))
+        share = np.array([0.1, 0.3, 0.5, 0.7, 0.9])[:, None]
+        total = np.logaddexp(np.log(1 - share) + quiet, np.log(share) + jump)
+        best = max(best, float(np.max(np.sum(total, axis=-1))))
     return best
 
 

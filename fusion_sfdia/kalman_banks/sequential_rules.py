@@ -17,7 +17,6 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import chdtri, ndtri
 
 from fusion_sfdia.core.arguments import number, whole
@@ -137,6 +136,8 @@ class Ewma:
 @cache
 def cusum_limit(k: float, share: float) -> float:
     """The limit h of both sums, see `Cusum`; at least LEAST, below which the approximation has no meaning."""
+    from scipy.optimize import brentq
+
     grown = 4 * k**2 / share  # value of exp(s) - s - 1, s = 2 k b
     s = float(brentq(lambda s: np.expm1(s) - s - grown, 0.0, 2 * np.log1p(grown) + 1))
     return max(s / (2 * k) - OVERSHOOT, LEAST)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -41,12 +42,17 @@ def write_log(
     named: tuple[Signal | Sensor, ...] = (TIME, *plant.sensors, *inputs)
     header, names = [f"{c.name} [{c.unit}]" for c in named], np.array(plant.sensor_names)
 
-    def lines(rows: slice) -> Iterator[str]:
-        numbers = (",".join(map(repr, row)) for row in np.column_stack([t[rows], y[rows], u[rows]]).tolist())
+    def lines(rows: slice) -> Iterable[str]:
+        values = np.column_stack([t[rows], y[rows], u[rows]])
+        numbers = [",".join(map(repr, row)) for row in values.tolist()]
+        if np.isnan(values).any():
+            numbers = [row.replace("nan", "") for row in numbers]
         if replaced is None:
-            return (row.replace("nan", "") for row in numbers)
-        texts = ("" if not row.any() else quoted(";".join(names[row])) for row in replaced[rows])
-        return (f"{row.replace('nan', '')},{text}" for row, text in zip(numbers, texts, strict=True))
+            return numbers
+        texts = [","] * len(numbers)
+        for k in np.flatnonzero(np.any(replaced[rows], axis=1)):
+            texts[k] += quoted(";".join(names[replaced[rows][k]]))
+        return map(add, numbers, texts)
 
     write_lines(Path(path), header if replaced is None else [*header, "replaced"], t.size, lines)
 
@@ -56,7 +62,7 @@ def write_lines(path: Path, header: Sequence[str], count: int, lines: Callable[[
     with atomic_write(path) as file:
         file.write(",".join(map(quoted, header)) + "\n")
         for k in range(0, count, BLOCK):
-            file.write("".join(f"{line}\n" for line in lines(slice(k, min(k + BLOCK, count)))))
+            file.write("\n".join(lines(slice(k, min(k + BLOCK, count)))) + "\n")
 
 
 def quoted(text: str) -> str:

@@ -74,10 +74,10 @@ def input_mix_up(u: Array, signal: Signal) -> MixUp | None:
         return float(np.max(np.abs(np.log(ratio)))) if np.all(ratio > 0) else np.inf
 
     u, usual = np.quantile(u, (0.05, 0.95)), np.median(u, keepdims=True)
-    best = min(_mix_ups(signal.unit), key=lambda m: (off(m, usual) > np.log(WITHIN), not m.usual, off(m, usual)))
-    if not off(best, u) <= np.log(WITHIN) < off(MixUp(1.0, 0.0, ""), usual):
+    if off(MixUp(1.0, 0.0, ""), usual) <= np.log(WITHIN):
         return None
-    return best if signal.low <= float(best(usual)[0]) <= signal.high else None
+    best = min(_mix_ups(signal.unit), key=lambda m: (off(m, usual) > np.log(WITHIN), not m.usual, off(m, usual)))
+    return best if off(best, u) <= np.log(WITHIN) and signal.low <= float(best(usual)[0]) <= signal.high else None
 
 
 def _mix_ups(unit: str) -> list[MixUp]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -117,13 +117,14 @@ def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
     scores = found.decisions.scores
     with np.errstate(invalid="ignore"):
         residuals = found.after.error / found.after.sd if found.after else np.full(scores.shape, np.nan)
-    names, form = plant.sensor_names, ",".join(["%.4g"] * 2 * scores.shape[1])
+    names, form = plant.sensor_names, ",".join(["%r", "%s", *["%.4g"] * 2 * scores.shape[1]])
     header = ("time_s", "time", *(f"{name} score" for name in names), *(f"{name} residual [sd]" for name in names))
 
-    def lines(rows: slice) -> Iterator[str]:
-        values = np.concatenate([scores[rows], residuals[rows]], axis=1).tolist()
-        for t, row in zip(found.t[rows].tolist(), values, strict=True):
-            yield f"{t!r},{found.clock.at(t)},{(form % tuple(row)).replace('nan', '')}"
+    def lines(rows: slice) -> list[str]:
+        values = np.concatenate([scores[rows], residuals[rows]], axis=1)
+        found_at = zip(found.t[rows].tolist(), values.tolist(), strict=True)
+        texts = [form % (t, found.clock.at(t), *row) for t, row in found_at]
+        return [text.replace("nan", "") for text in texts] if np.isnan(values).any() else texts
 
     write_lines(path, header, found.t.size, lines)
 
@@ -161,7 +162,8 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
         label = f"{name} [{plant.sensors[i].unit}]"
         time_series(axis, found.t[shown], series, ylabel=label, spans=spans, at=time_axis(found))
         handles, labels = axis.get_legend_handles_labels()
-        axis.legend(handles, ["fault" if label == "fault acts" else label for label in labels], fontsize=8)
+        words = ["fault" if label == "fault acts" else label for label in labels]
+        axis.legend(handles, words, fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderpad=0)
     if verdict:
         time_line(axes[0], found)
         for axis, name in zip(axes[1:], process, strict=False):
