@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
 from toy_plants import chain
 
-from fusion_sfdia import builders
+from fusion_sfdia import builders, registry
 from fusion_sfdia.cli.main import main, parser
+from fusion_sfdia.comparison import calibration as comparison_calibration
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.comparison import recordings as comparison_recordings
 from fusion_sfdia.comparison import run as comparison_run
@@ -44,6 +45,7 @@ from fusion_sfdia.comparison.text import broken_claims, distinct
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import silent, silent_score, silent_scores
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.evaluation.cases import ComparisonCases
 from fusion_sfdia.evaluation.results import Published
 from fusion_sfdia.evaluation.simulate import Recording
@@ -304,6 +306,17 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
     np.testing.assert_array_equal(alarms[settle:], on_trunk.alarm)
     long, short = (next(x for x in labels if x.condition.name == f"bias-30-sigma-{n}-samples") for n in (9, 2))
     assert long.members == short.members  # the short one is its beginning
+
+
+def test_runs_of_a_calibration_in_parts_have_the_bits_of_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet, recording = silent(registry.detector("loo-glr", plant_of(TANKS))), healthy(TANKS, 25, tuple(range(5)))
+    at_once, batches = comparison_calibration.scores_of(quiet, recording), []
+    monkeypatch.setattr(comparison_calibration, "CACHE", 2 * sum(a.nbytes for a in leaves(quiet.init((1,)))))
+    monkeypatch.setattr(
+        comparison_calibration, "silent_scores", lambda *given: batches.append(given[2].shape[1]) or silent_scores(*given)
+    )
+    assert np.array_equal(comparison_calibration.scores_of(quiet, recording), at_once)
+    assert batches == [2, 2, 1]
 
 
 def test_an_interval_contains_how_uncertain_the_threshold_is() -> None:
