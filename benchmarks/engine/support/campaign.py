@@ -163,7 +163,7 @@ def first_firings(
 
 def _of_batch(state: State, batch: tuple[int, ...], new: tuple[int, ...]) -> State:
     """The state of a batch, with the same runs in a batch of another shape."""
-    diverged, memory = mapped(lambda a: a.reshape(*new, *a.shape[len(batch) :]), (state.diverged, state.memory))
+    diverged, memory = mapped(lambda a: a.reshape((*new, *a.shape[len(batch) :])), (state.diverged, state.memory))
     return state._replace(diverged=diverged, memory=memory)
 
 
