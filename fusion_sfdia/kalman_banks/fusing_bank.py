@@ -163,7 +163,7 @@ class FusingBank(BatchDetector):
         isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
         kept = used & ~isolated if self.accommodate else used
         if np.any(kept != used):
-            mixed = self._without(mixed, joints, founds[0], y, kept, suspect)
+            mixed = self._without(mixed, joints, founds[0], local, y, kept, suspect)
         core = self._fed_back(prior, mixed, now, np.where(kept, y, np.nan), u)
         without = np.diagonal(seen, axis1=-2, axis2=-1)  # expected y_i of filter i, which does not use y_i
         expected = plant.output(now.t, mixed.x, u)
@@ -212,15 +212,17 @@ class FusingBank(BatchDetector):
             x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
         return Mixed(x, p, normalised_innovation_squared(joints[0], founds[0], y))
 
-    def _without(self, mixed: Mixed, joints: list[Joint], found: LeaveOneOut, y: Array, kept: Array, suspect: Array) -> Mixed:
+    def _without(
+        self, mixed: Mixed, joints: list[Joint], found: LeaveOneOut, local: Array, y: Array, kept: Array, suspect: Array
+    ) -> Mixed:
         """The mixture of the readings `kept` (..., N): again where the suspect (...) is not among them, as it was elsewhere."""
         if self.runs_literally:
             return self._mix(joints, *self._update(joints, y, kept), y)
         at = np.any(found.used & ~kept, axis=-1)
         x, P, expected, S, C = (a[at] for a in joints[0][:5])
-        few = LeaveOneOut(*(None if a is None else a[at] for a in found))
-        joint = Joint(x, P, expected, S, C)
-        again = self._mix([joint], [eliminate(few, suspect[at], np.ones(len(x), bool))], few.whitened, y[at])
+        few = LeaveOneOut(found.whitened[at], found.weight[at], found.inverse[at], found.used[at], None, None)
+        few = eliminate(few, suspect[at], np.ones(len(x), bool))
+        again = self._mix([Joint(x, P, expected, S, C)], [few], local[at], y[at])
         return Mixed(*(_with(a, at, b) for a, b in zip(mixed, again, strict=True)))
 
     def _fed_back(self, priors: list[Prior], mixed: Mixed, now: TimeStep, y: Array, u: Array) -> Core:

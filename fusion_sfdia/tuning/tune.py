@@ -219,5 +219,5 @@ def _quality(
             "worst": float(np.max(late.delay[s])),
             "found": float(np.mean(late.found[s])),
         }
-    figures["remarks"] = remarks(found, figures, limit)
+    figures["remarks"] = remarks(found, figures, limit, rate)
     return figures

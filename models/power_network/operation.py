@@ -56,9 +56,10 @@ class AreaFault:
 
 @dataclass(frozen=True)
 class Switch:
-    """Areas, by name, that are plugged in and unplugged at `time` (s), at once (B18, sec. VI), for `power_network(switches=[...])`.
+    """Areas, by name, that are plugged in and unplugged at `time` (s), at once; for `power_network(switches=[...])`.
 
-    The network raises ValueError for an unknown area, one that is plugged in or out already, and a switch of no area.
+    Source: B18, sec. VI. The network raises ValueError for an unknown area, one that is plugged in or out already, and a
+    switch of no area.
     """
 
     time: float
