@@ -226,9 +226,10 @@ def moves(plant: Plant, found: Found) -> str:
     process = np.sqrt(diagonal(plant.process_cov))
     noise = np.concatenate([np.where(process > 0, process, plant.state_scale), plant.sensor_sigma])
     by = np.concatenate([found.state, found.reading])
-    named = [(s.name, f"{s.unit} a step") for s in plant.states] + [(s.name, s.unit) for s in plant.sensors]
+    named = [(s, " a step") for s in plant.states] + [(s, "") for s in plant.sensors]
     return ", ".join(
-        f"{named[i][0]} by {found.mean * by[i]:.3g} +- {found.sd * abs(by[i]):.2g} {named[i][1]}"
+        f"{s.name} by {found.mean * by[i]:.3g} +- {found.sd * abs(by[i]):.2g}{'' if s.unit == '1' else f' {s.unit}'}{each}"
         for i in np.argsort(-np.abs(by) / noise, kind="stable")[:3]
+        for s, each in [named[i]]
         if by[i] != 0
     )

@@ -54,7 +54,8 @@ def _delay(seconds: float) -> str:
 
 def _learnt(d: dict[str, Any]) -> list[str]:
     lines = [
-        f"{name}: {row['value']:.5g} +- {row['sd']:.2g}, stated {row['stated']:.5g} +- {row['stated_sd']:.2g} {row['unit']}"
+        f"{name}: {row['value']:.5g} +- {row['sd']:.2g}, stated {row['stated']:.5g} +- {row['stated_sd']:.2g}"
+        + (f" {row['unit']}" if row["unit"] != "1" else "")
         for name, row in d.get("parameters", {}).items()
         if abs(row["value"] - row["stated"]) > row["stated_sd"] or row["sd"] < row["stated_sd"] / 2
     ]

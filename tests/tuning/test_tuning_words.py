@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from toy_plants import chain
 
@@ -13,10 +15,9 @@ def test_a_disturbance_is_told_by_the_signals_that_it_moves_most() -> None:
     """Over their noise: a state of 0.1 a step, a sensor of 1; what is not moved is not named."""
     none = np.empty((0, 0))
     found = Found(np.array([0.0, 0.05, 0.0]), np.array([-1.0, 0.0, 0.0]), none, none, 4.0, 0.2, 50.0, 1.0)
-    states, sensors = chain(3).states, chain(3).sensors
-    assert moves(chain(3), found) == (
-        f"{sensors[0].name} by -4 +- 0.2 {sensors[0].unit}, {states[1].name} by 0.2 +- 0.01 {states[1].unit} a step"
-    )
+    plain = chain(3)
+    plant = replace(plain, sensors=(replace(plain.sensors[0], unit="K"), *plain.sensors[1:]))
+    assert moves(plant, found) == "s0 by -4 +- 0.2 K, x1 by 0.2 +- 0.01 a step"
 
 
 def test_what_was_learnt_is_printed_with_units() -> None:
