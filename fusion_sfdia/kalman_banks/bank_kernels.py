@@ -36,16 +36,15 @@ def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, 
 
     A new one where that is negative.
     """
-    sums, squares, ages = np.zeros_like(a), np.zeros_like(b), np.ones_like(age)
+    sums, squares, ages = np.empty(a.shape), np.empty(b.shape), np.empty(age.shape)
     for r in range(a.shape[0]):
         for l in range(places.shape[0]):  # noqa: E741
             k = places[l]
-            if k >= 0:
-                ages[r, l] = age[r, k] + 1.0
-                for j in range(a.shape[2]):
-                    sums[r, l, j] = a[r, k, j]
-                    if r < b.shape[0]:
-                        squares[r, l, j] = b[r, k, j]
+            ages[r, l] = age[r, k] + 1.0 if k >= 0 else 1.0
+            for j in range(a.shape[2]):
+                sums[r, l, j] = a[r, k, j] if k >= 0 else 0.0
+                if r < b.shape[0]:
+                    squares[r, l, j] = b[r, k, j] if k >= 0 else 0.0
     return sums, squares, ages
 
 
@@ -239,9 +238,11 @@ def best(a: Array, b: Array, usable: Array, size: Array, first: int, least: floa
     size (B, L, q), (1, L, q) or (1, 1, q): standard deviations before any reading; usable (B, q).
     """
     B, L, q = a.shape
-    statistic, found, information = np.zeros((B, q)), np.zeros((B, q)), np.ones((B, q))
-    evidence, slot = np.full((B, q), -np.inf), np.full((B, q), first)
+    statistic, found, information = np.empty((B, q)), np.empty((B, q)), np.empty((B, q))
+    evidence, slot = np.empty((B, q)), np.empty((B, q), np.int64)
     for r in range(B):
+        for j in range(q):
+            statistic[r, j], found[r, j], information[r, j], evidence[r, j], slot[r, j] = 0.0, 0.0, 1.0, -np.inf, first
         for l in range(first, L):  # noqa: E741
             for j in range(q):
                 s = size[r % size.shape[0], l % size.shape[1], j]

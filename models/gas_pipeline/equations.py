@@ -68,12 +68,8 @@ def with_unknown(c: PipelineParameters, theta: Any) -> PipelineParameters:
 
 
 @equation
-def gas(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any]:
-    """z, alpha_1 = 1 + (T/z) z_T, alpha_2 = 1 - (p/z) z_p, C_p in J/(kg K), of one equation of state.
-
-    C_p = C_p0(T) - T int_0^p v_TT dp with v = z R T / p, which for tau = 300 K / T is
-    C_p0 - R sum_i z_i''(tau) tau^2 x^i / i: heat capacity and compressibility cannot contradict each other.
-    """
+def compressibility(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any]:
+    """z, alpha_1 = 1 + (T/z) z_T, alpha_2 = 1 - (p/z) z_p, and sum_i z_i''(tau) x^i / i; x = p / 1e7 Pa, tau = 300 K / T."""
     x = p / PRESSURE_SCALE
     tau = TEMPERATURE_SCALE / T
     y = tau - 1.0
@@ -93,9 +89,22 @@ def gas(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any
         z_tau = z_tau + power * first
         curvature = curvature + 2.0 / (i + 1.0) * power * second
         power = power * x
+    return z, 1.0 - tau * z_tau / z, 1.0 - p_z_p / z, curvature
+
+
+@equation
+def heat_capacity(T: Any, curvature: Any, c: PipelineParameters | Gas) -> Any:
+    """C_p = C_p0(T) - T int_0^p v_TT dp in J/(kg K), with v = z R T / p: C_p0 - R tau^2 sum_i z_i''(tau) x^i / i."""
+    tau = TEMPERATURE_SCALE / T
     warmth = T / TEMPERATURE_SCALE - 1.0
-    cp = c.cp0[0] + warmth * (c.cp0[1] + warmth * c.cp0[2]) - c.gas_constant * tau * tau * curvature
-    return z, 1.0 - tau * z_tau / z, 1.0 - p_z_p / z, cp
+    return c.cp0[0] + warmth * (c.cp0[1] + warmth * c.cp0[2]) - c.gas_constant * tau * tau * curvature
+
+
+@equation
+def gas(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any]:
+    """z, alpha_1, alpha_2 and C_p, of one equation of state: heat capacity and compressibility cannot contradict each other."""
+    z, alpha_1, alpha_2, curvature = compressibility(p, T, c)
+    return z, alpha_1, alpha_2, heat_capacity(T, curvature, c)
 
 
 @equation
@@ -134,20 +143,54 @@ def friction_factor(m: Any, c: PipelineParameters) -> Any:
 
 
 @equation
-def rates(p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, f: Any, c: PipelineParameters) -> tuple[Any, ...]:
-    """p_t (Pa/s), m_t (kg/s2), T_t (K/s), and v, rho, a^2, alpha_1, alpha_2, C_p for the boundaries; f = friction_factor."""
-    z, alpha_1, alpha_2, cp = gas(p, T, c)
+def friction_near(f: Any, m: Any, c: PipelineParameters) -> Any:
+    """`friction_factor` by one Newton step in 1/sqrt f from a value f at m and c, or at such that differ by next to nothing.
+
+    There the step does not depend on where it begins, so that a complex step of m or c gives the derivatives of f.
+    """
+    if c.friction > 0.0:
+        return c.friction + 0.0 * np.log(m)
+    b = 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m)
+    root = 1.0 / np.sqrt(f)
+    inside = c.roughness / (3.7 * c.diameter) + b * root
+    root = root - (root + 2.0 / LN10 * np.log(inside)) / (1.0 + 2.0 / LN10 * b / inside)
+    return 1.0 / (root * root)
+
+
+@equation
+def flow(p: Any, m: Any, T: Any, f: Any, known: tuple[Any, ...], c: PipelineParameters) -> tuple[Any, ...]:
+    """v, rho, a^2, alpha_1, alpha_2, C_p, w and a^2 (q + w v) / (C_p A), with known = compressibility(p, T, c)."""
+    z, alpha_1, alpha_2, curvature = known
+    cp = heat_capacity(T, curvature, c)
     area = 0.25 * np.pi * c.diameter * c.diameter
     rho = p / (z * c.gas_constant * T)
     v = m / (rho * area)
     a2 = wave_speed_squared(p, rho, T, alpha_1, alpha_2, cp)
     w = 0.125 * f * rho * v * v * np.pi * c.diameter
     q = -np.pi * c.diameter * c.heat_transfer * (T - c.ambient)
+    return v, rho, a2, alpha_1, alpha_2, cp, w, a2 * (q + w * v) / (cp * area)
+
+
+@equation
+def rates_along(
+    p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, local: tuple[Any, ...], c: PipelineParameters
+) -> tuple[Any, Any, Any]:
+    """p_t (Pa/s), m_t (kg/s2), T_t (K/s) with gradients p_s, m_s, T_s, and local = flow(p, m, T, ...)."""
+    v, rho, a2, alpha_1, alpha_2, cp, w, source = local
+    area = 0.25 * np.pi * c.diameter * c.diameter
     v_s = m_s / (rho * area) + v * (alpha_1 * T_s / T - alpha_2 * p_s / p)
-    source = a2 * (q + w * v) / (cp * area)
     p_t = -v * p_s - rho * a2 * v_s + alpha_1 * source / T
     m_t = -v * m_s - m * v_s - area * p_s - w
     T_t = -v * T_s - a2 * alpha_1 / cp * v_s + alpha_2 * source / p
+    return p_t, m_t, T_t
+
+
+@equation
+def rates(p: Any, m: Any, T: Any, p_s: Any, m_s: Any, T_s: Any, f: Any, c: PipelineParameters) -> tuple[Any, ...]:
+    """p_t (Pa/s), m_t (kg/s2), T_t (K/s), and v, rho, a^2, alpha_1, alpha_2, C_p for the boundaries; f = friction_factor."""
+    local = flow(p, m, T, f, compressibility(p, T, c), c)
+    p_t, m_t, T_t = rates_along(p, m, T, p_s, m_s, T_s, local, c)
+    v, rho, a2, alpha_1, alpha_2, cp, _, _ = local
     return p_t, m_t, T_t, v, rho, a2, alpha_1, alpha_2, cp
 
 
@@ -285,18 +328,25 @@ def advance(states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: P
 
 
 @compiled
-def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameters, stencil: Array, k: Any, dk: Any) -> None:
-    """Write to k dx/dt (3n,) as `slope`, and to dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M).
+def tangent_slope(
+    x: Any, given: Any, dx: Any, dgiven: Any, theta: Any, which: Any, c: PipelineParameters, stencil: Array, k: Any, dk: Any
+) -> None:
+    """Write to k dx/dt (3n,) as `slope`, and to dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M), the
+    last with respect to the parameters `which` (p,) of theta (4,).
 
-    Each node depends on its own p, m, T and their gradients: nine complex steps at most give its small Jacobian, which is
-    exact to rounding; the stencil does the rest. Only what depends on the variable of a step is complex there: the polynomials
-    of the gas, most of the work, for T alone.
+    Each node depends on its own p, m, T, their gradients and the parameters: a complex step of each gives its small Jacobian,
+    which is exact to rounding; the stencil does the rest. The polynomials of the gas, most of the work, depend on p and T,
+    and `flow` does not depend on gradients. All else is complex throughout, so that it is compiled for one type.
     """
-    n = x.shape[0] // 3
+    n, variables = x.shape[0] // 3, 9 + which.shape[0]
     columns = dx.shape[1]
+    own = columns - variables  # a parameter, 9 + j among the variables, has the column own + 9 + j
     tiny = 1e-30
-    local = np.empty(9, np.complex128)
+    local, at = np.empty(9, np.complex128), np.empty(4, np.complex128)
     gradient = np.empty((3, columns))
+    for j in range(4):
+        at[j] = theta[j]
+    of_gas, usual = (0j, 0j, 0j, 0j), (0j, 0j, 0j, 0j, 0j, 0j, 0j, 0j)  # compressibility and flow where they do not change
     for i in range(n):
         first = min(max(i - 2, 0), n - 5)
         row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
@@ -313,73 +363,51 @@ def tangent_slope(x: Any, given: Any, dx: Any, dgiven: Any, c: PipelineParameter
                     gradient[v, j] += d * dx[v * n + first + near, j]
             local[3 + v] = s
             local[6 + v] = given[v]
-        last = 9 if i == 0 or i == n - 1 else 6
-        p, m, T = local[0].real, local[1].real, local[2].real
-        p_s, m_s, T_s = local[3].real, local[4].real, local[5].real
-        still = friction_factor(m, c)
-        for a in range(last):
-            local[a] += 1j * tiny
-            f = friction_factor(local[1], c) if a == 1 else still + 0j
-            if a < 2:
-                here = rates(local[0], local[1], T, p_s, m_s, T_s, f, c)
-            elif a == 2:
-                here = rates(p, m, local[2], p_s, m_s, T_s, f, c)
+        p, T = local[0].real, local[2].real
+        still = friction_factor(local[1].real, c)
+        for a in range(variables):
+            if 6 <= a < 9 and 0 < i < n - 1:
+                continue
+            if a < 9:
+                local[a] += 1j * tiny
             else:
-                p_t, m_t, T_t, v, rho, a2, alpha_1, alpha_2, cp = rates(p, m, T, local[3], local[4], local[5], still, c)
-                here = p_t, m_t, T_t, v + 0j, rho + 0j, a2 + 0j, alpha_1 + 0j, alpha_2 + 0j, cp + 0j
-            r0, r1, r2 = here[0], here[1], here[2]
+                at[which[a - 9]] += 1j * tiny
+            e = with_unknown(c, at)
+            f = friction_near(still, local[1], e) if a == 1 or a >= 9 else still + 0j
+            known, flows = of_gas, usual
+            if a == 0:
+                known = compressibility(local[0], T, c)
+            elif a == 2:
+                known = compressibility(p, local[2], c)
+            if a < 3 or a >= 9:
+                flows = flow(local[0], local[1], local[2], f, known, e)
+            r0, r1, r2 = rates_along(local[0], local[1], local[2], local[3], local[4], local[5], flows, e)
+            if a == 0:
+                of_gas = known[0].real + 0j, known[1].real + 0j, known[2].real + 0j, known[3].real + 0j
+                usual = (
+                    flows[0].real + 0j, flows[1].real + 0j, flows[2].real + 0j, flows[3].real + 0j,
+                    flows[4].real + 0j, flows[5].real + 0j, flows[6].real + 0j, flows[7].real + 0j,
+                )  # fmt: skip
+            here = r0, r1, r2, flows[0], flows[1], flows[2], flows[3], flows[4], flows[5]
             if i == 0:
-                r0, r1, r2 = inlet_rates(local[0], local[2], here, local[6], local[7], c)
+                r0, r1, r2 = inlet_rates(local[0], local[2], here, local[6], local[7], e)
             elif i == n - 1:
-                r0, r1, r2 = outlet_rates(local[0], local[2], here, local[8], c)
-            local[a] = local[a].real
+                r0, r1, r2 = outlet_rates(local[0], local[2], here, local[8], e)
+            j0, j1, j2 = r0.imag / tiny, r1.imag / tiny, r2.imag / tiny
             if a == 0:
                 k[i], k[n + i], k[2 * n + i] = r0.real, r1.real, r2.real
-            j0, j1, j2 = r0.imag / tiny, r1.imag / tiny, r2.imag / tiny
+            if a >= 9:
+                at[which[a - 9]] = theta[which[a - 9]]
+                dk[i, own + a] += j0
+                dk[n + i, own + a] += j1
+                dk[2 * n + i, own + a] += j2
+                continue
+            local[a] = local[a].real
+            along = dx[a * n + i] if a < 3 else (gradient[a - 3] if a < 6 else dgiven[a - 6])
             for j in range(columns):
-                along = dx[a * n + i, j] if a < 3 else (gradient[a - 3, j] if a < 6 else dgiven[a - 6, j])
-                dk[i, j] += j0 * along
-                dk[n + i, j] += j1 * along
-                dk[2 * n + i, j] += j2 * along
-
-
-@compiled
-def parameter_slope(x: Any, given: Any, which: Any, theta: Any, c: PipelineParameters, stencil: Array, dk: Any) -> None:
-    """Add to the last columns of dk (3n, M) the derivatives of dx/dt with respect to parameters `which` (p,) of theta (4,)."""
-    n, first_column = x.shape[0] // 3, dk.shape[1] - which.shape[0]
-    tiny = 1e-30
-    at, local = np.empty(4, np.complex128), np.empty(6)
-    for j in range(4):
-        at[j] = theta[j]
-    nominal = with_unknown(c, theta)
-    for i in range(n):
-        first = min(max(i - 2, 0), n - 5)
-        row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
-        for v in range(3):
-            local[v] = x[v * n + i]
-            s = 0.0
-            for near in range(5):
-                s += stencil[row, near] * x[v * n + first + near]
-            local[3 + v] = s
-        p, m, T, p_s, m_s, T_s = local[0], local[1], local[2], local[3], local[4], local[5]
-        still = friction_factor(m, nominal) + 0j
-        for j in range(which.shape[0]):
-            at[which[j]] += 1j * tiny
-            d = with_unknown(c, at)
-            at[which[j]] = theta[which[j]]
-            f = friction_factor(m, d) if which[j] == 0 else still  # the roughness alone changes it
-            here = rates(p, m, T, p_s, m_s, T_s, f, d)
-            if i == 0:
-                _, m_t, _ = inlet_rates(p, T, here, given[0], given[1], d)
-                dk[n + i, first_column + j] += m_t.imag / tiny
-            elif i == n - 1:
-                p_t, _, T_t = outlet_rates(p, T, here, given[2], d)
-                dk[i, first_column + j] += p_t.imag / tiny
-                dk[2 * n + i, first_column + j] += T_t.imag / tiny
-            else:
-                dk[i, first_column + j] += here[0].imag / tiny
-                dk[n + i, first_column + j] += here[1].imag / tiny
-                dk[2 * n + i, first_column + j] += here[2].imag / tiny
+                dk[i, j] += j0 * along[j]
+                dk[n + i, j] += j1 * along[j]
+                dk[2 * n + i, j] += j2 * along[j]
 
 
 @compiled
@@ -416,8 +444,7 @@ def advance_tangent(
                     at[i] = x[i] if stage == 0 else x[i] + ahead * h * rate[i]
                     for j in range(width):
                         along[i, j] = dx[i, j] if stage == 0 else dx[i, j] + ahead * h * drate[i, j]
-                tangent_slope(at, given, along, dgiven, d, stencil, rate, drate)
-                parameter_slope(at, given, which, own, c, stencil, drate)
+                tangent_slope(at, given, along, dgiven, own, which, d, stencil, rate, drate)
                 for i in range(size):
                     total[i] = rate[i] if stage == 0 else total[i] + weight * rate[i]
                     for j in range(width):

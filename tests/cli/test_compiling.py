@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numba
 import pytest
 
@@ -15,6 +17,7 @@ def test_a_module_of_which_something_is_compiled_is_announced_once(capsys: pytes
         assert (one(1), two(1), other(1)) == (2, 3, 4)
     lines = "fusion-sfdia: compiling, once: {}\n"
     assert capsys.readouterr().err == lines.format(__name__) + lines.format("core.other")
+    assert gc.isenabled()
     with announced():
         one(2)
     numba.njit(lambda x: x + 3)(1)  # outside

@@ -129,15 +129,19 @@ def first_firings(
     """Run the detector through readings (..., N) at each of t (K,) under u (K, m); return its state and the modules' firings.
 
     first (..., N): time of the first residual beyond its threshold, s, inf for none. beyond (..., N): how many samples were.
-    threshold (..., N): its mean, sensor units. diverged (...) bool. trace: as `trials.extremes`, of the run `shown`.
+    threshold (..., N): its mean, sensor units. diverged (...) bool. trace: as `trials.extremes`, of the run `shown`. The
+    runs are stepped as a batch of one axis, which the detector need not reshape.
     """
     first = beyond = total = np.empty(0)
+    shape: tuple[int, ...] = ()
     trace: list[tuple[Array, Array]] = []
-    for k, (time, applied, y) in enumerate(zip(t, u, readings, strict=True)):
-        if state is None:
-            state = detector.init(y.shape[:-1], float(time) - detector.plant.dt)
+    for k, (time, applied, now) in enumerate(zip(t, u, readings, strict=True)):
+        y = now.reshape(-1, now.shape[-1])
         if k == 0:
+            shape, state = now.shape, state or detector.init(now.shape[:-1], float(time) - detector.plant.dt)
+            state = _of_batch(state, shape[:-1], (len(y),))
             first, beyond, total = np.full(y.shape, np.inf), np.zeros(y.shape, int), np.zeros(y.shape)
+        assert state is not None
         state, decision = detector.step(state, float(time), y, applied)
         with np.errstate(invalid="ignore"):
             firing = np.abs(decision.residual) > decision.threshold
@@ -146,13 +150,21 @@ def first_firings(
             beyond += firing
         total += decision.threshold
         if shown is not None:
-            trace.append((decision.residual[shown], decision.threshold[shown]))
-    if state is None:
+            trace.append((decision.residual.reshape(shape)[shown], decision.threshold.reshape(shape)[shown]))
+    if state is None or not shape:
         raise ValueError("there are no readings; pass at least one")
-    found = {"first": first, "beyond": beyond, "threshold": total / len(t), "diverged": state.diverged}
+    state = _of_batch(state, (len(first),), shape[:-1])
+    found = {"first": first, "beyond": beyond, "threshold": total / len(t)}
+    found = {name: values.reshape(shape) for name, values in found.items()} | {"diverged": state.diverged}
     if trace:
         found["trace"] = extremes(t, *np.moveaxis(np.array(trace), 1, 0))
     return state, found
+
+
+def _of_batch(state: State, batch: tuple[int, ...], new: tuple[int, ...]) -> State:
+    """The state of a batch, with the same runs in a batch of another shape."""
+    diverged, memory = mapped(lambda a: a.reshape((*new, *a.shape[len(batch) :])), (state.diverged, state.memory))
+    return state._replace(diverged=diverged, memory=memory)
 
 
 def fork(state: State, ways: int) -> State:
