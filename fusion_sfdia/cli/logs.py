@@ -105,7 +105,8 @@ def _simulate(chosen: argparse.Namespace) -> int:
         raise ValueError(f"{chosen.out} is a folder; name a file with --out")
     if chosen.out.is_file() and not chosen.force:  # a device or a pipe is written to directly
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
-    model, named = chosen_plant(chosen), [_fault(text) for text in chosen.fault]
+    model = chosen_plant(chosen)
+    named = [_fault(text, model) for text in chosen.fault]
     faults = load_faults(chosen.faults, model) if chosen.faults else []
     faults += draw_apart(named, model, chosen.steps, chosen.seed)
     recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)
@@ -130,22 +131,42 @@ def _size(fault: Any, size: float, plant: Any) -> str:
     if fault.kind == "scale":
         return f", factor {size:.4g}"
     sensor = plant.sensors[plant.sensor_index(fault.sensor)]
-    share = f" ({fault.magnitude:.4g} of the signal)" if fault.relative else ""
+    zero = " above absolute zero" if sensor.unit == "K" else ""
+    share = (
+        f" ({fault.magnitude:.4g} of the signal, {abs(size / fault.magnitude):.4g} {sensor.unit}{zero})"
+        if fault.relative
+        else ""
+    )
     return f", magnitude {size:.4g} {sensor.unit}{share}, {abs(size) / sensor.noise_sigma:.3g} sigma"
 
 
-def _fault(text: str) -> tuple[str, str | None]:
-    """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset."""
+def _fault(text: str, plant: Any) -> tuple[str, str | None]:
+    """Return the preset and the quantity (None: any) of "weak-bias:pressure"; ValueError for an unknown preset, and with the
+    text of a file for a kind.
+    """
     from fusion_sfdia.evaluation.fault_draws import PRESETS
     from fusion_sfdia.evaluation.faults import FAULT_KINDS
     from fusion_sfdia.registry import require_known
 
     name, colon, quantity = text.partition(":")
     if name in FAULT_KINDS:
-        raise ValueError(f"fault {text!r} is a kind, to be listed in a file (--faults); to be drawn: {', '.join(PRESETS)}")
+        raise ValueError(
+            f"fault {text!r} is a kind, to be listed in a file (--faults), such as {_listed(name, quantity, plant)}; "
+            f"to be drawn: {', '.join(PRESETS)}"
+        )
     if colon and not quantity:
         raise ValueError(f"fault {text!r} has no quantity after its colon; expected NAME or NAME:QUANTITY")
     return require_known("fault", name, PRESETS), quantity or None
+
+
+def _listed(kind: str, sensor: str, plant: Any) -> str:
+    """A file with a fault of this kind, in one line: of the sensor, if it is one, of ten of its sigma or a factor of 1.1."""
+    from fusion_sfdia.evaluation.faults import WITHOUT_MAGNITUDE
+
+    name = sensor if sensor in plant.sensor_names else plant.sensor_names[0]
+    size = 1.1 if kind == "scale" else 10 * plant.sensors[plant.sensor_index(name)].noise_sigma
+    entry = f'sensor = "{name}", kind = "{kind}", onset = {60 * plant.dt!r}, length = {60 * plant.dt!r}'
+    return f"fault = [{{{entry}{'' if kind in WITHOUT_MAGNITUDE else f', magnitude = {size:.4g}'}}}]"
 
 
 def _diagnose(chosen: argparse.Namespace) -> int:

@@ -219,3 +219,16 @@ def moved_most(plant: Plant, state: Array, reading: Array) -> list[str]:
     change = change / plant.sensor_sigma
     order = [i for i in np.argsort(-change)[:2] if change[i] >= ALONG * np.max(change)]
     return [plant.sensor_names[i] for i in order]
+
+
+def moves(plant: Plant, found: Found) -> str:
+    """What a disturbance moves most over its noise, up to three signals, each by its mean and the deviation about it."""
+    process = np.sqrt(diagonal(plant.process_cov))
+    noise = np.concatenate([np.where(process > 0, process, plant.state_scale), plant.sensor_sigma])
+    by = np.concatenate([found.state, found.reading])
+    named = [(s.name, f"{s.unit} a step") for s in plant.states] + [(s.name, s.unit) for s in plant.sensors]
+    return ", ".join(
+        f"{named[i][0]} by {found.mean * by[i]:.3g} +- {found.sd * abs(by[i]):.2g} {named[i][1]}"
+        for i in np.argsort(-np.abs(by) / noise, kind="stable")[:3]
+        if by[i] != 0
+    )

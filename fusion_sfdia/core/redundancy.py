@@ -64,8 +64,9 @@ def redundancy(plant: Plant) -> Redundancy:
         return Redundancy(max(count // 2, 1), half if count > 1 else "the only sensor", modes)
     seen = len(least.sensors)
     by = f"{seen} sensor{'s' * (seen != 1)} ({', '.join(least.sensors[:4])}{', ...' * (seen > 4)})" if seen else "no sensor"
-    what = "" if seen > 2 else ": no majority remains where one of them fails"
-    return Redundancy(max((seen - 1) // 2, 1), f"{least.state} keeps its error and is seen by {by}{what}", modes)
+    what = ", of which most must be healthy" if seen > 2 else ": no majority remains where one of them fails"
+    reason = f"an error of the estimated {least.state} does not fade by itself, and can be corrected by {by} only{what}"
+    return Redundancy(max((seen - 1) // 2, 1), reason if seen else reason.replace(" only", ""), modes)
 
 
 def most_faults(plant: Plant) -> int:

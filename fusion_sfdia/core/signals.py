@@ -29,10 +29,12 @@ class Signal:
     def __post_init__(self) -> None:
         for what in ("nominal", "low", "high"):
             number(f"signal {self.name!r}: {what}", getattr(self, what))
-        if not (self.low <= self.nominal <= self.high and np.isfinite(self.nominal)):
+        if not np.isfinite(self.nominal):
+            raise ValueError(f"signal {self.name!r}: nominal is {self.nominal}; expected a finite number")
+        if not self.low <= self.nominal <= self.high:
             raise ValueError(
-                f"signal {self.name!r}: nominal {self.nominal} is not finite and within [{self.low}, {self.high}]; "
-                "correct it or the limits"
+                f"signal {self.name!r}: nominal {self.nominal} {self.unit} is outside [{self.low}, {self.high}] {self.unit}: "
+                "correct it, or the limits"
             )
         for what, sigma in (("initial_sigma", self.initial_sigma), ("process_sigma", self.process_sigma)):
             if sigma is not None and not 0 <= number(f"signal {self.name!r}: {what}", sigma) < np.inf:

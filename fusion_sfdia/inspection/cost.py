@@ -58,8 +58,8 @@ def of_cost(plant: Plant, found: Cost) -> Iterator[Finding]:
         cause = "most of it is the Jacobian that the plant states: None in its place takes the complex step"
     else:
         cause = (
-            "most of it are calls of NumPy or Python: take fewer substeps, write loops over the elements of a state as "
-            "operations on arrays, or give the equations to `discretise`, which compiles them"
+            "most of it are calls of NumPy or Python: write loops over the elements of a state as operations on "
+            "arrays, or give the equations to `discretise`, which compiles them, substeps included"
         )
     yield Finding(
         REMARK,

@@ -18,6 +18,7 @@ from fusion_sfdia.inspection.feedthrough import feedthrough, of_feedthrough
 from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding, mistakes, not_analytic
 from fusion_sfdia.inspection.healthy import OnHealthy, of_healthy, on_healthy
 from fusion_sfdia.inspection.observability import Observability, observability, of_readings
+from fusion_sfdia.inspection.steady import of_start
 from fusion_sfdia.inspection.stepping import Stepping, of_step, stepping
 from fusion_sfdia.inspection.structure import Structural, of_structure, structural
 from fusion_sfdia.kalman_banks.identifiability import CONFOUNDED, Identifiability, identifiability
@@ -104,7 +105,7 @@ def inspect_plant(
     if wrong:
         return Inspection(found, (*_unstable(found), *wrong))
     log = None if healthy is None else one_run(as_log(found, healthy))
-    remarks: list[Finding] = list(not_analytic(found))
+    remarks: list[Finding] = [*of_start(found), *not_analytic(found)]
     step = stepping(found)
     remarks += of_step(found, step)
     remarks += of_cost(found, cost(found))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.checks.models import points
 from fusion_sfdia.core.covariance import diagonal
+from fusion_sfdia.core.integration import IntegratedStep
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.inspection.findings import MISTAKE, REMARK, Finding
 
@@ -32,6 +33,7 @@ NOTED = 0.1  # of the process noise: an error of a step above it is worth a rema
 class Stepping(NamedTuple):
     """rates: eigenvalues of A in 1/s, complex, without states that are set at once. growth (n,): |eigenvalues| of F(dt).
 
+    fastest: the state with the largest part in the fastest of these modes, in units of its scale; "" where there is none.
     error (n,): of a step of dt, over the process noise of a step (inf where that is 0 and the step errs). holds: longest step
     in s whose error is below that noise, at least dt, inf beyond 1024 dt. timeless: whether the step ignores dt. NaN where the
     plant has a fixed dt.
@@ -39,6 +41,7 @@ class Stepping(NamedTuple):
 
     rates: Array
     growth: Array
+    fastest: str
     error: Array
     holds: float
     timeless: bool
@@ -51,19 +54,21 @@ def stepping(plant: Plant) -> Stepping:
     growth = np.sort(np.abs(np.linalg.eigvals(jacobian)))[::-1]
     nothing = np.full(n, np.nan)
     if plant.numerics.fixed_dt:
-        return Stepping(nothing.astype(complex), growth, nothing, dt, False)
+        return Stepping(nothing.astype(complex), growth, "", nothing, dt, False)
     x = _excursion(plant)
     short = SHORT * dt
     F = plant.step_jacobian_at(0.0, plant.x0, u, short) * plant.state_scale / plant.state_scale[:, None]
-    rates = np.linalg.eigvals((F - np.eye(n)) / short)
-    rates = rates[np.abs(rates) * short < SET]
+    rates, modes = np.linalg.eig((F - np.eye(n)) / short)
+    lasts = np.abs(rates) * short < SET
+    rates, modes = rates[lasts], modes[:, lasts]
+    fastest = plant.states[int(np.argmax(np.abs(modes[:, np.argmax(np.abs(rates))])))].name if rates.size else ""
     moved = np.any(plant.step(0.0, x, _over(u, x), dt) != x)
     timeless = bool(moved and np.array_equal(plant.step(0.0, x, _over(u, x), dt), plant.step(0.0, x, _over(u, x), dt / 2)))
     error = _error(plant, x, u, dt, 2)
     holds, times = dt, 2
     while times <= LONGEST and np.all(_error(plant, x, u, times * dt, times) < np.sqrt(times)):
         holds, times = times * dt, 2 * times
-    return Stepping(rates, growth, error, np.inf if times > LONGEST else holds, timeless)
+    return Stepping(rates, growth, fastest, error, np.inf if times > LONGEST else holds, timeless)
 
 
 def _excursion(plant: Plant) -> Array:
@@ -111,25 +116,23 @@ def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
         yield Finding(
             MISTAKE,
             "step",
-            f"a step of {dt:g} s is unstable: an error grows by {found.growth[0]:.3g} in each, while the fastest mode decays "
-            f"in {1 / fastest:.3g} s; make dt shorter than {1 / fastest:.2g} s inside of the step, or use `discretise`",
+            f"a step of {dt:g} s is unstable: an error grows by {found.growth[0]:.3g} in each, while the fastest mode, of "
+            f"{found.fastest}, decays in {1 / fastest:.3g} s; if {found.fastest} is not that fast, correct the units in its "
+            f"equation (J or kJ, s or min); otherwise make dt shorter than {1 / fastest:.2g} s inside of the step, or use "
+            "`discretise`",
         )
         return
-    if fastest * dt > STIFF and np.max(found.error) > NOTED:
+    worst, stiff = int(np.argmax(found.error)), fastest * dt > STIFF
+    if found.error[worst] > NOTED and (stiff or np.isfinite(found.error[worst])):
+        size = found.error[worst]
+        by = f"by {size:.2g} times the process noise in {names[worst]}"
+        fast = f", and the fastest mode, of {found.fastest}, decays in {1 / fastest:.3g} s" if stiff else ""
         yield Finding(
             REMARK,
             "step",
-            f"the plant is stiff: its fastest mode decays in {1 / fastest:.3g} s, {fastest * dt:.3g} times in a step of {dt:g} "
-            "s; with own code take substeps of at most that time, with `discretise` substeps or decay",
-        )
-    worst = int(np.argmax(found.error))
-    if found.error[worst] > NOTED and np.isfinite(found.error[worst]):
-        yield Finding(
-            REMARK,
-            "step",
-            f"one step of {dt:g} s and two of {dt / 2:g} s differ by {found.error[worst]:.2g} times the process noise in "
-            f"{names[worst]}; take substeps or `discretise`"
-            + (", or state more process_sigma" if found.error[worst] > 1 else ""),
+            f"one step of {dt:g} s and two of {dt / 2:g} s differ "
+            f"{by if np.isfinite(size) else f'in {names[worst]}, which has no process noise'}{fast}; "
+            f"{_finer(plant, size, fastest)}{', or state more process_sigma' if size > 1 else ''}",
         )
     if np.isinf(plant.numerics.max_dt) and np.isfinite(found.holds):
         yield Finding(
@@ -138,3 +141,16 @@ def of_step(plant: Plant, found: Stepping) -> Iterator[Finding]:
             f"no longest step is stated, but its error exceeds the process noise beyond {found.holds:g} s; state "
             f"Numerics(max_dt={found.holds:g}), and longer gaps are divided",
         )
+
+
+def _finer(plant: Plant, error: float, fastest: float) -> str:
+    """How to divide the step so that its error is NOTED: for Runge-Kutta 4 it falls with the fourth power of the substeps, and
+    a substep has to be stable; of a step of unknown order at least as their number.
+    """
+    times = error / NOTED if np.isfinite(error) else 2.0
+    if not isinstance(plant.step, IntegratedStep):
+        return f"take {np.ceil(times):.0f} times the substeps that the step has (none counts as 1), or `discretise`"
+    now = plant.step.model.substeps
+    if plant.step.model.decay is not None:
+        return f"give `discretise` substeps={2 * now}"
+    return f"give `discretise` substeps={max(np.ceil(now * times**0.25), np.ceil(fastest * plant.dt / STIFF)):.0f}, or decay"

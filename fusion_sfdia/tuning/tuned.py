@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia import registry
 from fusion_sfdia.commissioning.commission import Commissioning
-from fusion_sfdia.commissioning.disturbances import Found, with_disturbance
+from fusion_sfdia.commissioning.disturbances import Found, moves, with_disturbance
 from fusion_sfdia.commissioning.innovations import fixed
 from fusion_sfdia.commissioning.noise import Noise, state_groups, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, declared, free, moved
@@ -23,6 +23,7 @@ from fusion_sfdia.core.files import all_or_none
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.rate import Rate
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
+from fusion_sfdia.core.uncertainty import error_of
 from fusion_sfdia.tuning.document import read_document, write_document
 from fusion_sfdia.tuning.response import response, warn_of_change
 
@@ -37,7 +38,8 @@ COMMENTS = {
     "sensors": "Noise of each sensor, and what the plant states; delay of a bias of so many sigma (s, see quality).",
     "process_noise": "Factor on the standard deviation that the plant states, of all states of a unit.",
     "parameters": "Estimates with standard deviation, and what the plant states.",
-    "disturbance": "A direction of mismatch (state: units of the states; reading: of the sensors): its mean is an offset.",
+    "disturbance": "A direction of mismatch (state: units of the states; reading: of the sensors): its mean is an offset.\n"
+    "moves: what it moves most, in words.",
     "start": "Where runs begin: a state, and the variance of first states about it.",
     "quality": "How well this holds, on halves of the log from which it was not learnt.",
 }
@@ -208,13 +210,15 @@ def learnt_tables(plant: Plant, found: Commissioning) -> dict[str, Any]:
         }
     if (known := found.parameters) is not None:
         rows = zip(known.names, known.value, known.sd, known.prior, known.prior_sd, strict=True)
+        units = {p.name: p.unit for p in plant.uncertainty.parameters} | {error_of(s.name): s.unit for s in plant.inputs}
         tables["parameters"] = {
-            name: {"value": float(v), "sd": float(sd), "stated": float(p), "stated_sd": float(psd)}
+            name: {"value": float(v), "sd": float(sd), "stated": float(p), "stated_sd": float(psd), "unit": units[name]}
             for name, v, sd, p, psd in rows
         }
     if found.disturbances:
         tables["disturbance"] = [
             {
+                "moves": moves(plant, d),
                 "mean": d.mean,
                 "sd": d.sd,
                 "time_constant": d.time_constant,

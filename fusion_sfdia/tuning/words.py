@@ -54,7 +54,7 @@ def _delay(seconds: float) -> str:
 
 def _learnt(d: dict[str, Any]) -> list[str]:
     lines = [
-        f"{name}: {row['value']:.5g} +- {row['sd']:.2g}, stated {row['stated']:.5g} +- {row['stated_sd']:.2g}"
+        f"{name}: {row['value']:.5g} +- {row['sd']:.2g}, stated {row['stated']:.5g} +- {row['stated_sd']:.2g} {row['unit']}"
         for name, row in d.get("parameters", {}).items()
         if abs(row["value"] - row["stated"]) > row["stated_sd"] or row["sd"] < row["stated_sd"] / 2
     ]
@@ -63,7 +63,7 @@ def _learnt(d: dict[str, Any]) -> list[str]:
         if abs((factor := row["sigma"] / row["stated"]) - 1) > CHANGED:
             lines.append(f"noise of {name}: {'quieter' if factor < 1 else 'noisier'} than stated, times {factor:.3g}")
     lines += [
-        f"disturbance {i}: mean {one['mean']:.3g}, deviation {one['sd']:.3g}, time constant {one['time_constant']:.3g} s"
+        f"disturbance {i}: moves {one['moves']}; time constant {one['time_constant']:.3g} s"
         for i, one in enumerate(d.get("disturbance", []), start=1)
     ]
     return lines if len(lines) <= 20 else [*lines[:20], f"and {len(lines) - 20} more, see the file"]

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -18,8 +19,10 @@ import pytest
 
 from fusion_sfdia import __version__, registry, scenarios
 from fusion_sfdia.cli import listing, runs
+from fusion_sfdia.cli.logs import _size
 from fusion_sfdia.cli.main import main
 from fusion_sfdia.comparison import protocol
+from fusion_sfdia.evaluation.faults import FAULT_KINDS, Fault, load_faults
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
 
 PLANT = gas_pipeline()
@@ -214,7 +217,7 @@ def test_a_drawn_fault_is_stated_as_its_readings_show_it(capsys: pytest.CaptureF
         code, out, _ = call(capsys, "simulate", "--plant", "two-tanks", "--steps", "75", "--out", name, *fault)
         assert code == 0
         logs.append(np.genfromtxt(tmp_path / name, delimiter=",", skip_header=1))
-    told = re.search(r": bias from .* s, magnitude (\S+) \S+ \((\S+) of the signal\), (\S+) sigma", out)
+    told = re.search(r": bias from .* s, magnitude (\S+) \S+ \((\S+) of the signal, \S+ \S+\), (\S+) sigma", out)
     assert told is not None
     off = logs[1] - logs[0]
     assert float(told[1]) == pytest.approx(off.flat[np.argmax(np.abs(off))], rel=1e-3)
@@ -267,6 +270,24 @@ def test_simulate_with_a_fault_file(capsys: pytest.CaptureFixture[str], tmp_path
     column = 1 + PLANT.sensor_index("p_3")
     assert np.allclose((faulty - healthy)[:, column], np.where(healthy[:, 0] >= 50, 2e5, 0), rtol=0, atol=1e-8)
     assert np.array_equal(np.delete(faulty, column, 1), np.delete(healthy, column, 1))
+
+
+@pytest.mark.parametrize("kind", FAULT_KINDS)
+def test_the_error_of_a_kind_holds_a_file_that_works(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant = registry.plant("two-tanks")
+    code, _, err = call(capsys, "simulate", "--plant", "two-tanks", "--fault", f"{kind}:q2", "--out", "log.csv")
+    assert code == 2 and f"fault '{kind}:q2' is a kind" in err
+    (tmp_path / "fault.toml").write_text(re.search(r"fault = \[.*\]", err)[0])  # type: ignore[index]
+    (fault,) = load_faults(tmp_path / "fault.toml", plant)
+    assert (fault.sensor, fault.kind, fault.onset) == ("q2", kind, 60 * plant.dt)
+
+
+def test_a_share_of_an_absolute_temperature_is_printed_as_one() -> None:
+    tanks = registry.plant("two-tanks")
+    thermometer = replace(tanks.sensors[0], name="T", unit="K", sigma=0.1)
+    plant = replace(tanks, sensors=(thermometer, *tanks.sensors[1:]))
+    text = _size(Fault("T", "bias", onset=5.0, magnitude=-0.2, relative=True), -78.6, plant)
+    assert text == ", magnitude -78.6 K (-0.2 of the signal, 393 K above absolute zero), 786 sigma"
 
 
 def altered(change: Callable[[list[list[str]]], object]) -> None:

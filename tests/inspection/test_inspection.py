@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from toy_plants import Array, chain, tanks
 
-from fusion_sfdia import Numerics, Plant, Sensor, Signal, inspect_plant, linear_plant, simulate
+from fusion_sfdia import Numerics, Physics, Plant, Sensor, Signal, discretise, inspect_plant, linear_plant, simulate
 from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.uncertainty import Disturbance, Uncertainty
+from fusion_sfdia.inspection.steady import of_start
 from fusion_sfdia.inspection.text import as_json, as_text
 from fusion_sfdia.registry import NamedDetector, detector
 
@@ -92,7 +94,7 @@ def test_mistakes_come_first_and_nothing_else_is_examined() -> None:
 @pytest.mark.parametrize(
     ("made", "about", "text"),
     [
-        (plant(fast), "step", "a step of 5 s is unstable: an error grows by 4 in each, .* in 1 s; make dt shorter than 1 s"),
+        (plant(fast), "step", "a step of 5 s is unstable: an error grows by 4 in each, .* of lower, decays in 1 s; if lower"),
         (plant(timeless), "step", r"it ignores dt: .* or state Numerics\(fixed_dt=True\)"),
         (plant(overflowing), "step", r"abs \(test_inspection.py:\d+\): the complex step is wrong .* write np.where\(x < 0"),
         (plant(overflowing), "step", r"where \(test_inspection.py:\d+\): its slope jumps"),
@@ -101,7 +103,7 @@ def test_mistakes_come_first_and_nothing_else_is_examined() -> None:
         (plant(levels), "step", r"state Numerics\(max_dt=\d+\), and longer gaps are divided"),
         (plant(uncoupled, of_upper, 2), "observability", "1 of 2 states are not determined by any reading: lower; "),
         (plant(levels, of_upper, 2), "redundancy", "1 of 2 sensors may be isolated at once: half of the 2 sensors"),
-        (plant(accumulating, readings, 4), "redundancy", r"1 of 4 .*: lower keeps its error and is seen by 2 sensors"),
+        (plant(accumulating, readings, 4), "redundancy", r"1 of 4 .*: an error of the estimated lower .* by 2 sensors"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
@@ -113,6 +115,52 @@ def test_what_limits_the_diagnosis_is_stated_with_its_cure(made: Plant, about: s
 def test_a_stated_limit_is_not_asked_for() -> None:
     stated = plant(levels, numerics=Numerics(max_dt=60.0))
     assert not any("max_dt" in f.text for f in inspect_plant(stated, simulated=False).findings)
+
+
+def stiff(substeps: int, t: float, x: Array, u: Array, dt: float) -> Array:
+    """The lower tank empties in 2 s, by Euler's method in so many substeps."""
+    for _ in range(substeps):
+        x = x + dt / substeps * np.stack([u[..., 0] - 0.01 * x[..., 0], 0.005 * x[..., 0] - 0.5 * x[..., 1] + 0.495], axis=-1)
+    return x
+
+
+def slope(t: float, x: Array, z: Array, u: Array, c: object) -> Array:
+    return np.stack([u[..., 0] - 0.01 * x[..., 0], 0.005 * x[..., 0] - 0.5 * x[..., 1] + 0.495], axis=-1)
+
+
+def of_step_in(substeps: int, own: bool) -> list[str]:
+    """What is remarked on the substeps of a step of own code, or of `discretise`."""
+    made = plant(partial(stiff, substeps), process_cov=np.full(2, 1e-12))
+    physics = Physics("tanks", made.states, slope, made.inputs)
+    sensors = [replace(s, measures=s.name[:5]) for s in made.sensors]
+    found = made if own else discretise(physics, sensors, dt=5.0, process_cov=np.full(2, 1e-18), substeps=substeps)
+    return [f.text for f in inspect_plant(found, simulated=False).findings if "substeps" in f.text]
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["own code", "discretise"])
+def test_the_substeps_that_are_named_count_from_those_of_the_plant_and_suffice(own: bool) -> None:
+    """A step that has substeps is asked for more of them only where its own error is above a tenth of the process noise."""
+    count = 5
+    (text,) = of_step_in(count, own)
+    assert "the fastest mode, of lower, decays in 2 s; " in text
+    number = int(re.search(r"take (\d+) times" if own else r"substeps=(\d+)", text)[1])  # type: ignore[index]
+    more = number * count if own else number
+    assert more > count and not of_step_in(more, own)
+
+
+def test_a_nominal_state_in_another_unit_is_seen_by_its_movement() -> None:
+    """A level of 1000 mm in place of 1 m: the other falls and rises by far more than is not known of the start."""
+    made = plant(levels)
+    wrong = replace(made, x0=np.array([1000.0, 1.0]), states=tuple(replace(s, nominal=0.0) for s in made.states))
+    (start,) = [f.text for f in inspect_plant(wrong, simulated=False).remarks if f.about == "start"]
+    assert start.startswith("with the usual inputs the nominal state is not steady: upper moves by -50 m in a step of 5 s")
+
+
+@pytest.mark.parametrize("off", [0.0, 7.0, 7.2])
+def test_a_rounded_nominal_state_counts_as_steady(off: float) -> None:
+    """x0 off by so many initial sigma, without process noise: up to 5 sqrt 2 are no remark, both levels being uncertain."""
+    made = replace(plant(levels), x0=np.array([1.0, 1.0 + off * 0.05]), process_cov=np.zeros(2))
+    assert len(list(of_start(made))) == (off > 5 * np.sqrt(2))
 
 
 def counter(sensors: int) -> Plant:
