@@ -17,7 +17,7 @@ BENCH_ARGS ?=
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: env demo test test-long test-kernels check lint format notebooks docs bench wheel clean
+.PHONY: env demo test test-long test-kernels check lint format notebooks docs links bench wheel clean
 
 env: $(DEV)
 
@@ -65,9 +65,15 @@ format: $(DEV)
 notebooks: $(DEV)
 	$(BIN)/python notebooks/run.py
 
-# the site, in docs/_build/html: its pages run; what has not changed comes from a cache
+# the site, in docs/_build/html: its pages run, links within it are checked; what has not changed comes from a cache
+SITE = $(BIN)/python -m sphinx --jobs $(WORKERS) --fail-on-warning --keep-going --quiet --doctree-dir docs/_build/doctrees
+
 docs: $(DEV)
-	$(BIN)/python -m sphinx --builder html --jobs $(WORKERS) --fail-on-warning --keep-going --quiet docs docs/_build/html
+	$(SITE) --builder html docs docs/_build/html
+
+# visits the addresses outside of the site, for which it needs a network
+links: $(DEV)
+	$(SITE) --builder linkcheck docs docs/_build/links
 
 bench: $(RUN)
 	$(BIN)/fusion-sfdia bench $(BENCH_ARGS)

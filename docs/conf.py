@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
+from base64 import b64decode
 from functools import partial
 from inspect import signature
 from pathlib import Path
@@ -13,11 +15,14 @@ from typing import Any
 import nbclient
 from jupyter_cache.executors import utils
 from sphinx.application import Sphinx
+from sphinx.util.logging import getLogger
 
 import fusion_sfdia
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
+sys.path.append(str(HERE))
+from links import HOSTS, wrong_links  # noqa: E402
 
 # pages run commands and copy files of docs/examples
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -74,11 +79,21 @@ html_theme_options = {
 html_sidebars = {"whats-new": [], "contributing": []}
 copyright = author
 
-linkcheck_ignore = ["https?://.*"]  # `make docs` has no network; links within the site are checked by the build itself
+nitpicky = True  # a reference in a page or a docstring that leads nowhere is a warning, but for these:
+nitpick_ignore_regex = [
+    (r"py:obj", r".*"),  # backticks in a docstring: a link where they name something public, else a parameter, a field, a file
+    (r"py:class", r"(numpy|filterpy|collections|pathlib|datetime)\..*"),  # other projects have inventories only on the network
+    (r"py:class", r"fusion_sfdia\.\w+\..*"),  # types of fields that the text of their class describes
+    (r"py:class", r"\w+"),  # the same, and aliases, in annotations that Python does not evaluate
+]
+linkcheck_allowed_redirects = {rf"https://{re.escape(host)}.*": r"https://.*" for host in HOSTS}
+linkcheck_timeout = 30  # s
 
+logger = getLogger(__name__)
 OUTSIDE = re.compile(r"\[([^\]\n]+)\]\(((?:\.\./)+[^)#\s]*)(#[^)\s]*)?\)")
 NOTEBOOK = re.compile(r"\[([^\]]+)\]\((\w+)\.ipynb\)")
 CODE = re.compile(r"(`[^`]*`)")
+NDARRAY = re.compile(r"~?numpy\.ndarray\[tuple\[~?typing\.Any, \.\.\.\], ~?numpy\.dtype\[~?typing\.Any\]\]")
 MARKUP = re.compile(r"([*|]|(?<=\w)_(?!\w))")
 
 
@@ -117,13 +132,43 @@ def as_restructured_text(app: Sphinx, what: str, name: str, obj: Any, options: A
             lines[k] += ":"
 
 
+def readable(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, arguments: str | None, result: str | None
+) -> tuple[str | None, str | None]:
+    """A signature with `ndarray` in place of its generic form, as shapes are in the text, and with `...` for a default that a
+    dataclass makes anew: `<factory>` is no Python, and the whole signature would be shown as it is.
+    """
+    arguments, result = (part and NDARRAY.sub("~numpy.ndarray", part) for part in (arguments, result))
+    return arguments and arguments.replace("<factory>", "..."), result
+
+
 def skipped(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
     """Fields of a NamedTuple are described in the text of their class."""
     return True if type(obj).__name__ == "_tuplegetter" else None
 
 
+def thumbnails(app: Sphinx) -> None:
+    """The first figure of each notebook, for the gallery."""
+    folder = HERE / "_build" / "thumbnails"
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        outputs = [o for cell in json.loads(path.read_text(encoding="utf-8"))["cells"] for o in cell.get("outputs", [])]
+        picture = next(o["data"]["image/png"] for o in outputs if "image/png" in o.get("data", {}))
+        (folder / f"{path.stem}.png").write_bytes(b64decode("".join(picture)))
+
+
+def check_links(app: Sphinx, exception: Exception | None) -> None:
+    """Each link of the pages leads to a file and an anchor of the site, or to a known host; a warning for each other one."""
+    if exception is None and app.builder.name == "html":
+        for wrong in wrong_links(Path(app.outdir) / app.builder.get_target_uri(page) for page in sorted(app.env.found_docs)):
+            logger.warning(wrong)
+
+
 def setup(app: Sphinx) -> None:
     """Connect the functions above to the events of a build."""
+    app.connect("builder-inited", thumbnails)
     app.connect("source-read", links_outside)
     app.connect("autodoc-process-docstring", as_restructured_text)
+    app.connect("autodoc-process-signature", readable)
     app.connect("autodoc-skip-member", skipped)
+    app.connect("build-finished", check_links)

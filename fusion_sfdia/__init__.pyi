@@ -103,7 +103,10 @@ from fusion_sfdia.logs.log_map import LogMap as LogMap
 from fusion_sfdia.logs.log_map import load_map as load_map
 from fusion_sfdia.logs.reading import load_log as load_log
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline as gas_pipeline
+from fusion_sfdia.models.marine_engine.faults import EngineFault as EngineFault
 from fusion_sfdia.models.marine_engine.plant import marine_engine as marine_engine
+from fusion_sfdia.models.power_network.operation import AreaFault as AreaFault
+from fusion_sfdia.models.power_network.operation import Switch as Switch
 from fusion_sfdia.models.power_network.plant import power_network as power_network
 from fusion_sfdia.models.two_tanks.plant import two_tanks as two_tanks
 from fusion_sfdia.monitoring.calibration import Calibration as Calibration

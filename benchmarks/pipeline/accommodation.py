@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
-from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, PAPER, Results, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, PAPER, STRENGTHS, Results, tasks, trial
 from fusion_sfdia.evaluation.estimation_metrics import root_mean_square
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Row
@@ -39,7 +39,7 @@ def accommodation_tasks(settings: Settings, seeds: int) -> list[Task]:
         (
             {"detector": d, "fault": f, "quantity": q, "accommodate": a}
             for d in NAMES
-            for f, q, a in (*product(FAULTS, QUANTITIES, (True, False)), ("none", "all", True))
+            for f, q, a in (*product(STRENGTHS, [list(QUANTITIES)], (True, False)), (["none"], ["all"], True))
         ),
         seeds,
     )

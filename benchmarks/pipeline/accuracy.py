@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.interpretations import condition, interpretations, interpretations_table, nearer
 from fusion_sfdia.benchmarks.pipeline.support.rows import bar_series, judged_runs, row
-from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, Results, common, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.trials import PAPER, STRENGTHS, Results, common, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
 from fusion_sfdia.evaluation.results import Published, Row
@@ -36,12 +36,11 @@ def accuracy_tasks(settings: Settings, seeds: int) -> list[Task]:
     return tasks(
         settings,
         (
-            {"detector": d, "snr": s, "fault": f, "quantity": q, "accommodate": True}
+            {"detector": d, "snr": s, "fault": f, "quantity": list(QUANTITIES), "accommodate": True}
             | ({"process_noise": process} if d in PAPER else {})
             for s, process, detectors in rounds
-            for f in FAULTS
-            for q in QUANTITIES
             for d in detectors
+            for f in STRENGTHS
         ),
         seeds,
     )

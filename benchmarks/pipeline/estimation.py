@@ -31,7 +31,7 @@ NAME, LEVELS = "pipeline/estimation", ("high", "moderate", "low")
 
 def estimation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Table IV: banks and basic filters at three levels of noise, with both interpretations of the paper's process noise."""
-    healthy = {"fault": ("none",), "quantity": ("all",), "accommodate": (True,)}
+    healthy = {"fault": (["none"],), "quantity": (["all"],), "accommodate": (True,)}
     cells = grid(process_noise=interpretations(settings), snr=LEVELS, detector=(*PAPER, *PAPER_FILTERS), **healthy)
     return tasks(settings, cells, seeds)
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import judged_runs, row
-from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, Results, grid, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.trials import COMMON, OURS, PAPER, SENSORS, STRENGTHS, Results, grid, tasks, trial
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.isolation_metrics import (
     exact_isolation,
@@ -42,7 +42,9 @@ def isolation_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on the paper's faults of every quantity; Fig. 6 has the weak bias."""
     faults = settings["faults"]
     assert isinstance(faults, tuple)
-    return tasks(settings, grid(fault=faults, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(True,)), seeds)
+    together = [[f for f in strength if f in faults] for strength in STRENGTHS]
+    fault = [of_one for of_one in together if of_one]
+    return tasks(settings, grid(detector=(*PAPER, *OURS), fault=fault, quantity=[list(QUANTITIES)], accommodate=(True,)), seeds)
 
 
 def isolation_summary(settings: Settings, results: Results) -> Summary:
@@ -62,13 +64,14 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
             at("diverged", cell.divergence),
             at("fault_mape_percent", _size_error(cell["size_error"])),
         ]
-    weak = judged_runs([r for r in results if r[0]["fault"] == "weak-bias"], "detector")
+    of_faults = judged_runs(results, "detector", "fault")
+    weak = {detector: cell for (detector, fault), cell in of_faults.items() if fault == "weak-bias"}
     figure = Figure(
         "isolation-weak-bias",
         "Isolation matrices, weak bias",
         "Each row is a faulty sensor (63, by quantity, inlet to outlet), grey where no run has this fault; each column is "
         "the isolated sensor. Yellow on the diagonal: correct; yellow in the first column: missed.",
-        lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for (d,), c in weak.items()}),
+        lambda: draw_matrices({d: isolation_confusion(c.isolated, c.active) for d, c in weak.items()}),
         "Five confusion matrices of 64 by 64, one per detector",
     )
     remarks = [

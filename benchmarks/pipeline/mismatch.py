@@ -46,8 +46,8 @@ def truth_plant(name: str, snr: str, process_noise: str) -> Plant:
 
 def mismatch_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Each truth, healthy and with a weak bias on any sensor."""
-    faults = ("none", "weak-bias", "bias-5-sigma")
-    return tasks(settings, grid(truth=TRUTHS, detector=NAMES, fault=faults, quantity=("all",), accommodate=(True,)), seeds)
+    faults = ["none", "weak-bias", "bias-5-sigma"]
+    return tasks(settings, grid(truth=TRUTHS, detector=NAMES, fault=[faults], quantity=[["all"]], accommodate=(True,)), seeds)
 
 
 def mismatch_work(task: Task) -> Arrays:

@@ -10,7 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.benchmarks.pipeline.support.rows import JudgedRuns, detection_rows, judged_runs
-from fusion_sfdia.benchmarks.pipeline.support.trials import AFTERMATH, COMMON, OURS, PAPER, Results, grid, tasks, trial
+from fusion_sfdia.benchmarks.pipeline.support.trials import (
+    AFTERMATH,
+    COMMON,
+    OURS,
+    PAPER,
+    STRENGTHS,
+    Results,
+    grid,
+    tasks,
+    trial,
+)
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Scenario, Settings, Task
@@ -23,7 +33,9 @@ from fusion_sfdia.report.plots import panels, roc_curves
 
 def roc_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Every detector on every fault of every quantity, without accommodation."""
-    return tasks(settings, grid(fault=FAULTS, quantity=QUANTITIES, detector=(*PAPER, *OURS), accommodate=(False,)), seeds)
+    return tasks(
+        settings, grid(detector=(*PAPER, *OURS), fault=STRENGTHS, quantity=[list(QUANTITIES)], accommodate=(False,)), seeds
+    )
 
 
 def draw_roc(cells: Mapping[tuple[Any, ...], JudgedRuns], fault: str) -> Drawing:

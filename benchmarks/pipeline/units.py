@@ -45,7 +45,7 @@ def _variant(name: str, snr: str, process_noise: str) -> FusingBank:
 
 def units_tasks(settings: Settings, seeds: int) -> list[Task]:
     """A bias of 30 % through each variant, and through the leave-one-out chi-square."""
-    cells = grid(detector=(*VARIANTS, BESIDE), quantity=QUANTITIES, fault=("bias-30-percent",), accommodate=(True,))
+    cells = grid(detector=(*VARIANTS, BESIDE), fault=[["bias-30-percent"]], quantity=[list(QUANTITIES)], accommodate=(True,))
     return tasks(settings, cells, seeds)
 
 

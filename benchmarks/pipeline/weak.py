@@ -22,15 +22,15 @@ WEAK_FAULTS = ("bias-3-sigma", "bias-5-sigma", "drift-3-sigma")
 def weak_tasks(settings: Settings, seeds: int) -> list[Task]:
     """Single faults near the noise, without accommodation; three at once, with accommodation."""
     names = (PAPER[0], *OURS)
-    one = grid(fault=WEAK_FAULTS, quantity=QUANTITIES, detector=names, accommodate=(False,))
-    three = grid(fault=("three-8-sigma",), quantity=("all",), detector=names, accommodate=(True,))
+    one = grid(detector=names, fault=[list(WEAK_FAULTS)], quantity=[list(QUANTITIES)], accommodate=(False,))
+    three = grid(detector=names, fault=[["three-8-sigma"]], quantity=[["all"]], accommodate=(True,))
     return tasks(settings, (*one, *three), seeds)
 
 
 def weak_summary(settings: Settings, results: Results) -> Summary:
     """Areas near the noise, and exact isolation when three sensors fail at once."""
-    single = judged_runs([r for r in results if r[0]["fault"] != "three-8-sigma"], "detector", "fault", "quantity")
-    three = judged_runs([r for r in results if r[0]["fault"] == "three-8-sigma"], "detector")
+    single = judged_runs([r for r in results if r[0]["fault"] != ["three-8-sigma"]], "detector", "fault", "quantity")
+    three = judged_runs([r for r in results if r[0]["fault"] == ["three-8-sigma"]], "detector")
     rows = detection_rows("pipeline/weak", single)
     for (detector,), cell in three.items():
         at = partial(row, "pipeline/weak", detector, "three-8-sigma", "all")

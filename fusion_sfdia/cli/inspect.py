@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import add_columns, add_plant, loaded, names, printed_warnings, warn_of
+from fusion_sfdia.cli.options import add_columns, add_plant, add_tuned, loaded, names, printed_warnings, warn_of
 
 
 def add_inspect(commands: Any) -> None:
@@ -17,7 +17,7 @@ def add_inspect(commands: Any) -> None:
     one.add_argument("--data", type=Path, metavar="LOG", help="a log of the plant in order: are noise and model right?")
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the log is written, and which column is which sensor")
     add_columns(one)
-    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant as `tune` has tuned it")
+    add_tuned(one)
     one.add_argument("--detectors", metavar="NAME,...", help="those of the simulated runs (default: one of each school)")
     one.add_argument("--sensors", metavar="NAME,...", help="those with a fault in simulated runs (default: all of up to 16)")
     one.add_argument("--no-simulation", action="store_true", help="theory only")
@@ -28,17 +28,14 @@ def add_inspect(commands: Any) -> None:
 
 
 def _inspect(chosen: argparse.Namespace) -> int:
-    from fusion_sfdia.cli.tune import tuned_plant
+    from fusion_sfdia.cli.tune import chosen_plant, tuned_entry
     from fusion_sfdia.core.files import all_or_none, require_free
     from fusion_sfdia.inspection.inspection import inspect_plant
     from fusion_sfdia.inspection.text import as_json, as_text
-    from fusion_sfdia.registry import plant
 
     if chosen.out is not None:
         require_free(chosen.out, force=chosen.force)
-    model = plant(chosen.plant)
-    if chosen.tuned is not None:
-        model = tuned_plant(model, chosen.tuned)
+    model = chosen_plant(chosen)
     healthy = None if chosen.data is None else loaded(chosen, chosen.data, model)
     if healthy is not None:
         warn_of(chosen.data, healthy.remarks)
@@ -49,6 +46,7 @@ def _inspect(chosen: argparse.Namespace) -> int:
             detectors=None if chosen.detectors is None else names(chosen.detectors),
             sensors=None if chosen.sensors is None else names(chosen.sensors),
             simulated=not chosen.no_simulation,
+            tuned=None if chosen.tuned is None else tuned_entry(chosen.plant, chosen.tuned),
         )
     text, data = as_text(found), json.dumps(as_json(found), indent=2)
     if chosen.out is not None:

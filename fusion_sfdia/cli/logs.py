@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns, printed_warnings
+from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, add_tuned, columns, printed_warnings
 from fusion_sfdia.core.numerals import integer
 
 
@@ -18,6 +18,7 @@ def add_simulate(commands: Any) -> None:
     """Add `simulate`."""
     one = commands.add_parser("simulate", help="write a log of simulated readings", allow_abbrev=False)
     add_plant(one)
+    add_tuned(one, "plant")
     one.add_argument("--steps", type=integer, default=360, metavar="N", help="readings (default: 360)")
     one.add_argument("--seed", type=integer, default=0, metavar="N", help="of noise and drawn faults (default: 0)")
     one.add_argument(
@@ -46,7 +47,7 @@ def add_diagnose(commands: Any) -> None:
     one = commands.add_parser("diagnose", help="diagnose the faults in a log", allow_abbrev=False)
     _add_log(one)
     add_detector(one)
-    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
+    add_tuned(one)
     one.add_argument(
         "--healthy",
         metavar="FROM..TO",
@@ -68,6 +69,7 @@ def add_check_log(commands: Any) -> None:
     """Add `check-log`."""
     one = commands.add_parser("check-log", help="state how a log is read, and what looks wrong in it", allow_abbrev=False)
     _add_log(one)
+    add_tuned(one, "plant")
     one.add_argument("--json", action="store_true", help="print the findings as JSON")
     one.set_defaults(work=_check_log)
 
@@ -83,27 +85,27 @@ def _add_log(one: Any) -> None:
 
 
 def _check_log(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.cli.tune import chosen_plant
     from fusion_sfdia.logs.check import check_log
-    from fusion_sfdia.registry import plant
 
-    found = check_log(chosen.data, plant(chosen.plant), chosen.map, **columns(chosen))
+    found = check_log(chosen.data, chosen_plant(chosen), chosen.map, **columns(chosen))
     print(json.dumps([asdict(f) for f in found.findings], indent=2) if chosen.json else found)
     return 0
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.cli.tune import chosen_plant
     from fusion_sfdia.evaluation.fault_draws import draw_apart
     from fusion_sfdia.evaluation.fault_effects import apply_faults, magnitude_of
     from fusion_sfdia.evaluation.faults import load_faults
     from fusion_sfdia.evaluation.simulate import simulate
     from fusion_sfdia.logs.csv_log import write_log
-    from fusion_sfdia.registry import plant
 
     if chosen.out.is_dir():
         raise ValueError(f"{chosen.out} is a folder; name a file with --out")
     if chosen.out.is_file() and not chosen.force:  # a device or a pipe is written to directly
         raise ValueError(f"{chosen.out} exists; name another file with --out, or replace it with --force")
-    model, named = plant(chosen.plant), [_fault(text) for text in chosen.fault]
+    model, named = chosen_plant(chosen), [_fault(text) for text in chosen.fault]
     faults = load_faults(chosen.faults, model) if chosen.faults else []
     faults += draw_apart(named, model, chosen.steps, chosen.seed)
     recording = simulate(model, chosen.steps, [chosen.seed], truth=chosen.truth, process_noise=chosen.process_noise)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.cli.options import names, printed_warnings, warn_of
-from fusion_sfdia.core.numerals import decimal
 
 OWN_FILES = ("monitor.txt", "methods.csv")
 
@@ -27,7 +26,7 @@ def add_monitor(commands: Any) -> None:
     one.add_argument("--ignore", default="", metavar="A,B", help="columns that are left out")
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how the logs are written, and which columns are used")
     one.add_argument(
-        "--false-alarm", type=decimal, default=0.01, metavar="RATE", help="share of healthy samples in alarm (default: 0.01)"
+        "--false-alarm", default="0.01", metavar="RATE", help="samples in alarm: 1/day, 2/hour or a share (default: 0.01)"
     )
     one.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: monitor/ and the log's name)")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")

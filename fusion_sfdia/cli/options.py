@@ -30,6 +30,11 @@ def add_detector(one: Any) -> None:
     one.add_argument("--detector", help=f"{WHICH} (default: {DEFAULT_DETECTOR})")
 
 
+def add_tuned(one: Any, what: str = "plant and detector") -> None:
+    """Add --tuned."""
+    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help=f"the {what} that `tune` has tuned")
+
+
 def add_columns(one: Any, inputs: str = "where the log has no column") -> None:
     """Add what may be lacking in a log, or too much; see `columns`. inputs: where the plant's usual ones are assumed."""
     one.add_argument("--absent-sensors", action="store_true", help="treat sensors without a column as missing throughout")

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from fusion_sfdia.cli.options import add_tuned
 from fusion_sfdia.core.numerals import integer
 
 # those of comparison.protocol, which would import NumPy: a test holds them equal
@@ -49,6 +50,7 @@ def add_compare(commands: Any) -> None:
         one.add_argument(
             f"--{what}", dest="set", action="append", default=[], type=f"{what}={{}}".format, metavar="A,B", help="only these"
         )
+    add_tuned(one, "plant")
     _add_common(
         one,
         seeds="runs of each fault",
@@ -102,9 +104,10 @@ def _run(chosen: argparse.Namespace) -> int:
 
 
 def _compare(chosen: argparse.Namespace) -> int:
+    from fusion_sfdia.cli.tune import tuned_plant
     from fusion_sfdia.comparison import protocol
     from fusion_sfdia.comparison.compare import compare
-    from fusion_sfdia.registry import require_known
+    from fusion_sfdia.registry import plant, require_known
 
     settings: dict[str, Any] = _settings(chosen.set)
     for key in settings:
@@ -112,6 +115,10 @@ def _compare(chosen: argparse.Namespace) -> int:
     for kind in ("plants", "detectors"):
         if kind in settings:
             settings[kind] = [name.strip() for name in settings[kind].split(",") if name.strip()]
+    if chosen.tuned is not None:
+        if len(settings.get("plants", ())) != 1:
+            raise ValueError(f"--tuned {chosen.tuned} is of one plant; name it, and no other, with --plants")
+        settings["plants"] = tuned_plant(plant(*settings["plants"]), chosen.tuned)
     out = chosen.out or Path("results") / "comparison"
     found = compare(
         seeds=chosen.seeds,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import warnings
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from fusion_sfdia.registry import DEFAULT_DETECTOR
 
 if TYPE_CHECKING:
     from fusion_sfdia.core.plant import Plant
+    from fusion_sfdia.registry import NamedDetector
 
 
 def add_tune(commands: Any) -> None:
@@ -48,6 +50,24 @@ def tuned_plant(plant: Plant, file: Path) -> Plant:
             return found.plant(plant)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
+
+
+def chosen_plant(chosen: argparse.Namespace) -> Plant:
+    """The plant of --plant, with what the file of --tuned has learnt where one is given."""
+    from fusion_sfdia.registry import plant
+
+    made = plant(chosen.plant)
+    return made if chosen.tuned is None else tuned_plant(made, chosen.tuned)
+
+
+def tuned_entry(plant: str, file: Path) -> NamedDetector:
+    """The detector of a tuned file under its name; what there is to warn of, `tuned_plant` says."""
+    from fusion_sfdia import registry
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        name, built = bound_detector(plant, None, file)
+    return registry.NamedDetector(name, f"as tuned in {file}", lambda of: built)
 
 
 def bound_detector(plant: str, detector: str | None, tuned: Path | None) -> tuple[str, Any]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, columns
+from fusion_sfdia.cli.options import add_columns, add_detector, add_plant, add_tuned, columns
 from fusion_sfdia.core.numerals import decimal, integer
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def add_watch(commands: Any) -> None:
     )
     add_plant(one)
     add_detector(one)
-    one.add_argument("--tuned", type=Path, metavar="TUNED.toml", help="the plant and detector that `tune` has tuned")
+    add_tuned(one)
     one.add_argument("--map", type=Path, metavar="MAP.toml", help="how rows are written: columns, units, bad texts")
     one.add_argument("--opcua", metavar="URL", help="read the rows from an OPC UA server, such as opc.tcp://host:4840")
     one.add_argument("--nodes", type=Path, metavar="NODES.toml", help="which nodes are read and written, with --opcua")
@@ -84,6 +84,7 @@ def _watch(chosen: argparse.Namespace) -> int:
         "at_sample": log_map.inputs == AT_THE_SAMPLE or bool(chosen.opcua or chosen.mqtt),
         "longest_gap": chosen.longest_gap,
         "reorder": chosen.reorder,
+        "keep_last": log_map.duplicates == "last",
         "kinds": not chosen.no_kinds,
         "refused": refused,
     }

@@ -28,7 +28,7 @@ from fusion_sfdia.commissioning.refusals import (
     require_readings,
 )
 from fusion_sfdia.commissioning.score import Fit, coloured, fitted
-from fusion_sfdia.commissioning.start import Start, first_state, with_start
+from fusion_sfdia.commissioning.start import Start, first_error, first_state, with_start
 from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.plant import Plant
@@ -57,8 +57,8 @@ class Commissioning(NamedTuple):
     plant: the commissioned one. settle: samples that were left out at the beginning of each run. before, after: the plant on
     the halves that it was not learnt from, without and with what was learnt. kept: the stages that were. parameters,
     disturbances, noise: what they found in the whole log; None, or empty, where not kept. start: where runs begin, None where
-    as the plant states. halves: the plants that were learnt from the samples from settle to middle, and from middle on. fits:
-    what these predict.
+    as the plant states; first_error: NIS per reading of the first samples of the runs with that. halves: the plants that were
+    learnt from the samples from settle to middle, and from middle on. fits: what these predict.
     """
 
     plant: Plant
@@ -70,6 +70,7 @@ class Commissioning(NamedTuple):
     disturbances: tuple[Found, ...]
     noise: Noise | None
     start: Start | None
+    first_error: float
     middle: int
     halves: tuple[Plant, Plant]
     fits: tuple[Fit, Fit]
@@ -132,8 +133,8 @@ def commissioned(plant: Plant, *healthy: Any, false_alarm: float | None = 1e-3, 
     if (start := first_state(result, log)) is not None:
         result = with_start(result, start)
     return Commissioning(
-        result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start, middle,
-        (halfway[0], halfway[1]), (now[0], now[1]),
+        result, settle, before, _held_out(now, halves), kept, parameters, disturbances, noise, start,
+        first_error(result, log), middle, (halfway[0], halfway[1]), (now[0], now[1]),
     )  # fmt: skip
 
 

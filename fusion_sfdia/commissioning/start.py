@@ -37,7 +37,8 @@ def with_start(plant: Plant, start: Start) -> Plant:
 def first_state(plant: Plant, log: Log) -> Start | None:
     """The mean and variance of the states that a log of runs begins with; None where the plant's own x0 fits them.
 
-    The state of each run is smoothed from its first readings, with a start that is 100 times as uncertain.
+    The state of each run is smoothed from its first readings, with a start that is 100 times as uncertain. Readings that
+    do not determine a state, or that no state explains, may move it anywhere: a mean beyond its limits is no start, and None.
     """
     first = Log(log.t[:1], log.y[:1], log.u[:1])
     model = fixed(plant)
@@ -54,4 +55,11 @@ def first_state(plant: Plant, log: Log) -> Start | None:
     moved = (gain @ (free.x - ahead)[..., None])[..., :n, 0]
     spread = np.mean((moved - np.mean(moved, axis=0)) ** 2, axis=0)
     low, high = plant.state_limits
-    return Start(np.clip(plant.x0 + np.mean(moved, axis=0), low, high), spread)
+    found = Start(plant.x0 + np.mean(moved, axis=0), spread)
+    return found if np.all((low <= found.x0) & (found.x0 <= high)) else None
+
+
+def first_error(plant: Plant, log: Log) -> float:
+    """Normalised innovation squared per reading of the samples that a log of runs begins with, 1 where the plant's x0 fits."""
+    (first,) = filtered(fixed(plant), Log(log.t[:1], log.y[:1], log.u[:1]))
+    return float(np.sum(first.normal**2) / max(np.sum(first.used), 1))

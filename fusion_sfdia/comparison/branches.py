@@ -17,10 +17,11 @@ from fusion_sfdia.comparison.protocol import PROCESS, FaultCondition, faults_of
 from fusion_sfdia.comparison.recordings import failing
 from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, kept
 from fusion_sfdia.comparison.subjects import ComparedPlant, plant_of
+from fusion_sfdia.core.alike import shared_again, single
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import silent_score
-from fusion_sfdia.core.state import State, chosen_runs, joined_runs
+from fusion_sfdia.core.state import State, chosen_runs, joined_runs, leaves, mapped
 from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording
@@ -90,11 +91,33 @@ def branch(plant: Plant, recording: Recording, place: int, run: Run, window: int
     return BranchReadings(u, changed.y[now, 0], y[now], signal[now], changed.active[now, 0], changed.size[now, 0])
 
 
+class Batch(NamedTuple):
+    """Runs that are stepped together (M,), those of the trunk by their numbers 0 to B - 1, branches from B on; their state."""
+
+    members: Array
+    state: Any  # a State; None without runs
+
+    def some(self, where: Array) -> Batch:
+        """The runs where (M,) holds."""
+        return self if where.all() else Batch(self.members[where], chosen_runs(self.state, np.flatnonzero(where)))
+
+    def and_also(self, other: Batch) -> Batch:
+        """These runs, and others behind them."""
+        if not (self.members.size and other.members.size):
+            return self if self.members.size else other
+        return Batch(np.concatenate([self.members, other.members]), joined_runs(self.state, other.state))
+
+
 class WalkStep(NamedTuple):
-    """A sample of a walk: its number, the state before it, the rows of the branches behind the trunk, and the Decision."""
+    """A sample of runs of a walk: its number, their state before it, and the Decision.
+
+    trunk (M,): which are of the trunk, at their numbers; rows: of the others, those of Branches.
+    """
 
     k: int
     state: State
+    trunk: Array
+    numbers: Array
     rows: Array
     decision: Decision
 
@@ -108,40 +131,48 @@ def walk(
     states: Mapping[int, State] | None = None,
     trunk: bool = True,
 ) -> Iterator[WalkStep]:
-    """Step a detector along a recording from its `first` sample on: the runs of the trunk, behind them the branches under way.
+    """Step a detector along a recording from its `first` sample on: the runs of the trunk, and the branches under way.
 
     states: those of another walk along the trunk, with which trunk and branches begin; None to begin anew, and branches with
-    the state of the walk itself. Without the trunk, samples at which no branch is under way are left out.
+    the state of the walk itself, all in one batch, the trunk first. Without the trunk, samples at which no branch is under way
+    are left out. Of the runs that share arrays (`alike`) those are stepped apart that have alarmed or missed a reading.
     """
-    count, dt = recording.y.shape[1] if trunk else 0, detector.plant.dt
-    u, y = recording.u_of_runs, recording.y
-    starting: dict[int, list[int]] = {}
-    for i, run in enumerate(found.runs):
-        starting.setdefault(run.onset, []).append(i)
-    state = None
+    B, dt = recording.y.shape[1], detector.plant.dt
+    onset, length, number = (np.array([getattr(run, what) for run in found.runs], int) for what in ("onset", "length", "b"))
+    end = np.concatenate([np.full(B, recording.t.size), onset + length])
+    together, apart = Batch(np.arange(0), None), Batch(np.arange(0), None)
     if trunk:
-        state = detector.init((count,), float(recording.t[first]) - dt) if states is None else states[first]
-    active = np.empty(0, int)
+        begin = detector.init((B,), float(recording.t[first]) - dt) if states is None else states[first]
+        together = Batch(np.arange(B), begin)
     for k in range(first, recording.t.size):
-        stay = np.array([j for j, i in enumerate(active) if k < found.runs[i].onset + found.runs[i].length], int)
-        begin = starting.get(k, [])
-        before = state if states is None else states.get(k)
-        if stay.size < active.size and state is not None:
-            state = chosen_runs(state, np.concatenate([np.arange(count), count + stay]))
-        if begin:
-            assert before is not None
-            own = chosen_runs(before, np.array([found.runs[i].b for i in begin]))
-            state = own if state is None or count + stay.size == 0 else joined_runs(state, own)
-        active = np.concatenate([active[stay], np.array(begin, int)])
-        if state is None or count + active.size == 0:
-            continue
-        rows = np.array([found.rows[i] + k - found.runs[i].onset for i in active], int)
-        readings = (found.readings.y[rows], found.readings.u[rows])
-        if trunk:
-            readings = np.concatenate([y[k], readings[0]]), np.concatenate([u[k], readings[1]])
-        after, decision = detector.step(state, float(recording.t[k]), *readings)
-        yield WalkStep(k, state, rows, decision)
-        state = after
+        if (new := np.flatnonzero(onset == k)).size:
+            before = together.state if states is None else states[k]
+            together = together.and_also(Batch(B + new, chosen_runs(before, number[new])))
+        after, alone = [together, apart], np.zeros(together.members.shape, bool)
+        for j, (members, state) in enumerate((together, apart)):
+            if not members.size:
+                continue
+            on_trunk = members < B
+            numbers, branch = members[on_trunk], members[~on_trunk] - B
+            rows = found.rows[branch] + k - onset[branch]
+            y, u = (np.empty((members.size, a.shape[-1])) for a in (found.readings.y, found.readings.u))
+            y[on_trunk], y[~on_trunk] = recording.y[k, numbers], found.readings.y[rows]
+            u[on_trunk], u[~on_trunk] = recording.u_of_runs[k, numbers], found.readings.u[rows]
+            now, decision = detector.step(state, float(recording.t[k]), y, u)
+            yield WalkStep(k, state, on_trunk, numbers, rows, decision)
+            after[j] = Batch(members, now)
+            if j == 0 and states is not None and shares(state):
+                alone = decision.alarm | decision.diverged | np.isnan(y).any(axis=-1)
+        stay = after[0].some(~alone)
+        if alone.any():
+            stay = stay._replace(state=mapped(shared_again, stay.state, together.state))
+            after[1] = after[1].and_also(after[0].some(alone))
+        together, apart = (batch.some(end[batch.members] > k + 1) for batch in (stay, after[1]))
+
+
+def shares(state: State) -> bool:
+    """Whether the runs of a state have arrays in common."""
+    return any(single(a) is not a for a in leaves(state))
 
 
 class Silent(NamedTuple):
@@ -156,11 +187,11 @@ def silent_walk(detector: Detector, recording: Recording, found: Branches, kept:
     """Walk with a silent detector; kept: the samples before which its states are expected."""
     count = recording.y.shape[1]
     seen = Silent(np.empty((recording.t.size, count)), np.full(len(found.readings.y), np.nan), {})
-    for k, state, rows, decision in walk(detector, recording, found):
+    for k, state, trunk, _, rows, decision in walk(detector, recording, found):
         if k in kept:
             seen.states[k] = chosen_runs(state, np.arange(count))
         score = as_scores(silent_score(decision))
-        seen.trunk[k], seen.runs[rows] = score[:count], score[count:]
+        seen.trunk[k], seen.runs[rows] = score[trunk], score[~trunk]
     return seen
 
 
@@ -173,9 +204,9 @@ def deployed_walk(
     alarms = np.zeros((recording.t.size, count), bool)
     flags, numbers = np.zeros((2, total), bool), np.empty((3, total, n))
     seen = KeptDecisions(flags[0], flags[1], np.zeros((total, n), bool), numbers[0], numbers[1], numbers[2])
-    for k, _, rows, decision in walk(detector, recording, found, first=first, states=states, trunk=trunk):
+    for k, _, on_trunk, numbers, rows, decision in walk(detector, recording, found, first=first, states=states, trunk=trunk):
         now = kept(detector.plant, decision)
-        alarms[k] = now.alarm[:count]
+        alarms[k, numbers] = now.alarm[on_trunk]
         for all_of, of_now in zip(seen, now, strict=True):
-            all_of[rows] = of_now[count:]
+            all_of[rows] = of_now[~on_trunk]
     return alarms, seen

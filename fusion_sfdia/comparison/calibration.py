@@ -17,15 +17,18 @@ from numpy.typing import NDArray
 from fusion_sfdia import registry
 from fusion_sfdia.comparison.recordings import healthy
 from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, plant_of
-from fusion_sfdia.core.detector import NotApplicableError
+from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.random_streams import stream
 from fusion_sfdia.core.silent import require_scale, silent, silent_scores
+from fusion_sfdia.core.state import leaves
+from fusion_sfdia.evaluation.simulate import Recording
 
 Array = NDArray[Any]
 
 RESAMPLES = 200  # of runs: a standard error within 5 %
 CALIBRATION_SEEDS = 910_000  # the first: apart from those of any run and from those that detectors are fitted on
+CACHE = 64e6  # bytes of states beyond which a step of all runs at once takes longer than of parts of them
 CLAIMS = {  # alarms a step over all sensors, of those that have no setting false_alarm
     # what they are fitted to
     **dict.fromkeys(("fusing-ekf", "fusing-ukf", "fusing-enkf", "structural-residuals"), 1e-3),
@@ -60,14 +63,22 @@ def calibrated(
     detector: Any = registry.detector(by.entry, plant_of(plant))
     require_scale(by.name, detector)
     recording = healthy(plant, settle + steps, tuple(range(CALIBRATION_SEEDS, CALIBRATION_SEEDS + runs)))
-    _, found = silent_scores(silent(detector), recording.t, recording.y, recording.u_of_runs)
-    scores = as_scores(found)[settle:]
+    scores = as_scores(scores_of(silent(detector), recording))[settle:]
     scale = float(order_statistic(scores.ravel(), false_alarm))
     if not 0 < scale < np.inf:
         raise NotApplicableError(
             f"its score on healthy readings is {scale:g} at most: no threshold brings it to a rate of false alarms"
         )
     return Calibrated(detector, scale, standard_ends(scores, scale, false_alarm), scores, claim(by.name, detector))
+
+
+def scores_of(detector: Detector, recording: Recording) -> Array:
+    """Scores (K, R) of a silent detector, of as many runs at once as have a state of `CACHE` bytes."""
+    runs, state = recording.y.shape[1], detector.init((1,), float(recording.t[0]) - detector.plant.dt)
+    together = max(1, int(CACHE // sum(a.nbytes for a in leaves(state))))
+    parts = np.array_split(np.arange(runs), -(-runs // together))
+    y, u = recording.y, recording.u_of_runs
+    return np.concatenate([silent_scores(detector, recording.t, y[:, part], u[:, part])[1] for part in parts], axis=1)
 
 
 def standard_ends(scores: Array, scale: float, false_alarm: float) -> tuple[float, float]:

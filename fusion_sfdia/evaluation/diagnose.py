@@ -26,7 +26,7 @@ from fusion_sfdia.core.log import Log, one_run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
-from fusion_sfdia.evaluation.events import Event, ProcessEvent, events_of, throughout, verdict
+from fusion_sfdia.evaluation.events import LASTING, Event, ProcessEvent, events_of, spans, throughout, verdict
 from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, explained
@@ -61,7 +61,9 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """What the events say together: "process or model: ...", "cannot tell: ... or ...", "sensor ...", "no fault"."""
+        """What the events say together: "process or model: ...", "cannot tell: ... or ...", "sensor ...", "perhaps ...", or
+        "no fault".
+        """
         found = verdict(self.events, self.t)
         if np.any(lost := self.decisions.diverged):
             return f"{found} until {self.clock.at(float(self.t[np.argmax(lost)]))}, where the estimate diverged"
@@ -221,7 +223,7 @@ def against_the_model(events: Sequence[Event], decisions: Decision, t: Array, cl
     found = [e.difference for e in events if isinstance(e, ProcessEvent) and e.open]
     if np.any(decisions.diverged):
         found.append(f"the estimate diverged at {clock.at(float(t[np.argmax(decisions.diverged)]))}")
-    if np.any(decisions.capped):
+    if any(b - a >= LASTING - 1 for a, b in spans(decisions.capped, 1)):  # shorter ones may be noise
         found.append(f"more sensors disagree with it than can be isolated in {np.sum(decisions.capped)} of {t.size} samples")
     return tuple(found)
 

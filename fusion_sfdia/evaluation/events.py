@@ -19,6 +19,7 @@ Array = NDArray[Any]
 MOST_NAMES = 4  # in a sentence
 LASTING = 3  # samples
 CERTAIN = 0.95  # a confidence below is stated
+EVEN = 0.5  # a confidence below which it is rather something else
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class UndecidedEvent(Event):
 
     def told(self, clock: Clock) -> str:
         """The event in words, with the times of a clock."""
-        return f"cannot tell: {listed(self.suspects, ' or ')}, {self.when(clock)}"
+        return f"{unsure(self.suspects)}, {self.when(clock)}"
 
 
 def events_of(detector: Detector, t: Array, decisions: Decision, gap: int) -> tuple[Event, ...]:
@@ -181,11 +182,20 @@ def verdict(events: Sequence[Event], t: Array) -> str:
     if process := [e.hypothesis for e in events if e.kind == "process"]:
         parts.append(f"process or model: {listed(process)}")
     for suspects in dict.fromkeys(e.suspects for e in open_questions(events, t)):
-        parts.append(f"cannot tell: {listed(suspects, ' or ')}")
+        parts.append(unsure(suspects))
+    likely = [e for e in events if not e.confidence < EVEN]
     for kind, word in (("sensor", "sensor"), ("other", "fault")):
-        if named := [e.hypothesis for e in events if e.kind == kind]:
+        if named := [e.hypothesis for e in likely if e.kind == kind]:
             parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
+    known = {e.hypothesis for e in likely}
+    if others := [e.hypothesis for e in events if e not in likely and e.hypothesis not in known]:
+        parts.append(f"perhaps {listed(others)}")
     return "; ".join(parts) or "no fault"
+
+
+def unsure(suspects: Sequence[str]) -> str:
+    """What an alarm that no hypothesis explains clearly may be."""
+    return f"perhaps {suspects[0]}" if len(suspects) == 1 else f"cannot tell: {listed(suspects, ' or ')}"
 
 
 def open_questions(events: Sequence[Event], t: Array) -> list[UndecidedEvent]:

@@ -55,15 +55,28 @@ def faulted(
         plant, steps, seeds, truth=truth, to_states=to_states, process_noise=process_noise,
         start="sampled" if process_noise else "nominal",
     )  # fmt: skip
+    return with_faults(plant, recording, faults, quantity, count=count, settle=settle)
+
+
+def with_faults(
+    plant: Plant,
+    recording: Recording,
+    faults: str | FaultRange | None,
+    quantity: str | None,
+    *,
+    count: int = 1,
+    settle: int = 30,
+) -> Faulted:
+    """A recording with random faults in its readings, as of `faulted`."""
     if faults is None:
         nothing = np.zeros(recording.y.shape)
         return Faulted(recording, recording.y, nothing.astype(bool), nothing)
     lists = []
-    for s in seeds:
+    for s in recording.seeds:
         rng = stream(s, "faults")
-        onset = int(rng.integers(settle + 1, max(settle + 1, steps - 40), endpoint=True)) * plant.dt
+        onset = int(rng.integers(settle + 1, max(settle + 1, recording.t.size - 40), endpoint=True)) * plant.dt
         lists.append(draw_faults(faults, plant, rng, window=(onset, onset), count=count, quantity=quantity))
-    changed = apply_faults(plant, recording.t, recording.y, lists, [int(s) for s in seeds], signal=recording.signal)
+    changed = apply_faults(plant, recording.t, recording.y, lists, [int(s) for s in recording.seeds], signal=recording.signal)
     return Faulted(recording, changed.y, changed.active, changed.size)
 
 
@@ -75,16 +88,14 @@ def decide(detector: Detector, data: Faulted, *, covariance: bool = False, seed:
     return run(detector, start, recording.t, data.y, recording.u_of_runs, covariance=covariance)[1]
 
 
-def outcome(detector: Detector, data: Faulted, *, seed: int = 0) -> Arrays:
-    """Arrays of a trial: the truth and the decisions of the detector, small enough to keep.
+def outcome(plant: Plant, data: Faulted, decision: Decision) -> Arrays:
+    """Arrays of a trial: the truth and the decisions of a detector, small enough to keep.
 
     residual, score (K, B, Q): the largest |residual| and |residual| / threshold in each quantity. alarm (K, B).
     isolated, active (K, B, N) packed into bits. square_error (K, B, Q): mean over the states read by the quantity's
     sensors. reading_square_error (K, B, 3): mean over the faulty sensors for READINGS, NaN where none is. size_error (K, B):
     relative error of the isolated fault's size, NaN where there is none. diverged, guarded (B,).
     """
-    plant = detector.plant
-    decision = decide(detector, data, seed=seed)
     groups = list(plant.quantities.values())
     scores, residual = decision.scores, np.nan_to_num(np.abs(decision.residual), nan=0.0)
     error = np.full((*scores.shape[:2], len(groups)), np.nan)

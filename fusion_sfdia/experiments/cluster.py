@@ -26,9 +26,9 @@ PATIENCE = 15.0  # seconds to wait for the scheduler, and for its first worker
 def connected(address: str) -> Iterator[Callable[[Sequence[Piece]], Iterator[Done]]]:
     """Give a function that does pieces of work on the scheduler's workers and yields each when it is done, in any order.
 
-    Raises ModuleNotFoundError without the package `distributed`, ValueError for what is no address and where workers run other
-    code or libraries than this process, OSError where nothing answers or no worker comes, RuntimeError where the scheduler
-    disappears meanwhile.
+    Raises ModuleNotFoundError without the package `distributed`, ValueError for what is no address, for tls:// without
+    certificates, and where workers run other code or libraries than this process, OSError where nothing answers or no worker
+    comes, RuntimeError where the scheduler disappears meanwhile.
     """
     try:
         from distributed import Client
@@ -37,10 +37,11 @@ def connected(address: str) -> Iterator[Callable[[Sequence[Piece]], Iterator[Don
         raise ModuleNotFoundError(
             "a dask cluster needs the package distributed, which is not installed: pip install 'fusion-sfdia[dask]'"
         ) from error
+    _require_certificates(address)
     try:
         get_address_host_port(address)  # a Client would take its time and print a traceback
         client = Client(address, timeout=PATIENCE, set_as_default=False)
-    except (TypeError, ValueError) as error:  # TypeError: tls:// without certificates
+    except ValueError as error:
         raise ValueError(
             f"{address!r} is no address of a dask scheduler ({error}); expected one such as tcp://host:8786"
         ) from error
@@ -58,6 +59,17 @@ def connected(address: str) -> Iterator[Callable[[Sequence[Piece]], Iterator[Don
             if problem is not None:
                 raise ValueError(f"worker {worker} cannot do the work: {problem}; install the same there") from problem
         yield partial(_work_off, client, here)
+
+
+def _require_certificates(address: str) -> None:
+    """ValueError where an address is tls:// and dask is configured without the certificates that it needs."""
+    from distributed.security import Security
+
+    found = Security().get_tls_config_for_role("client")
+    needed = {"ca_file": "DASK_DISTRIBUTED__COMM__TLS__CA_FILE", "cert": "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT"}
+    lacking = [variable for part, variable in needed.items() if not found[part]]
+    if address.startswith("tls://") and lacking:
+        raise ValueError(f"{address} needs certificates: set {' and '.join(lacking)} to their files")
 
 
 def _work_off(client: Any, here: Mapping[str, Any], pieces: Sequence[Piece]) -> Iterator[Done]:

@@ -223,7 +223,9 @@ def _summarise(plan: _Plan, kept: Path, drawn: Path) -> Section:
             figures[slug] = write_figure(drawn, slug, figure.draw)
         except Exception as problem:
             failures.append(f"{name}, figure {figure.name}: {type(problem).__name__}: {problem}")
-    failed = Counter(tuple(str(task.get(k) or usual) for k, usual in _USUAL) for task in map(plan.parts.__getitem__, errors))
+    failed = Counter(
+        tuple(_column(task.get(k) or usual) for k, usual in _USUAL) for task in map(plan.parts.__getitem__, errors)
+    )
     for (plant, detector, fault, quantity), count in failed.items():
         rows.append(Row(name, plant, detector, fault, quantity, "failed_tasks", float(count), n=count))
     of = plan.scenario
@@ -232,6 +234,10 @@ def _summarise(plan: _Plan, kept: Path, drawn: Path) -> Section:
 
 
 _USUAL = (("plant", ""), ("detector", ""), ("fault", "none"), ("quantity", "all"))  # columns, where a task does not name them
+
+
+def _column(value: Any) -> str:
+    return ", ".join(value) if isinstance(value, list) else str(value)
 
 
 def _label(task: Task) -> str:

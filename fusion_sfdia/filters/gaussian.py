@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.linalg.lapack import dpotrf, dtrtri, dtrtrs
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.covariance import dense as dense
@@ -91,6 +91,14 @@ def half_inverse(A: Array, used: Array | None = None) -> Array:
         unit = A * (scale[..., :, None] * scale[..., None, :])
     L = cholesky(unit)
     return scale[..., :, None] * np.swapaxes(np.linalg.inv(L), -1, -2)
+
+
+def solve_lower(L: Array, B: Array) -> Array:
+    """L^-1 B (..., n, k) of lower triangular L (..., n, n) without a zero on its diagonal."""
+    out = np.empty(B.shape)
+    for index in np.ndindex(B.shape[:-2]):
+        out[index] = dtrtrs(L[index].T, B[index], lower=0, trans=1)[0]  # of the transpose, in the order of LAPACK
+    return out
 
 
 def whiten(rows: Array, R: Array, used: Array) -> Array:

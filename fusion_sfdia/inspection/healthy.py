@@ -30,11 +30,11 @@ class OnHealthy(NamedTuple):
     events: tuple[str, ...]
 
 
-def on_healthy(plant: Plant, log: Log, detector: str) -> OnHealthy:
+def on_healthy(plant: Plant, log: Log, detector: registry.NamedDetector) -> OnHealthy:
     """Examine a healthy log of one run, with the disturbances that the plant states; ValueError where it is too short."""
     plant = augment(replace(plant, uncertainty=Uncertainty(disturbances=plant.uncertainty.disturbances)))
     found = diagnose_run(registry.detector(detector, plant), log)
-    return OnHealthy(len(log.t), whiteness(plant, log), detector, tuple(map(str, found.events)))
+    return OnHealthy(len(log.t), whiteness(plant, log), detector.name, tuple(map(str, found.events)))
 
 
 def of_healthy(plant: Plant, found: OnHealthy) -> Iterator[Finding]:

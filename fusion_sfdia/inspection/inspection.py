@@ -85,14 +85,16 @@ def inspect_plant(
     detectors: Sequence[Any] | None = None,
     sensors: Sequence[str] | None = None,
     simulated: bool = True,
+    tuned: registry.NamedDetector | None = None,
 ) -> Inspection:
     """Examine a plant, given as in `registry.find_plant`: mistakes in its model, its step, observability and redundancy, and
     which sensor faults are found by which detector, from what size and after how long, by theory and in simulated runs.
 
     healthy: readings of the real plant in order, as `as_log` takes them. detectors: of the simulated runs, by default one of
     each school; sensors: those with a fault. Up to 16 sensors all are tried, up to 80 four with the fast detectors, of more
-    none, unless they are named. simulated: False leaves the runs out. With mistakes nothing further is examined: results
-    would be those of another plant. ValueError for unknown names, and for data that do not fit.
+    none, unless they are named. simulated: False leaves the runs out. tuned: a detector with thresholds for the real plant,
+    which is tried first, in place of the one that is registered by its name, and judged on `healthy`. With mistakes nothing
+    further is examined: results would be those of another plant. ValueError for unknown names, and for data that do not fit.
     """
     found = registry.plant(plant)
     chosen = _sensors(found) if sensors is None else tuple(sensors)
@@ -117,10 +119,11 @@ def inspect_plant(
     runs: tuple[Tried, ...] = ()
     if simulated and chosen:
         usual = DETECTORS if len(found.sensors) <= SMALL else FAST
-        of = partial(tried, found, usual if detectors is None else detectors, chosen)
-        runs = _attempt(of, "simulation", remarks) or ()
+        each = [registry.find_detector(what) for what in (usual if detectors is None else detectors)]
+        each = each if tuned is None else [tuned, *(entry for entry in each if entry.name != tuned.name)]
+        runs = _attempt(partial(tried, found, each, chosen), "simulation", remarks) or ()
         remarks += of_runs(runs, 0 if readings is None else readings.redundancy.faults)
-    of_log = None if log is None else on_healthy(found, log, DETECTORS[0])
+    of_log = None if log is None else on_healthy(found, log, tuned or registry.find_detector(DETECTORS[0]))
     remarks += [] if of_log is None else of_healthy(found, of_log)
     remarks += [] if log is None else of_feedthrough(found, feedthrough(found, log))
     findings = sorted(remarks, key=lambda f: f.kind != MISTAKE)

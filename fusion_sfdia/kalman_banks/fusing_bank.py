@@ -46,11 +46,10 @@ Array = NDArray[Any]
 
 
 class Mixed(NamedTuple):
-    """Mean x (..., n) and covariance p (..., n, n) of the mixture, the filter core that is fed back, and the NIS (...)."""
+    """Mean x (..., n) and covariance p (..., n, n) of the mixture, and the NIS (...)."""
 
     x: Array
     p: Array
-    core: Core
     nis: Array
 
 
@@ -152,7 +151,7 @@ class FusingBank(BatchDetector):
         joints = [self.estimator.joint(plant, p, now.t, u) for p in prior]
         used = np.isfinite(y)
         founds, local = self._update(joints, y, used)
-        mixed = self._mix(prior, joints, founds, local, now, y, u)
+        mixed = self._mix(joints, founds, local, y)
         seen = plant.output(now.t, local, u[..., None, :])
         state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
         residual = np.where(used, np.sqrt(state_variance), np.nan)
@@ -162,12 +161,10 @@ class FusingBank(BatchDetector):
         alarm = np.any(residual > threshold, axis=-1)
         suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
         isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
-        if self.accommodate and np.any(isolated):
-            if self.runs_literally:
-                founds, local = self._update(joints, y, used & ~isolated)
-            else:
-                founds = [eliminate(founds[0], suspect, np.any(isolated, axis=-1))]
-            mixed = self._mix(prior, joints, founds, local, now, y, u)
+        kept = used & ~isolated if self.accommodate else used
+        if np.any(kept != used):
+            mixed = self._without(mixed, joints, founds[0], local, y, kept, suspect)
+        core = self._fed_back(prior, mixed, now, np.where(kept, y, np.nan), u)
         without = np.diagonal(seen, axis1=-2, axis2=-1)  # expected y_i of filter i, which does not use y_i
         expected = plant.output(now.t, mixed.x, u)
         decision = Decision(
@@ -182,7 +179,7 @@ class FusingBank(BatchDetector):
             nis=mixed.nis,
             covariance=mixed.p,
         )
-        return mixed.core, decision
+        return core, decision
 
     def _predict(self, core: Core, axis: int, now: TimeStep, u: Array) -> list[Prior]:
         """The prior of each local filter, or their common prior; axis: that of the filters in a literal core."""
@@ -201,42 +198,53 @@ class FusingBank(BatchDetector):
         found = statistics(joints[0], y, used)
         return [found], local_estimates(joints[0], found)[0]
 
-    def _mix(
-        self,
-        priors: list[Prior],
-        joints: list[Joint],
-        founds: list[LeaveOneOut],
-        local: Array,
-        now: TimeStep,
-        y: Array,
-        u: Array,
-    ) -> Mixed:
-        """Steps 3 and 4: mixture and feedback."""
-        plant, est, count = self.plant, self.estimator, len(self.plant.sensors)
-        beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
-        used = np.any([f.used for f in founds], axis=0)
-        reading = Reading(now.t, np.where(used, y, np.nan), u, noise_gain=count / (count - 1))
+    def _mix(self, joints: list[Joint], founds: list[LeaveOneOut], local: Array, y: Array) -> Mixed:
+        """Step 3: mixture."""
+        plant = self.plant
         if self.runs_literally:
             p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
             # LAPACK's eigenvalues fail for the whole batch if one run is not finite; its local estimates are not finite either
             sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
             x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
-        elif est.consistent:
-            x, p = mixing.mixture(joints[0], y, used, plant.sensor_cov)
+        elif self.estimator.consistent:
+            x, p = mixing.mixture(joints[0], y, founds[0].used, plant.sensor_cov)
         else:
             x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
+        return Mixed(x, p, normalised_innovation_squared(joints[0], founds[0], y))
+
+    def _without(
+        self, mixed: Mixed, joints: list[Joint], found: LeaveOneOut, local: Array, y: Array, kept: Array, suspect: Array
+    ) -> Mixed:
+        """The mixture of the readings `kept` (..., N): again where the suspect (...) is not among them, as it was elsewhere."""
+        if self.runs_literally:
+            return self._mix(joints, *self._update(joints, y, kept), y)
+        at = np.any(found.used & ~kept, axis=-1)
+        x, P, expected, S, C = (a[at] for a in joints[0][:5])
+        few = LeaveOneOut(found.whitened[at], found.weight[at], found.inverse[at], found.used[at], None, None)
+        few = eliminate(few, suspect[at], np.ones(len(x), bool))
+        again = self._mix([Joint(x, P, expected, S, C)], [few], local[at], y[at])
+        return Mixed(*(_with(a, at, b) for a, b in zip(mixed, again, strict=True)))
+
+    def _fed_back(self, priors: list[Prior], mixed: Mixed, now: TimeStep, y: Array, u: Array) -> Core:
+        """Step 4: the core of each local filter, or their common one, of the mixture and the readings y in use."""
+        count = len(self.plant.sensors)
+        beta = np.full(count, 1.0 / count) if self.beta is None else np.asarray(self.beta)
         cores = [
-            est.assimilate(
-                plant,
+            self.estimator.assimilate(
+                self.plant,
                 prior,
-                reading._replace(cov_gain=b / count),
-                x,
-                repeated(b * single(p), p),
+                Reading(now.t, y, u, noise_gain=count / (count - 1), cov_gain=b / count),
+                mixed.x,
+                repeated(b * single(mixed.p), mixed.p),
                 step_stream(now.seed, now.k + 2**32),
             )
             for prior, b in zip(priors, beta, strict=False)
         ]
-        core = cores[0]
-        if self.runs_literally:
-            core = mapped(lambda *each: np.stack(each, axis=used.ndim - 1), *cores)
-        return Mixed(x, p, core, normalised_innovation_squared(joints[0], founds[0], y))
+        return mapped(lambda *each: np.stack(each, axis=y.ndim - 1), *cores) if self.runs_literally else cores[0]
+
+
+def _with(a: Array, at: Array, b: Array) -> Array:
+    """A copy of a (..., k) that is b at some elements of the batch."""
+    changed = np.array(a)
+    changed[at] = b
+    return changed

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.filters.gaussian import Joint, cholesky
+from fusion_sfdia.filters.gaussian import Joint, cholesky, half_inverse, on_diagonal, solve_lower
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
 
 Array = NDArray[Any]
@@ -53,17 +53,21 @@ def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array
     states without variance, which stay as they are.
 
     With A = P_f, P_i^-1 = A^-1 - v_i v_i' / (w_i + K_i' v_i), v_i = A^-1 K_i (Sherman and Morrison), so with the
-    Cholesky factor L of A and b_i = L^-1 K_i, P_m = L (N I - sum_i b_i b_i' / (w_i + |b_i|^2))^-1 L' and
-    x_m = x_f - P_m L'^-1 sum_i b_i u_i / (w_i + |b_i|^2). Used for the printed unscented filter, whose C lacks Q.
+    Cholesky factor L of A, b_i = L^-1 K_i and V V' = (N I - sum_i b_i b_i' / (w_i + |b_i|^2))^-1, P_m = L V (L V)' and
+    x_m = x_f - L V V' sum_i b_i u_i / (w_i + |b_i|^2). Used for the printed unscented filter, whose C lacks Q.
     """
     x, a = posterior(joint, found)
     count = found.weight.shape[-1]
     exact = np.diagonal(a, axis1=-2, axis2=-1) == 0
     factor = cholesky(a + exact[..., None] * np.eye(a.shape[-1]) if np.any(exact) else a)
-    b = np.linalg.solve(factor, joint.C @ found.inverse)
+    b = solve_lower(factor, joint.C @ found.inverse)
     share = np.where(found.used, 1.0 / np.where(found.used, found.weight + np.sum(b * b, axis=-2), 1.0), 0.0)
-    inner = count * np.eye(a.shape[-1]) - (b * share[..., None, :]) @ np.swapaxes(b, -1, -2)
-    pull = b @ (share * found.whitened)[..., None]
-    solved = factor @ np.linalg.solve(inner, np.concatenate([np.swapaxes(factor, -1, -2), pull], axis=-1))
-    p = np.where(exact[..., None] | exact[..., None, :], 0.0, solved[..., :-1])
-    return x - solved[..., -1], (p + np.swapaxes(p, -1, -2)) / 2
+    shared = b * np.sqrt(share)[..., None, :]
+    inner = shared @ np.swapaxes(shared, -1, -2)
+    np.negative(inner, out=inner)
+    on_diagonal(inner)[...] += count
+    V = half_inverse(inner)
+    LV = factor @ V
+    pull = np.swapaxes(V, -1, -2) @ (b @ (share * found.whitened)[..., None])
+    p = LV @ np.swapaxes(LV, -1, -2)
+    return x - (LV @ pull)[..., 0], np.where(exact[..., None] | exact[..., None, :], 0.0, p) if np.any(exact) else p

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right, insort
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -31,23 +32,27 @@ class InOrder:
     """Takes rows as they arrive and returns them in order, each with the seconds to the next one where that is known.
 
     A row is held until one has arrived that is `reorder` s later, or more than MOST_HELD are held, and is returned in its
-    place. A row is late, and lost, where one after it was returned and diagnosed. Of rows with equal times the first counts,
-    since what is diagnosed cannot be taken back; the others are duplicates. The first row, and one later than all others by
-    more than `longest_gap` s, wait for the next row: if that is earlier by more than `reorder`, the clock of the waiting row
-    was wrong, and it is lost.
+    place. A row is late, and lost, where one after it was returned and diagnosed. Of rows with equal times, duplicates, the
+    first counts, since what is diagnosed cannot be taken back; or, if keep_last, the last of those that are held. The first
+    row, and one later than all others by more than `longest_gap` s, wait for the next row: if that is earlier by more than
+    `reorder`, the clock of the waiting row was wrong, and it is lost.
     """
 
     reorder: float
     longest_gap: float
     refused: Callable[[str], None]
+    keep_last: bool = False
     held: list[Row] = field(default_factory=list)  # by time
     waiting: Row | None = None
     late: int = 0  # rows since the last one that was not
-    again: int = 0  # duplicates since the last row that was none
+    again: Counter[str] = field(default_factory=Counter)  # duplicates since the last row that was none, by what was kept
     loaded: float | None = None  # s, the last row of a loaded state: until another is diagnosed, no line about rows it has
 
     def push(self, row: Row, last: float | None, clock: Clock) -> list[tuple[Row, float]]:
         """Rows that are due when `row` has arrived; last: the time of the last row diagnosed."""
+        if self.keep_last and self._replaced(row):
+            self.again["last"] += 1
+            return []
         if self._is_late(row.t, last, clock):
             return []
         if (waited := self.waiting) is not None:
@@ -84,7 +89,7 @@ class InOrder:
         same = any(row.t == t for row in (*self.held[k : k + 1], *([self.waiting] if self.waiting else [])))
         said = last is None or last != self.loaded
         if (same or t == last) and not self.late:
-            self.again += said
+            self.again["first"] += said
             return True
         self._count_duplicates()
         last = t if same else last
@@ -101,10 +106,22 @@ class InOrder:
         self.late += said
         return True
 
+    def _replaced(self, row: Row) -> bool:
+        """Whether a row with its time is held or waits; it has taken its place."""
+        k = bisect_left(self.held, row.t, key=_time)
+        if self.held[k : k + 1] and self.held[k].t == row.t:
+            self.held[k] = row
+        elif self.waiting is not None and self.waiting.t == row.t:
+            self.waiting = row
+        else:
+            return False
+        return True
+
     def _count_duplicates(self) -> None:
-        if self.again:
-            self.refused(f"{counted(self.again, 'duplicate')} dropped, the first row of each time kept")
-        self.again = 0
+        for kept, count in self.again.items():
+            if count:
+                self.refused(f"{counted(count, 'duplicate')} dropped, the {kept} row of each time kept")
+        self.again.clear()
 
 
 def _time(row: Row) -> float:

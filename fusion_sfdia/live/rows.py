@@ -28,8 +28,8 @@ class TextRows:
     CSV: the first line, after the map's preamble, is the header, with titles as `load_log` takes them. JSON: each line is an
     object with the titles as keys, the first with all of them; null, or no key, is a missing value. Titles, numbers, times and
     units are as the LogMap states, by default the names of the plant; in a row that its mask covers all readings are missing.
-    Its hold and inputs are for the Watch; order and duplicates are those of a Watch, whatever the map has. ValueError for a map
-    of a long format.
+    Its hold, inputs and duplicates are for the Watch; order is that of a Watch, whatever the map has. ValueError for a map of a
+    long format.
     absent_sensors, other_columns, nominal_inputs: as in `load_log`.
     """
 

@@ -48,17 +48,17 @@ class Watch:
 
     gap: samples without a verdict after which an event closes. hold: seconds for which an input that is missing, or beyond the
     limits of its signal, keeps its last value. nominal_inputs: whether the plant's usual value is taken instead. at_sample:
-    whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap:
-    seconds over which the detector predicts without readings, in steps of dt; default 10 000 dt. reorder: seconds for which
-    rows are held, so that those that come in another order are put in order; every row is diagnosed that much later. kinds:
-    whether faults are named and the model is tested, see `SecondLook`. refused: called with a line for each row or run of rows
-    that is not taken; by default a WatchWarning.
+    whether the inputs of a row act from then on, as measured ones do, or acted until then, as in a Log. longest_gap: seconds
+    over which the detector predicts without readings, in steps of dt; default 10 000 dt. reorder: seconds for which rows are
+    held, so that those that come in another order are put in order; every row is diagnosed that much later. keep_last: whether
+    of held rows with one time the last counts, in place of the first. kinds: whether faults are named and the model is tested,
+    see `SecondLook`. refused: called with a line for each row or run of rows that is not taken; by default a WatchWarning.
 
     Rows that are not as expected never end a watch:
 
     - A row whose numbers do not fit, or without an input, is not taken.
-    - A row with the time of another is a duplicate: the first counts, since what is diagnosed cannot be taken back. One line
-      for the number of a run of them.
+    - A row with the time of another is a duplicate: the first counts, since what is diagnosed cannot be taken back; see
+      keep_last. One line for the number of a run of them.
     - A row earlier than the last one diagnosed, late, out of order or after a clock was set back, is not taken, one line for
       the first and one for the number of them. Directly after `load` such rows are in the state already: no line.
     - The first row, and one later by more than longest_gap, wait for the next row. If that is later still, the time is right:
@@ -77,6 +77,7 @@ class Watch:
         at_sample: bool = False,
         longest_gap: float | None = None,
         reorder: float = 0.0,
+        keep_last: bool = False,
         kinds: bool = True,
         refused: Callable[[str], None] = _warn,
     ) -> None:
@@ -98,7 +99,7 @@ class Watch:
         self.limits = tuple(np.array([getattr(s, which) for s in detector.plant.inputs]) for which in ("low", "high"))
         self.known_at = np.full(len(detector.plant.inputs), -np.inf)  # time of the last value of each input
         self.lost = False  # whether the estimate of the last row had diverged
-        self.order = InOrder(number("reorder", reorder), self.longest_gap, refused)
+        self.order = InOrder(number("reorder", reorder), self.longest_gap, refused, keep_last)
 
     def events(self, rows: Iterable[tuple[float | datetime, Any, Any]]) -> Iterator[Change]:
         """What rows (t, y, u), see `take`, decide, each as soon as its row is taken."""

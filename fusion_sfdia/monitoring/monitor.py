@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.gaps import bridged
 from fusion_sfdia.core.log import Log
+from fusion_sfdia.core.rate import Rate
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.evaluation.diagnose import SECONDS, Diagnosis, decided, diagnose_run
 from fusion_sfdia.evaluation.events import Event, events_of, median, spans
@@ -36,7 +36,8 @@ class Monitored:
 
     diagnosis: of the bank on the identified model, with the frozen sensors. beside: the diagnoses of the other methods by name.
     frozen: sensors that repeat one reading longer than they did when healthy. moved: sensors that never moved when healthy, and
-    do. log: as it was judged, on equal steps, with the sensors of the model.
+    do. log: as it was judged, on equal steps, with the sensors of the model. rate: share of held-out healthy samples that was
+    in alarm with the bank.
     """
 
     diagnosis: Diagnosis
@@ -45,9 +46,16 @@ class Monitored:
     moved: tuple[Event, ...]
     missing: tuple[str, ...]
     log: Log
+    rate: float
 
     def __str__(self) -> str:
+        count = len(self.log.t)
         lines = [str(self.diagnosis)]
+        if self.diagnosis.events:
+            lines.append(
+                f"  without a fault some {self.rate * count:.2g} of these {count} samples would be in alarm, as of held-out "
+                "healthy ones: the shortest events may be such, --false-alarm sets their rate"
+            )
         lines += [
             f"  {e.hypothesis} moved {e.when(self.diagnosis.clock)}, by {e.size:.4g} {e.unit}; never when healthy"
             for e in self.moved
@@ -121,7 +129,7 @@ class Monitor:
         moved = [e for name, value in self.still.items() for e in self._moved(names.index(name), value, t, y)]
         missing = [name for name, column in zip(names, y.T, strict=True) if not np.isfinite(column).any()]
         bank = with_frozen(found.pop("bank"), fixed)
-        return Monitored(bank, found, tuple(fixed), tuple(moved), tuple(missing), judged)
+        return Monitored(bank, found, tuple(fixed), tuple(moved), tuple(missing), judged, self.methods["bank"].rate)
 
     def _moved(self, i: int, value: float, t: Array, y: Array) -> list[Event]:
         signal, off = self.sensors[i], y[:, i] - value
@@ -152,7 +160,7 @@ def learn_monitor(
     healthy: Sequence[Log],
     *,
     inputs: Sequence[Signal] = (),
-    false_alarm: float = FALSE_ALARM,
+    false_alarm: float | str = FALSE_ALARM,
     beside: Sequence[str] = BESIDE,
     candidates: Sequence[Candidate] | None = None,
     folds: int = 4,
@@ -161,25 +169,26 @@ def learn_monitor(
     """Learn from healthy logs, t (K,), y (K, N) with NaN where missing, u (K, m), how a plant behaves.
 
     A model is identified (`choose_model`, whose candidates and folds these are), and thresholds of a `LeaveOneOutBank` on it
-    and of the methods `beside` are set for the rate `false_alarm` of samples in alarm, nested over logs (`calibrate`). A sensor
-    that never moves is accepted and reported.
+    and of the methods `beside` are set for the rate `false_alarm` of samples in alarm, a share or such as "1/day", nested over
+    logs (`calibrate`). A sensor that never moves is accepted and reported.
 
     ValueError for logs that do not fit or are too short for a model or the rate.
     """
-    probability("false_alarm", false_alarm)
+    stated = Rate.of(false_alarm)
     sensors, inputs = tuple(sensors), tuple(inputs)
     choice = choose_model(name, sensors, healthy, inputs=inputs, candidates=candidates, folds=folds)
+    rate = stated.per_sample(choice.plant.dt)
     moves = [s.name not in choice.still for s in sensors]
     moving = [s for s, m in zip(sensors, moves, strict=True) if m]
     runs = runs_of(moving, inputs, [Log(t, y[:, moves], u) for t, y, u in healthy])
     groups = groups_of(runs, folds)[1]
-    methods = Methods(choice, moving, inputs, false_alarm)
+    methods = Methods(choice, moving, inputs, rate)
     if unknown := [n for n in beside if n not in methods.fits]:
         raise ValueError(f"beside has {', '.join(map(repr, unknown))}; known: {', '.join([*methods.fits][1:])}")
-    found, failed = {"bank": calibrate(methods.bank, groups, false_alarm)}, {}
+    found, failed = {"bank": calibrate(methods.bank, groups, rate)}, {}
     for other in beside:
         try:
-            found[other] = calibrate(methods.fits[other], groups, false_alarm)
+            found[other] = calibrate(methods.fits[other], groups, rate)
         except ValueError as error:
             failed[other] = str(error)
     readings = {s.name: np.concatenate([y[:, i] for _, y, _ in healthy]) for i, s in enumerate(sensors)}

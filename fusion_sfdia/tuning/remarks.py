@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fusion_sfdia.commissioning.commission import Commissioning
+from fusion_sfdia.core.rate import Rate
 from fusion_sfdia.tuning.tail import Threshold
 
 FAR, COLOURED, WRONG, WIDE, UNSURE = 3.0, 0.15, 1.5, 2.0, 1.5  # beyond which a figure is remarked on
@@ -15,8 +16,8 @@ ABSURD = 10.0  # times the error that the plant as stated expects: together with
 HUGE = 100.0  # standard errors of a window: the mean of a disturbance
 
 
-def remarks(found: Commissioning, figures: Mapping[str, Any], limit: Threshold) -> list[str]:
-    """What a user should know before relying on a tuned plant; figures: of its quality, by name."""
+def remarks(found: Commissioning, figures: Mapping[str, Any], limit: Threshold, rate: Rate) -> list[str]:
+    """What a user should know before relying on a tuned plant; figures: of its quality, by name. rate: as stated."""
     away = {}
     if found.parameters is not None:
         size = np.abs(found.parameters.value - found.parameters.prior) / found.parameters.prior_sd
@@ -42,6 +43,19 @@ def remarks(found: Commissioning, figures: Mapping[str, Any], limit: Threshold) 
         )
     if not 1 / WRONG < figures["nis"] < WRONG:
         said.append(f"prediction errors are {np.sqrt(figures['nis']):.2g} times as large as the model expects (NIS, root)")
+    achieved = figures["achieved"]
+    if achieved["low"] != "0" and Rate.of(achieved["low"]).count > rate.count:
+        said.append(
+            f"with thresholds of one half of the log there are {achieved['rate']} in the other, where {rate} is stated: what "
+            "is learnt in one half does not hold in the other. Give a log with all of its operation, or declare what is not "
+            "known of the model (`uncertainty`), so that it is learnt"
+        )
+    if found.first_error > FAR**2:
+        said.append(
+            f"runs begin {np.sqrt(found.first_error):.2g} times as far from the plant's x0 as it expects (NIS, root), and no "
+            "other start explains it: the first samples of a log may be in alarm. Begin logs when the plant has settled, or "
+            "state x0 and initial_cov so that they hold where logs begin"
+        )
     if limit.scale > WIDE:
         said.append(f"thresholds are {limit.scale:.2g} times those of a right model: small faults are not seen")
     if limit.high > UNSURE * limit.low:

@@ -13,7 +13,7 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.numerals import decimal
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.tuning.rate import Rate
+from fusion_sfdia.core.rate import Rate
 from fusion_sfdia.tuning.tune import Source, tune
 from fusion_sfdia.tuning.tuned import Tuned
 

@@ -22,10 +22,10 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.rate import Rate, lasting
 from fusion_sfdia.core.silent import require_scale, silent, silent_scores
 from fusion_sfdia.tuning.delays import Delays, delays
 from fusion_sfdia.tuning.drift import require_no_drift
-from fusion_sfdia.tuning.rate import Rate, lasting
 from fusion_sfdia.tuning.remarks import remarks
 from fusion_sfdia.tuning.runs import as_even_runs
 from fusion_sfdia.tuning.stationary import require_stationary
@@ -219,5 +219,5 @@ def _quality(
             "worst": float(np.max(late.delay[s])),
             "found": float(np.mean(late.found[s])),
         }
-    figures["remarks"] = remarks(found, figures, limit)
+    figures["remarks"] = remarks(found, figures, limit, rate)
     return figures

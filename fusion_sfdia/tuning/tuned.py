@@ -21,9 +21,9 @@ from fusion_sfdia.core.arguments import number, shown
 from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.files import all_or_none
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.rate import Rate
 from fusion_sfdia.core.saved_detectors import load_detector, save_detector
 from fusion_sfdia.tuning.document import read_document, write_document
-from fusion_sfdia.tuning.rate import Rate
 from fusion_sfdia.tuning.response import response, warn_of_change
 
 Array = NDArray[Any]

@@ -17,7 +17,7 @@ from fusion_sfdia.evaluation.cases import ComparisonCases, MismatchCase, PaperFa
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.other_truths import double_spread, fluctuating, trending
 from fusion_sfdia.evaluation.results import Published
-from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.marine_engine.published import THREE_FAULTS, Offset
@@ -66,7 +66,7 @@ def changing_turbine(first: float, last: float) -> Plant:
 
 def failing(kind: str, severity: float, onset: float) -> Plant:
     """The engine with a process fault from the onset (s) on."""
-    return marine_engine(process_faults=[ProcessFault(kind, severity, onset)])
+    return marine_engine(process_faults=[EngineFault(kind, severity, onset)])
 
 
 def offset_fault(offset: Offset, plant: Plant, sensor: str, seed: int, onset: float, length: float) -> Fault:

@@ -2,7 +2,7 @@
 
 K24 names process faults as future work. An engine with such a fault is another truth for the same detector:
 
-    simulate(plant, 3000, seeds, truth=marine_engine(process_faults=[ProcessFault("turbine-fouling", 0.1, onset=10.0)]))
+    simulate(plant, 3000, seeds, truth=marine_engine(process_faults=[EngineFault("turbine-fouling", 0.1, onset=10.0)]))
 """
 
 from __future__ import annotations
@@ -26,8 +26,16 @@ PROCESS_FAULTS = {  # kind: effect of a severity s
 
 
 @dataclass(frozen=True)
-class ProcessFault:
-    """A fault of the engine from `onset` (s) on, which grows linearly over `rise` seconds to its severity in (0, 1)."""
+class EngineFault:
+    """A process fault of the marine engine, for `marine_engine(process_faults=[...])`: all sensors are in order.
+
+    It acts from `onset` (s) on and grows linearly over `rise` (s) to `severity`, a share in (0, 1). kind: "turbine-fouling"
+    (its area is (1 - s) times as large), "compressor-fouling" (the turbocharger's efficiency, likewise), "injector-loss" (the
+    cylinder gets (1 - s) times the fuel that is set), "intercooler-fouling" (it leaves the air warmer by s times what the air
+    is above the cooler's temperature at full load) or "heavy-propeller" (the load is (1 + s) times as large). Kinds and shapes
+    are our choice: K24 names process faults as future work. Raises ValueError for another kind, a severity outside (0, 1), or
+    times that are not finite.
+    """
 
     kind: str
     severity: float
@@ -50,7 +58,7 @@ class ProcessFault:
 
 
 def parameter_schedule(
-    c: EngineParameters, faults: Sequence[ProcessFault], slip: str = "law"
+    c: EngineParameters, faults: Sequence[EngineFault], slip: str = "law"
 ) -> Callable[[float], EngineParameters]:
     """Return the engine's parameters as a function of time (s); c are those of the healthy engine."""
     if not faults:
@@ -63,7 +71,7 @@ def _always(c: EngineParameters, t: float) -> EngineParameters:
     return c
 
 
-def _faulty(c: EngineParameters, faults: Sequence[ProcessFault], heat: float, t: float) -> EngineParameters:
+def _faulty(c: EngineParameters, faults: Sequence[EngineFault], heat: float, t: float) -> EngineParameters:
     now = c
     for fault in faults:
         s = fault.severity_at(t)

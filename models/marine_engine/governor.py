@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.models.marine_engine.equations import EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import LOADS
-from fusion_sfdia.models.marine_engine.faults import ProcessFault, parameter_schedule
+from fusion_sfdia.models.marine_engine.faults import EngineFault, parameter_schedule
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 
@@ -47,7 +47,7 @@ def governed_settings(
     load: float = 1.0,
     slip: str = "law",
     parameters: EngineParameters | None = None,
-    process_faults: Sequence[ProcessFault] = (),
+    process_faults: Sequence[EngineFault] = (),
 ) -> Array:
     """Fuel settings (K, 1) by which a governor holds the reference speed (1/s) at each time (s), for `simulate(inputs=...)`.
 

@@ -35,7 +35,7 @@ from fusion_sfdia.core.uncertainty import Spread, Uncertainty
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium, follows_law
-from fusion_sfdia.models.marine_engine.faults import ProcessFault, parameter_schedule
+from fusion_sfdia.models.marine_engine.faults import EngineFault, parameter_schedule
 from fusion_sfdia.models.marine_engine.modules import engine_modules
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.physics import UNIT, decay_rates, engine_physics
@@ -90,7 +90,7 @@ def marine_engine(
     noise: float = 0.05,
     slip: str = "law",
     parameters: EngineParameters | None = None,
-    process_faults: Sequence[ProcessFault] = (),
+    process_faults: Sequence[EngineFault] = (),
     substeps: int = 1,
 ) -> Plant:
     """Return the engine as a plant with the states fuel (kg), p_receiver (Pa), p_charge (Pa).

@@ -28,7 +28,13 @@ AREA_FAULTS = {  # kind: effect of a value
 
 @dataclass(frozen=True)
 class AreaFault:
-    """A fault of an area from `onset` until `end` (s)."""
+    """A process fault of an area of the power network from `onset` until `end` (s), for `power_network(faults=[...])`.
+
+    kind: "governor" (its time constant is `value`, s), "input-gain" (`value` times the reference reaches the area) or
+    "load-loss" (`value`, per unit, of the load known to the area is lost). Source: the first two are those of B18, scenarios 1
+    and 2; the third is ours. Raises ValueError for another kind, a value that is not finite, not positive for a time constant,
+    or means no fault, and an end that is not after the onset.
+    """
 
     kind: str
     area: str
@@ -50,7 +56,11 @@ class AreaFault:
 
 @dataclass(frozen=True)
 class Switch:
-    """Areas that are plugged in and unplugged at `time` (s), at once."""
+    """Areas, by name, that are plugged in and unplugged at `time` (s), at once; for `power_network(switches=[...])`.
+
+    Source: B18, sec. VI. The network raises ValueError for an unknown area, one that is plugged in or out already, and a
+    switch of no area.
+    """
 
     time: float
     plug_in: tuple[str, ...] = ()

@@ -7,9 +7,12 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas
 import pytest
 
 from fusion_sfdia.cli.main import main
+from fusion_sfdia.comparison.compare import ComparisonResult
 from fusion_sfdia.logs.tables import read_table
 
 TOY = """
@@ -19,6 +22,8 @@ from toy_plants import chain
 def make():
     return chain(3, process=0.3)
 """
+
+NOTHING = ComparisonResult([], [], [], [], None, "")
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -72,6 +77,22 @@ def test_tune_then_diagnose(capsys: pytest.CaptureFixture[str], tmp_path: Path, 
     assert code == 0 and nis[0] < nis[1]
     code, _, err = call(capsys, "inspect", "--plant", "two-tanks", "--tuned", "tuned.toml")
     assert code == 2 and "tuned.toml: it was tuned for another plant than 'two-tanks'" in err
+
+    # the other commands on a plant
+    for k, more in enumerate(((), ("--tuned", "louder.toml"))):
+        call(capsys, "simulate", *plant, "--steps", "400", "--truth", "model", *more, "--out", f"of_{k}.csv")
+    once, twice = (
+        pandas.read_csv(f"of_{k}.csv")["s0 [1]"][200:] for k in (0, 1)
+    )  # .95^200: where a run begins does not matter
+    np.testing.assert_allclose(twice, 2 * once, atol=1e-3)
+    assert call(capsys, "check-log", *plant, "--data", "b.csv", "--tuned", "louder.toml")[0] == 0
+    given: list[Any] = []
+    with monkeypatch.context() as patch:
+        patch.setattr("fusion_sfdia.comparison.compare.compare", lambda **settings: given.append(settings) or NOTHING)
+        assert call(capsys, "compare", "--plants", "toy.py:make", "--tuned", "louder.toml")[0] == 0
+    assert given[0]["plants"].sensors[0].noise_sigma == 2.0
+    code, _, err = call(capsys, "compare", "--tuned", "louder.toml")
+    assert code == 2 and "--tuned louder.toml is of one plant; name it, and no other, with --plants" in err
 
     for arguments, reason in (
         (("--tuned", "tuned.toml", "--healthy", "0..100"), "--tuned and --healthy both state what is healthy; give one"),

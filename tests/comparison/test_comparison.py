@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chisquare
 from toy_plants import chain
 
-from fusion_sfdia import builders
+from fusion_sfdia import builders, registry
 from fusion_sfdia.cli.main import main, parser
+from fusion_sfdia.comparison import calibration as comparison_calibration
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.comparison import recordings as comparison_recordings
 from fusion_sfdia.comparison import run as comparison_run
-from fusion_sfdia.comparison.branches import deployed_walk, silent_walk
+from fusion_sfdia.comparison.branches import Branches, deployed_walk, shares, silent_walk, walk
 from fusion_sfdia.comparison.calibration import (
     as_scores,
     calibrated,
@@ -28,7 +29,7 @@ from fusion_sfdia.comparison.cell import ComparisonCell, widened
 from fusion_sfdia.comparison.compare import SCENARIO, Comparison
 from fusion_sfdia.comparison.looks import looks
 from fusion_sfdia.comparison.recordings import failing, healthy, mismatched
-from fusion_sfdia.comparison.records import in_a_row, until
+from fusion_sfdia.comparison.records import BranchReadings, in_a_row, until
 from fusion_sfdia.comparison.rows import confusion
 from fusion_sfdia.comparison.subjects import (
     ComparedDetector,
@@ -44,12 +45,14 @@ from fusion_sfdia.comparison.text import broken_claims, distinct
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import silent, silent_score, silent_scores
+from fusion_sfdia.core.state import leaves
 from fusion_sfdia.evaluation.cases import ComparisonCases
 from fusion_sfdia.evaluation.results import Published
-from fusion_sfdia.evaluation.simulate import Recording
+from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.experiments.scenario import adjust
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
+from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.registry import NamedDetector, NamedPlant
 from fusion_sfdia.registry import detectors as registered_detectors
 from fusion_sfdia.registry import plants as registered_plants
@@ -304,6 +307,38 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
     np.testing.assert_array_equal(alarms[settle:], on_trunk.alarm)
     long, short = (next(x for x in labels if x.condition.name == f"bias-30-sigma-{n}-samples") for n in (9, 2))
     assert long.members == short.members  # the short one is its beginning
+
+
+def test_runs_that_alarm_are_stepped_apart_from_those_that_share_covariances() -> None:
+    plant = chain()
+    recording = simulate(plant, 12, range(4))
+    recording.y[6:9, 2, 0] += 100 * plant.sensor_sigma[0]
+    recording.y[8, 0, 1] = np.nan
+    detector = LeaveOneOutBank(plant, window=1)
+    start = detector.init((4,), float(recording.t[0]) - plant.dt)
+    nothing = BranchReadings(*(np.empty((0, a.shape[-1])) for a in (recording.u_of_runs, *[recording.y] * 5)))
+    seen = list(walk(detector, recording, Branches((), nothing, np.arange(0)), states={0: start}))
+    assert [(step.k, step.numbers.tolist()) for step in seen if step.k in (6, 7, 9)] == [
+        (6, [0, 1, 2, 3]), (7, [0, 1, 3]), (7, [2]), (9, [1, 3]), (9, [2, 0]),
+    ]  # fmt: skip
+    assert all(shares(step.state) for step in seen if step.numbers[0] < 2)
+    _, at_once = run(detector, start, recording)
+    for step in seen:
+        np.testing.assert_array_equal(step.decision.isolated, at_once.isolated[step.k, step.numbers])
+        for name in ("estimate", "residual", "reconstruction"):  # of numbers of order 1, sums of 12
+            found, expected = getattr(step.decision, name), getattr(at_once, name)[step.k, step.numbers]
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_runs_of_a_calibration_in_parts_have_the_bits_of_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet, recording = silent(registry.detector("loo-glr", plant_of(TANKS))), healthy(TANKS, 25, tuple(range(5)))
+    at_once, batches = comparison_calibration.scores_of(quiet, recording), []
+    monkeypatch.setattr(comparison_calibration, "CACHE", 2 * sum(a.nbytes for a in leaves(quiet.init((1,)))))
+    monkeypatch.setattr(
+        comparison_calibration, "silent_scores", lambda *given: batches.append(given[2].shape[1]) or silent_scores(*given)
+    )
+    assert np.array_equal(comparison_calibration.scores_of(quiet, recording), at_once)
+    assert batches == [2, 2, 1]
 
 
 def test_an_interval_contains_how_uncertain_the_threshold_is() -> None:

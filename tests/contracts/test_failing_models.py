@@ -12,7 +12,7 @@ from toy_plants import Array, chain, readings, tanks
 from fusion_sfdia.core.detector import Decision, Detector, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.evaluation.trials import faulted, outcome
+from fusion_sfdia.evaluation.trials import decide, faulted, outcome
 from fusion_sfdia.filters.enkf import EnKFSettings
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
 from fusion_sfdia.filters.guarded_steps import guarded_points
@@ -148,7 +148,10 @@ def test_a_campaign_and_a_calibration_go_on() -> None:
         return np.where(lost, np.nan, plant.step(t, x, u, dt))
 
     y = data.y.copy()
-    broken, usual = outcome(CentralFilter(replace(plant, step=step)), replace(data, y=y)), outcome(CentralFilter(plant), data)
+    detectors = CentralFilter(replace(plant, step=step)), CentralFilter(plant)
+    broken, usual = (
+        outcome(plant, each, decide(of, each)) for of, each in zip(detectors, (replace(data, y=y), data), strict=True)
+    )
     assert broken["diverged"].tolist() == [False, False, True, False]
     others = [0, 1, 3]
     for name in ("score", "alarm", "square_error"):

@@ -17,7 +17,7 @@ from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.filterpy_adapter import plant_from_filterpy
 from fusion_sfdia.models.marine_engine.equilibrium import equilibrium
-from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.physics import engine_physics
 from fusion_sfdia.models.marine_engine.plant import marine_engine
@@ -63,7 +63,7 @@ def unscented_filter() -> Plant:
 
 
 def faulty_engine() -> Plant:
-    return marine_engine(process_faults=[ProcessFault("turbine-fouling", 0.1)])
+    return marine_engine(process_faults=[EngineFault("turbine-fouling", 0.1)])
 
 
 def faulty_network() -> Plant:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 from collections import Counter
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -44,3 +46,45 @@ def test_commands_of_the_site_exist(root: Path) -> None:
     text = "\n".join(path.read_text(encoding="utf-8") for path in (root / "docs").glob("[gier]*/*.md"))
     named = set(re.findall(r"fusion-sfdia ([a-z][\w-]*)", text))
     assert len(named) > 8 and named <= set(known), named - set(known)
+
+
+@pytest.fixture
+def links(root: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(root / "docs"))
+    return importlib.import_module("links")
+
+
+@pytest.mark.parametrize(
+    ("link", "wrong"),
+    [
+        ("other.html#here", ""),
+        ("#top", ""),
+        ("picture%201.png", ""),
+        ("https://semver.org", ""),
+        ("mailto:a@b.example", ""),
+        ("gone.html", "no file"),
+        ("other.html#gone", "no anchor of other.html"),
+        ("#gone", "no anchor of page.html"),
+        ("http://semver.org", "out of the site"),
+        ("https://semver.org.example", "out of the site"),
+        ("//semver.org", "out of the site"),
+        ("https://[semver.org", "no address"),
+    ],
+)
+def test_a_link_of_the_site_leads_somewhere(links: ModuleType, tmp_path: Path, link: str, wrong: str) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(f'<h1 id="top">A page</h1><p class="x"><a class="y" href="{link}">a link</a></p>', encoding="utf-8")
+    (tmp_path / "other.html").write_text('<section id="here"></section>', encoding="utf-8")
+    (tmp_path / "picture 1.png").touch()
+    found = links.wrong_links([page])
+    assert len(found) == bool(wrong) and all(wrong in sentence for sentence in found)
+
+
+def test_addresses_outside_are_of_known_hosts(root: Path, links: ModuleType) -> None:
+    """What is written in pages, notebooks and docstrings; `make docs` asks the same of what becomes of them."""
+    texts = [*(root / "docs").glob("**/*.md"), *(root / "notebooks").glob("*.ipynb"), *root.glob("*.md")]
+    written = [
+        a for path in texts for a in re.findall(r"\]\((\w+://[^)\s]+)\)|<(https?://[^>\s]+)>", path.read_text(encoding="utf-8"))
+    ]
+    addresses = ["".join(pair) for pair in written]
+    assert addresses and not [a for a in addresses if links.wrong_link(root / "x.html", a)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia import registry, simulate
-from fusion_sfdia.core.alike import chosen, for_all, joined, repeated, single
+from fusion_sfdia.core.alike import chosen, for_all, joined, repeated, shared_again, single
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended
@@ -27,6 +27,16 @@ def test_an_array_is_shared_until_its_runs_differ() -> None:
     assert single(own) is own
     assert single(ONE) is ONE
     assert repeated(own, np.empty(4)) is own
+
+
+def test_runs_that_are_the_same_still_share_again() -> None:
+    shared = repeated(ONE, np.empty(4))
+    own = shared.copy()
+    assert len(single(shared_again(own, shared))) == 1
+    np.testing.assert_array_equal(shared_again(own, shared), shared)
+    assert shared_again(own, own) is own
+    own[3, 0, 0] += 1.0
+    assert shared_again(own, shared) is own
 
 
 def test_choosing_and_joining_runs_keeps_what_they_share() -> None:

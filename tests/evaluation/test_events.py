@@ -10,7 +10,8 @@ import pytest
 from process_bank import INFLOW, OUTLET, SD, SIZE, ProcessBank
 from toy_plants import readings, tanks
 
-from fusion_sfdia.evaluation.diagnose import Diagnosis
+from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.evaluation.diagnose import Diagnosis, against_the_model
 from fusion_sfdia.evaluation.events import (
     Event,
     OtherEvent,
@@ -153,6 +154,24 @@ def test_other_hypotheses_than_sensors_are_no_sensors() -> None:
     when = (1.0, 2.0, 0.5)
     events = [Event("a", *when, "m", False), Event("b", *when, "m", False), OtherEvent("attack", *when, "", False)]
     assert verdict(events, np.arange(3.0)) == "sensors a, b; fault attack"
+
+
+def test_what_is_rather_something_else_is_named_as_a_possibility() -> None:
+    sure, even, unlikely = (Event(n, 1.0, 2.0, 0.5, "m", False, confidence=c) for n, c in (("a", 0.9), ("b", 0.5), ("c", 0.1)))
+    assert verdict([sure, even, unlikely], np.arange(3.0)) == "sensors a, b; perhaps c"
+    assert verdict([unlikely], np.arange(3.0)) == "perhaps c"
+    assert verdict([unlikely, replace(sure, hypothesis="c")], np.arange(3.0)) == "sensor c"
+    alone = UndecidedEvent("a", 1.0, 4.0, np.nan, "", False, ("a",))
+    assert alone.told(Clock()) == "perhaps a, from 1 s to 4 s"
+
+
+@pytest.mark.parametrize(("samples", "speaks"), [(2, False), (3, True)])
+def test_a_model_is_suspect_where_sensors_disagree_for_longer_than_noise(samples: int, speaks: bool) -> None:
+    t, _, y, u = readings(PLANT, 40, 1, seed=0)
+    diagnosis = diagnose(LeaveOneOutBank(PLANT), t, y[:, 0], u[:, 0])
+    diagnosis.decisions.capped[20 : 20 + samples] = True
+    found = against_the_model((), diagnosis.decisions, t, Clock())
+    assert found == (("more sensors disagree with it than can be isolated in 3 of 40 samples",) if speaks else ())
 
 
 @pytest.mark.parametrize(

@@ -168,6 +168,7 @@ def test_errors_of_a_cluster_are_reported(
             ("nowhere:x", "'nowhere:x' is no address of a dask scheduler"),
             ("nowhere", "is no address of a dask scheduler (missing port"),
             ("", "is no address of a dask scheduler"),
+            ("tls://localhost:1", "tls://localhost:1 needs certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE and DASK"),
             ("tcp://127.0.0.1:1", "no dask scheduler answers at tcp://127.0.0.1:1; start it"),
             (
                 empty.scheduler_address,

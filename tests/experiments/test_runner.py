@@ -84,6 +84,7 @@ def test_a_failed_task_is_reported_and_the_others_go_on(tmp_path: Path) -> None:
     assert "seeds [0, 1]" in outcome.failures[0] and "seeds [4, 5]" in outcome.failures[2]  # in the order of the tasks
     rows = {(r.detector, r.metric): r.value for r in outcome.rows}
     assert rows["b", "failed_tasks"] == 3
+    assert next(r.quantity for r in outcome.rows if r.metric == "failed_tasks") == "flow, level"  # of tasks with several
     assert ("a", "mean") in rows and ("b", "mean") not in rows
     assert "ArithmeticError" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     flag.unlink()

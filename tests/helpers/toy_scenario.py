@@ -23,7 +23,13 @@ def tasks(settings: Settings, seeds: int) -> list[Task]:
     if settings["size"] < 1:
         raise ValueError(f"size is {settings['size']}; expected at least 1")
     return [
-        {"size": settings["size"], "trap": settings["trap"], "detector": detector, "quantity": "pressure", "seeds": block}
+        {
+            "size": settings["size"],
+            "trap": settings["trap"],
+            "detector": detector,
+            "quantity": ["flow", "level"],
+            "seeds": block,
+        }
         for detector in ("a", "b")
         for block in seed_blocks(seeds, 2)
     ]

@@ -15,6 +15,7 @@ from fusion_sfdia import Numerics, Plant, Sensor, Signal, inspect_plant, linear_
 from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.uncertainty import Disturbance, Uncertainty
 from fusion_sfdia.inspection.text import as_json, as_text
+from fusion_sfdia.registry import NamedDetector, detector
 
 INFLOW = Signal("inflow", "m/s", nominal=0.01)
 
@@ -224,3 +225,13 @@ def test_a_log_is_predicted_along_the_disturbances_that_tuning_has_learnt() -> N
     within, without = (inspect_plant(p, log, simulated=False).healthy for p in (made, plant(levels)))
     assert within is not None and without is not None
     assert abs(within.white.nis - 1) < 4 * np.sqrt(2 / (280 * 4)) < without.white.nis - 1
+
+
+def test_the_tuned_detector_stands_in_place_of_the_registered_one() -> None:
+    made = plant(levels)
+    deaf = NamedDetector("loo-glr", "as tuned", lambda of: replace(detector("loo-glr", of), threshold_scale=1e6))
+    log = simulate(made, 300, seeds=[7], process_noise=True)
+    found = inspect_plant(made, log, detectors=["kf-chi2", "loo-glr"], sensors=["upper_1"], tuned=deaf)
+    assert [t.detector for t in found.detectors] == ["loo-glr", "kf-chi2"]
+    assert max(t.found for t in found.detectors[0].trials) == 0 < max(t.found for t in found.detectors[1].trials)
+    assert found.healthy is not None and found.healthy.detector == "loo-glr" and found.healthy.events == ()

@@ -115,3 +115,17 @@ def test_killed_with_rows_held_and_started_again_it_writes_the_same_lines(again:
         after = lines_of(second, rows if again == "all" else [r for r in rows if r[0] > saved])
         assert list(dict.fromkeys([*found, *after])) == expected and not remarks
         (tmp_path / "s").unlink()
+
+
+@pytest.mark.parametrize("keep_last", [False, True])
+def test_of_rows_that_are_held_the_last_of_a_time_counts_where_that_is_asked_for(keep_last: bool) -> None:
+    said: list[str] = []
+    watch = Watch(bank(), reorder=15.0, keep_last=keep_last, refused=said.append)
+    corrected = [row for t, y, u in rows_of(20) for row in ((t, y + 1.0, u), (t, y, u))]  # the first of each pair is wrong
+    found = [s for row in corrected for s in watch.take(*row)] + list(watch.rest())
+    offset = 0.0 if keep_last else 1.0
+    for sample, (t, y, _) in zip(found, rows_of(20), strict=True):
+        assert sample.t == t and np.array_equal(sample.y, y + offset)
+    kept = "last" if keep_last else "first"
+    assert set(said) == {f"1 duplicate dropped, the {kept} row of each time kept"} and len(said) == 20
+    assert not watch.take(*rows_of(20)[-1]) and watch.order.again["first"] == 1  # it is diagnosed

@@ -18,7 +18,7 @@ from fusion_sfdia.core.equation import difference_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.models.gas_pipeline.physics import pipeline_parameters
 from fusion_sfdia.models.gas_pipeline.plant import gas_pipeline
-from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 from fusion_sfdia.models.power_network.operation import AreaFault, Switch
@@ -173,7 +173,7 @@ def test_a_smooth_or_insulated_pipe_does_not_declare_what_it_has_not() -> None:
 
 
 def test_a_plant_with_a_fault_is_a_truth_and_declares_nothing() -> None:
-    assert not marine_engine(process_faults=[ProcessFault("heavy-propeller", 0.1)]).uncertainty.stated
+    assert not marine_engine(process_faults=[EngineFault("heavy-propeller", 0.1)]).uncertainty.stated
     assert not power_network(AREAS, loads=(), faults=[AreaFault("load-loss", "1", 0.1)]).uncertainty.stated
 
 

@@ -64,6 +64,7 @@ def test_frozen_dead_and_still_sensors_are_reported(monitor: Monitor) -> None:
     text = str(found)
     once = [line for line in text.splitlines() if line.startswith("  d")]  # the bank isolates it, too
     assert len(once) == 1 and once[0].startswith("  d: 280 s to end of the log, freeze")
+    assert f"  without a fault some {monitor.methods['bank'].rate * len(found.log.t):.2g} of these" in text
     assert "still moved since 300 s, by 0.5 bar; never when healthy" in text
     healthy = monitor.diagnose(wide(22))
     assert not (healthy.frozen or healthy.moved or healthy.missing)
@@ -134,7 +135,9 @@ def test_a_log_with_a_gap_is_diagnosed_to_its_end(monitor: Monitor) -> None:
     [
         ({"beside": ("magic",)}, "beside has 'magic'; known: predictors"),
         ({"false_alarm": 1e-5}, "record more"),
-        ({"false_alarm": 0.0}, "probability"),
+        ({"false_alarm": "1/day"}, f"that one in {86400 / DT:.0f} exceeds; record more"),
+        ({"false_alarm": 0.0}, "expected a positive number, such as 1/day"),
+        ({"false_alarm": "1/moon"}, "such as 1/day"),
         ({"sensors": SENSORS}, "do not fit 4 sensors"),
     ],
 )

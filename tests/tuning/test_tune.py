@@ -20,8 +20,8 @@ from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import run
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
+from fusion_sfdia.core.rate import Rate
 from fusion_sfdia.core.signals import Signal
-from fusion_sfdia.tuning.rate import Rate
 from fusion_sfdia.tuning.response import ModelChangedWarning
 from fusion_sfdia.tuning.tail import counted
 from fusion_sfdia.tuning.tune import Source, tune

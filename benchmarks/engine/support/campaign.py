@@ -28,7 +28,7 @@ from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.experiments.scenario import Arrays, Settings
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
-from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.governor import governed_settings
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
@@ -66,7 +66,7 @@ def truth(duration: float, drive: str = "constant", at: float = 0.0, fault: tupl
     steps = round(duration / plant.dt)
     changes: dict[str, Any] = {}
     if fault is not None:
-        changes["truth"] = marine_engine(process_faults=[ProcessFault(*fault, onset=at)], substeps=FINER)
+        changes["truth"] = marine_engine(process_faults=[EngineFault(*fault, onset=at)], substeps=FINER)
     if drive == "governor":
         c = engine_parameters()
         full, lower = (float(engine_variables(equilibrium(load, c), c)["speed"]) for load in (1.0, LOWER_LOAD))

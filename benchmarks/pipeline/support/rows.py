@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.benchmarks.pipeline.support.trials import AFTERMATH, SENSORS, SETTLE
+from fusion_sfdia.benchmarks.pipeline.support.trials import AFTERMATH, SENSORS, SETTLE, cases
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import NOTHING, Estimate, proportion
 from fusion_sfdia.evaluation.results import Published, Row, row_of
@@ -53,10 +53,12 @@ def aftermath(faulty: Array, samples: int = AFTERMATH) -> Array:
 
 
 def judged_runs(results: Sequence[tuple[Task, Arrays]], *keys: str) -> dict[tuple[Any, ...], JudgedRuns]:
-    """Join the results of the tasks that are equal in `keys`."""
+    """Join the results of the cases that are equal in `keys`, in which fault and quantity are those of the case."""
     parts: dict[tuple[Any, ...], list[Arrays]] = {}
     for task, arrays in results:
-        parts.setdefault(tuple(task[k] for k in keys), []).append(arrays)
+        for i, (fault, quantity) in enumerate(cases(task)):
+            case = {**task, "fault": fault, "quantity": quantity}
+            parts.setdefault(tuple(case[k] for k in keys), []).append({name: a[i] for name, a in arrays.items()})
     return {key: JudgedRuns(join(found)) for key, found in parts.items()}
 
 

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia import registry
+from fusion_sfdia.benchmarks.pipeline.support.forks import decisions
 from fusion_sfdia.builders import fusing_bank, watching
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.fault_draws import PRESETS, FaultRange
-from fusion_sfdia.evaluation.trials import faulted, outcome
+from fusion_sfdia.evaluation.simulate import Recording, simulate
+from fusion_sfdia.evaluation.trials import Faulted, outcome, with_faults
 from fusion_sfdia.experiments.scenario import Arrays, Settings, Task, seed_blocks
 from fusion_sfdia.models.gas_pipeline.plant import PROCESS_NOISE, SIGMA, coarse_state, gas_pipeline
 
@@ -43,7 +45,8 @@ KNOWN = {  # values of the settings that are names
     "faults": tuple(PRESETS),
 }
 
-NEAR_NOISE = {  # faults of a few sigma: name, range, how many at once
+STRENGTHS = (["strong-bias", "strong-drift"], ["weak-bias", "weak-drift"])  # of published.FAULTS: what one task has together
+NEAR_NOISE: dict[str, tuple[str | FaultRange | None, int]] = {  # faults of a few sigma: name, range, how many at once
     "bias-3-sigma": (FaultRange("bias", (3, 3), "sigmas"), 1),
     "bias-5-sigma": (FaultRange("bias", (5, 5), "sigmas"), 1),
     "drift-3-sigma": (FaultRange("drift", (3, 3), "sigmas", hold=(10, 20)), 1),
@@ -90,6 +93,11 @@ def require_settings(settings: Settings) -> None:
                 raise ValueError(f"setting {name} is {str(value)!r}; known: {', '.join(known)}")
 
 
+def cases(task: Task) -> list[tuple[str, str]]:
+    """The cases of a task, each a fault and a quantity: the first axis of the arrays of `trial`."""
+    return list(product(task["fault"], task["quantity"]))
+
+
 def tasks(settings: Settings, cells: Iterable[dict[str, Any]], seeds: int) -> list[Task]:
     """One task per cell and CHUNK runs, with the settings of COMMON; ValueError for settings that `require_settings` refuses.
 
@@ -106,27 +114,24 @@ def tasks(settings: Settings, cells: Iterable[dict[str, Any]], seeds: int) -> li
 
 
 def trial(task: Task, detector: Detector | None = None, truth: Plant | None = None) -> Arrays:
-    """The runs of a task: recordings with its fault ("none" for healthy), through its detector; arrays as in `outcome`."""
+    """The runs of a task, recordings with the faults of its cases ("none" for healthy), through its detector.
+
+    Arrays as in `outcome`, with an axis of the cases before the others.
+    """
     if detector is None:
         detector = detector_on_pipeline(task["detector"], task["snr"], task["process_noise"])
     if not task["accommodate"]:
         detector = watching(detector)
-    name: str = task["fault"]
-    fault: str | FaultRange = name
-    count = 1
-    if name in NEAR_NOISE:
-        fault, count = NEAR_NOISE[name]
+    plant = detector.plant
     # a truth of more nodes than the filter's model: its states at the filter's nodes
-    to_states = partial(coarse_state, stations=len(detector.plant.states) // 3) if isinstance(truth, Plant) else None
-    data = faulted(
-        detector.plant,
-        task["steps"],
-        task["seeds"],
-        None if name == "none" else fault,
-        None if task["quantity"] == "all" else task["quantity"],
-        count=count,
-        settle=SETTLE,
-        truth=task["truth"] if truth is None else truth,
-        to_states=to_states,
-    )
-    return outcome(detector, data, seed=task["seeds"][0])
+    to_states = partial(coarse_state, stations=len(plant.states) // 3) if isinstance(truth, Plant) else None
+    source = task["truth"] if truth is None else truth
+    recording = simulate(plant, task["steps"], task["seeds"], truth=source, to_states=to_states)
+    data = [_with_fault(plant, recording, *case) for case in cases(task)]
+    found = [outcome(plant, d, e) for d, e in zip(data, decisions(detector, data, task["seeds"][0]), strict=True)]
+    return {name: np.stack([arrays[name] for arrays in found]) for name in found[0]}
+
+
+def _with_fault(plant: Plant, recording: Recording, name: str, quantity: str) -> Faulted:
+    fault, count = NEAR_NOISE.get(name, (None if name == "none" else name, 1))
+    return with_faults(plant, recording, fault, None if quantity == "all" else quantity, count=count, settle=SETTLE)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.evaluation.simulate import simulate
-from fusion_sfdia.models.marine_engine.faults import ProcessFault
+from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.governor import Governor, governed_settings
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
@@ -30,7 +30,7 @@ def test_the_governor_holds_the_balance_and_reaches_another_speed() -> None:
 
 
 def test_the_governor_counters_a_heavier_propeller() -> None:
-    heavy = [ProcessFault("heavy-propeller", 0.1, onset=10.0)]
+    heavy = [EngineFault("heavy-propeller", 0.1, onset=10.0)]
     speed = 0.9 * NOMINAL
     settings = governed_settings(lambda t: speed, 5000, load=0.8, process_faults=heavy)
     engine = marine_engine(load=0.8, process_faults=heavy)

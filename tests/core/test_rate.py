@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fusion_sfdia.tuning.rate import Rate, lasting
+from fusion_sfdia.core.rate import Rate, lasting
 
 
 @pytest.mark.parametrize(
