@@ -48,14 +48,6 @@ def test_commands_of_the_site_exist(root: Path) -> None:
     assert len(named) > 8 and named <= set(known), named - set(known)
 
 
-def test_a_newcomer_finds_the_install_and_a_chosen_fault_at_once(root: Path) -> None:
-    """The landing page states how to install; the first page of the guide has a fault file that is read, and explains NIS."""
-    first = (root / "docs" / "guide" / "first-fault.md").read_text(encoding="utf-8")
-    assert "pip install ." in (root / "docs" / "index.md").read_text(encoding="utf-8")
-    (written,) = re.findall(r"%%writefile (\S+\.toml)", first)
-    assert f"--faults {written}" in first and "NIS is the mean square of the prediction errors" in first
-
-
 @pytest.fixture
 def links(root: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(root / "docs"))
@@ -96,3 +88,11 @@ def test_addresses_outside_are_of_known_hosts(root: Path, links: ModuleType) -> 
     ]
     addresses = ["".join(pair) for pair in written]
     assert addresses and not [a for a in addresses if links.wrong_link(root / "x.html", a)]
+
+
+def test_a_newcomer_finds_the_install_and_a_chosen_fault_at_once(root: Path) -> None:
+    """The landing page states how to install; the first page of the guide has a fault file that is read, and explains NIS."""
+    first = (root / "docs" / "guide" / "first-fault.md").read_text(encoding="utf-8")
+    assert "pip install ." in (root / "docs" / "index.md").read_text(encoding="utf-8")
+    (written,) = re.findall(r"%%writefile (\S+\.toml)", first)
+    assert f"--faults {written}" in first and "NIS is the mean square of the prediction errors" in first

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
+from rounding import rounding
 from smallest_scenarios import smallest
 
 from fusion_sfdia.benchmarks.engine import noise as engine_noise
@@ -235,3 +237,23 @@ def test_a_campaign_gives_the_same_bits_for_any_division_of_its_seeds() -> None:
     both = engine_noise.noise_work({**task, "seeds": [5, 6]})["first"]
     alone = engine_noise.noise_work({**task, "seeds": [6]})["first"]
     np.testing.assert_array_equal(both[:, 1:], alone)
+
+
+def test_biases_that_are_left_out_once_they_are_settled_change_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = {"detector": "adaptive-threshold:calibrated", "level": 0.05, "gains": "K22", "onset": 0.1, "duration": 0.8}
+    stepped: list[int] = []
+    whole = campaign.first_firings
+
+    def counted(*args: Any) -> Any:
+        stepped.append(len(args[4].diverged) if len(args) > 4 else 1)
+        return whole(*args)
+
+    monkeypatch.setattr(campaign, "first_firings", counted)
+    found = engine_sensitivity.sensitivity_work({**task, "seeds": [0, 1]})
+    assert stepped[1] > stepped[-1]
+    monkeypatch.setattr(engine_sensitivity, "STRETCH", 1000)
+    everything = engine_sensitivity.sensitivity_work({**task, "seeds": [0, 1]})
+    assert found["detected"].any()
+    for name in ("detected", "beyond"):
+        np.testing.assert_array_equal(found[name], everything[name])
+    np.testing.assert_allclose(found["threshold"], everything["threshold"], rtol=rounding(1.0, 80))  # of sums in another order
