@@ -38,7 +38,7 @@ def _inspect(chosen: argparse.Namespace) -> int:
     model = chosen_plant(chosen)
     healthy = None if chosen.data is None else loaded(chosen, chosen.data, model)
     if healthy is not None:
-        warn_of(chosen.data, healthy.remarks)
+        warn_of(chosen.data, healthy.brief)
     with printed_warnings():
         found = inspect_plant(
             model,

@@ -49,7 +49,7 @@ def _monitor(chosen: argparse.Namespace) -> int:
     sensors, inputs = signals_of(chosen.healthy[0], names(chosen.inputs), names(chosen.ignore), log_map)
     loaded = {path: load(path, sensors, inputs, log_map) for path in (*chosen.healthy, chosen.data)}
     for path, one in loaded.items():
-        warn_of(path, one.remarks)
+        warn_of(path, one.brief)
     healthy, data = [loaded[path].log for path in chosen.healthy], loaded[chosen.data]
     count = sum(len(h.t) for h in healthy)
     say(f"learning from {count} healthy samples of {len(sensors)} sensors and {len(inputs)} inputs ...")
@@ -57,7 +57,8 @@ def _monitor(chosen: argparse.Namespace) -> int:
     with printed_warnings():
         found = monitor.diagnose(data.log, data.clock)
     header, rows = found.table()
-    about = About(chosen.data.name, "the bank on the identified model")
+    notes = (f"thresholds, on other healthy logs: {monitor.methods['bank']}", *([found.expected] if found.expected else []))
+    about = About(chosen.data.name, "the leave-one-out bank", notes)
     with all_or_none(out) as new:
         write_diagnosis(new, monitor.choice.plant, found.log.y, found.log.u, found.diagnosis, about)
         with atomic_write(new / "methods.csv") as file:

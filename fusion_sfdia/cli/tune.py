@@ -121,7 +121,7 @@ def _tune(chosen: argparse.Namespace) -> int:
     model = plant(chosen.plant)
     logs = [loaded(chosen, path, model) for path in chosen.healthy]
     for path, one in zip(chosen.healthy, logs, strict=True):
-        warn_of(path, one.remarks)
+        warn_of(path, one.brief)
     count = sum(len(one.log.t) for one in logs)
     print(f"fusion-sfdia: learning from {count} samples; this may take minutes", file=sys.stderr)
     tuned = tune(

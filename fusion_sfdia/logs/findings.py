@@ -14,6 +14,7 @@ REMARKABLE = (
     "bad", "duplicates", "held", "input unit suspected", "inputs shifted", "left out", "masked", "nominal inputs", "order",
     "quality", "unit suspected", "zone",
 )  # fmt: skip
+MOST_OF_A_KIND = 2
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,16 @@ class LoadedLog(NamedTuple):
     def remarks(self) -> tuple[str, ...]:
         """The findings that a reader of results has to know, in words."""
         return tuple(f.text for f in self.findings if f.kind in REMARKABLE)
+
+    @property
+    def brief(self) -> tuple[str, ...]:
+        """The remarks, of those on missing values of each sensor or input the first ones and the number of the others."""
+        lines: list[str] = []
+        for kind in dict.fromkeys(f.kind for f in self.findings if f.kind in REMARKABLE):
+            texts = [f.text for f in self.findings if f.kind == kind]
+            more = len(texts) - MOST_OF_A_KIND if kind in ("bad", "held", "quality") else 0
+            lines += texts if more < 2 else [*texts[:-more], f"and {more} more such remarks, which check-log lists"]
+        return tuple(lines)
 
     def __str__(self) -> str:
         return "\n".join(f.text for f in self.findings)

@@ -48,14 +48,19 @@ class Monitored:
     log: Log
     rate: float
 
-    def __str__(self) -> str:
+    @property
+    def expected(self) -> str:
+        """How many samples would be in alarm without a fault, in words; "" where there is no event."""
         count = len(self.log.t)
-        lines = [str(self.diagnosis)]
-        if self.diagnosis.events:
-            lines.append(
-                f"  without a fault some {self.rate * count:.2g} of these {count} samples would be in alarm, as of held-out "
-                "healthy ones: the shortest events may be such, --false-alarm sets their rate"
-            )
+        return (
+            f"without a fault some {self.rate * count:.2g} of these {count} samples would be in alarm, as of held-out healthy "
+            "ones: the shortest events may be such, --false-alarm sets their rate"
+            if self.diagnosis.events
+            else ""
+        )
+
+    def __str__(self) -> str:
+        lines = [str(self.diagnosis), *([f"  {self.expected}"] if self.expected else [])]
         lines += [
             f"  {e.hypothesis} moved {e.when(self.diagnosis.clock)}, by {e.size:.4g} {e.unit}; never when healthy"
             for e in self.moved

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.gaps import Gap
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, UndecidedEvent, listed
@@ -35,7 +37,8 @@ def time_axis(found: Diagnosis) -> TimeAxis:
     """The axis of a diagnosis: of its clock, else in minutes, of more than 5 hours in hours, of more than 5 days in days."""
     if found.clock.start is not None:
         zone = found.clock.start.strftime("%Z")
-        return TimeAxis(found.clock, 1.0, f"time{f' ({zone})' if zone else ''}")
+        day = f"{found.clock.start + timedelta(seconds=float(found.t[0])):%Y-%m-%d}"
+        return TimeAxis(found.clock, 1.0, f"time{f' ({zone})' if zone else ''} from {day} on")
     span = float(found.t[-1] - found.t[0])
     seconds, unit = (60.0, "min") if span <= 18_000 else (3600.0, "h") if span <= 432_000 else (86_400.0, "days")
     return TimeAxis(found.clock, seconds, f"time ({unit})")
@@ -126,14 +129,11 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     recon = found.decisions.reconstruction[window, i]
     expected = np.where(np.isfinite(error), reading - error, recon)
     shown = thinned(reading)
-    x = at(t[window])[shown]
-    over = np.flatnonzero(np.isin(t[window][shown], [g.end for g in found.gaps]))  # where a line is not drawn on
     figure = Figure(figsize=(4.8, 3.9), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    low, high, middle, read, difference = (
-        np.insert(v[shown], over, np.nan) for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error / sd)
-    )
-    x = np.insert(x, over, x[over])
+    each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error / sd)]
+    times, (low, high, middle, read, difference) = broken(t[window][shown], each, found.gaps)
+    x = at(times)
     upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="+- 2 sd")
     upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="predicted by the others")
     upper.plot(x, read, ".-", color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
@@ -149,6 +149,12 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     at.label_on(lower)
     figure.legend(*upper.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=7, columnspacing=1.0)
     return figure
+
+
+def broken(t: Array, series: Sequence[Array], gaps: Sequence[Gap]) -> tuple[Array, list[Array]]:
+    """Times and series (K,) with NaN at the end of each gap, over which no line is drawn."""
+    over = np.flatnonzero(np.isin(t, [g.end for g in gaps]))
+    return np.insert(t, over, t[over]), [np.insert(v, over, np.nan) for v in series]
 
 
 def thinned(values: Array) -> Array:

@@ -28,10 +28,11 @@ MOST_ZOOMS = 24
 
 
 class About(NamedTuple):
-    """Names for people: of the log and of the detector."""
+    """Names for people, of the log and of the detector, and what else is to be known of the detector, a line each."""
 
     log: str
     detector: str
+    notes: tuple[str, ...] = ()
 
 
 class Drawn(NamedTuple):
@@ -72,7 +73,7 @@ def write_page(path: Path, plant: Plant, y: NDArray[np.float64], found: Diagnosi
         plant=plant.name,
         start=found.clock.at(float(found.t[0])),
         end=found.clock.at(float(found.t[-1])),
-        remarks=found.remarks,
+        remarks=[*found.remarks, *about.notes],
         events=[_row(found, e) for e in shown],
         hidden=len(found.events) - len(shown),
         lines=lines,
@@ -97,24 +98,29 @@ def _time_line(found: Diagnosis) -> Figure:
 
 
 def _by_sensor(found: Diagnosis, plant: Plant) -> dict[str, list[Event]]:
-    """The events of each sensor that can be drawn from near, those with the largest first."""
+    """The events of each sensor that can be drawn from near, in order of time, the sensor with the largest first."""
     grouped: dict[str, list[Event]] = {}
     for e in found.events:
         if e.kind == "sensor" and e.hypothesis in plant.sensor_names:
             grouped.setdefault(e.hypothesis, []).append(e)
-    sizes = {name: max(abs(e.sigmas) if math.isfinite(e.sigmas) else 0.0 for e in own) for name, own in grouped.items()}
+    sizes = {name: max(map(_sigmas, own)) for name, own in grouped.items()}
     return {name: grouped[name] for name in sorted(grouped, key=lambda name: -sizes[name])}
 
 
+def _sigmas(event: Event) -> float:
+    """The size in standard deviations, 0 where it is not known."""
+    return abs(event.sigmas) if math.isfinite(event.sigmas) else 0.0
+
+
 def _extents(events: list[Event]) -> str:
-    """Kinds and number of events, in words."""
-    kinds = ", ".join(dict.fromkeys(e.fault or "fault" for e in events))
+    """Kinds and number of events, in words, those of the largest first."""
+    kinds = ", ".join(dict.fromkeys(e.fault or "fault" for e in sorted(events, key=_sigmas, reverse=True)))
     return kinds if len(events) == 1 else f"{kinds}, {len(events)} times"
 
 
 def _caption(found: Diagnosis, events: list[Event]) -> str:
-    first = events[0].told(found.clock)
-    return f"{first}." if len(events) == 1 else f"{first}; and {len(events) - 1} more."
+    largest = max(events, key=_sigmas).told(found.clock)
+    return f"{largest}." if len(events) == 1 else f"{largest}; and {len(events) - 1} smaller."
 
 
 def _sentence(text: str) -> str:

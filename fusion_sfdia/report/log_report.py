@@ -24,7 +24,7 @@ from fusion_sfdia.logs.check import check_log, checked, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
-from fusion_sfdia.report.log_figures import process_size, thinned, time_axis, time_line
+from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
 from fusion_sfdia.report.plots import panels, time_series, write_figure
@@ -60,7 +60,7 @@ def diagnose_log(
     plant = detector.plant
     given = {"absent_sensors": absent_sensors, "other_columns": other_columns, "nominal_inputs": nominal_inputs}
     loaded = check_log(data, plant, log_map, **given) if read is None else checked(plant, read)
-    for remark in loaded.remarks:
+    for remark in loaded.brief:
         warnings.warn(f"{data}: {remark}", stacklevel=2)
     log = without_suspects(plant, loaded).log
     try:
@@ -158,9 +158,10 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
         spans = [(e.start, e.end) for e in found.events if e.hypothesis == name]
         made = found.decisions.reconstruction[:, i]
         shown = np.union1d(thinned(y[:, i]), thinned(made))
-        series = {"reading": y[shown, i], "reconstructed": made[shown]}
+        t, (reading, remade) = broken(found.t[shown], (y[shown, i], made[shown]), found.gaps)
+        series = {"reading": reading, "reconstructed": remade}
         label = f"{name} [{plant.sensors[i].unit}]"
-        time_series(axis, found.t[shown], series, ylabel=label, spans=spans, at=time_axis(found))
+        time_series(axis, t, series, ylabel=label, spans=spans, at=time_axis(found))
         handles, labels = axis.get_legend_handles_labels()
         words = ["fault" if label == "fault acts" else label for label in labels]
         axis.legend(handles, words, fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderpad=0)
@@ -177,7 +178,7 @@ def _title(name: str, found: Diagnosis) -> str:
     count = sum(e.hypothesis == name for e in found.events)
     if not found.events:
         return f"{name}: {found.verdict if found.process_hypotheses else 'no sensor was isolated'}"
-    return f"{name}: {count} event(s)" if count or not found.process_hypotheses else f"{name}: not isolated"
+    return f"{name}: {count} event{'s' * (count != 1)}" if count or not found.process_hypotheses else f"{name}: not isolated"
 
 
 def _sensors(plant: Plant, found: Diagnosis) -> list[str]:

@@ -76,7 +76,7 @@ class TimeAxis(NamedTuple):
             zone = self.clock.start.tzinfo
             locator = AutoDateLocator(tz=zone, minticks=3, maxticks=6)  # type: ignore[no-untyped-call]
             axes.xaxis.set_major_locator(locator)
-            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone))  # type: ignore[no-untyped-call]
+            axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=zone, show_offset=False))  # type: ignore[no-untyped-call]
 
 
 MINUTES = TimeAxis(Clock(), 60.0, "time (min)")

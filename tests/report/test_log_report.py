@@ -16,6 +16,7 @@ from process_bank import SD, SIZE, ProcessBank
 from toy_plants import Array, readings, tanks
 
 from fusion_sfdia.core.clock import Clock
+from fusion_sfdia.core.gaps import Gap
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
@@ -23,8 +24,8 @@ from fusion_sfdia.logs.columns import Source
 from fusion_sfdia.logs.conversion import conversion
 from fusion_sfdia.logs.csv_log import read_log
 from fusion_sfdia.named import diagnose
-from fusion_sfdia.report.log_figures import MOST_POINTS, thinned, time_axis
-from fusion_sfdia.report.log_page import About
+from fusion_sfdia.report.log_figures import MOST_POINTS, broken, thinned, time_axis
+from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_report import FILES, as_text, draw, progress, write_diagnosis
 from fusion_sfdia.report.log_units import LogUnits
 
@@ -123,7 +124,7 @@ def test_the_figure_begins_with_a_time_line_of_all_verdicts() -> None:
     assert titles == [
         "process or model: outlet; cannot tell: l1 or error of inflow; sensor q12",
         "outlet: process or model",
-        "q12: 1 event(s)",
+        "q12: 1 event",
         "l1: not isolated",  # but suspected
     ]
     line, size, *_ = figure.axes
@@ -142,7 +143,7 @@ def test_readings_are_drawn_on_the_axis_of_the_time_line(hours: bool) -> None:
     seen = replace(BOTH, t=1000 * T, events=tuple(replace(e, start=1000 * e.start, end=1000 * e.end) for e in BOTH.events))
     line, *rest = draw(PLANT, BIASED, seen if hours else replace(BOTH, clock=WHEN)).axes
     labels = [axes.get_xlabel() for axes in (line, *rest)]
-    assert set(labels) == {"time (h)" if hours else "time (CET)"}
+    assert set(labels) == {"time (h)" if hours else "time (CET) from 2026-03-01 on"}
     for axes in rest:
         x = np.asarray(axes.get_lines()[0].get_xdata(), dtype=float)
         low, high = line.get_xlim()
@@ -176,7 +177,7 @@ def test_the_report_states_health_events_and_gaps(tmp_path: Path) -> None:
         "Sensor diagnosis: <unit> 4.csv",
         "Model not tested: 17 healthy samples are too few.",
         "Verdict: sensor q12.",
-        "37 samples of 4 sensors from 2026-03-01 23:58:05+01:00 to 2026-03-02 00:01:20+01:00, by detector loo",
+        "37 samples of 4 sensors from 2026-03-01 23:58:05+01:00 to 2026-03-02 00:01:20+01:00, by loo",
         "gap from 2026-03-02 00:00:30+01:00 to 2026-03-02 00:00:50+01:00: predicted in 4 steps",
         "q12: bias",
         "All sensors",
@@ -208,7 +209,7 @@ def test_the_axis_of_times_follows_the_clock_or_the_span() -> None:
         and time_axis(replace(BOTH, t=10_000 * T)).label == "time (days)"
     )
     wall = time_axis(replace(BOTH, clock=WHEN))
-    assert wall.label == "time (CET)"
+    assert wall.label == "time (CET) from 2026-03-01 on"
     assert num2date(wall(65.0), tz=WHEN.start.tzinfo).isoformat() == "2026-03-01T23:59:05+01:00"  # type: ignore[union-attr]
 
 
@@ -225,3 +226,21 @@ def test_progress_is_shown_on_a_terminal_alone(capsys: pytest.CaptureFixture[str
     assert list(progress(range(3))) == [0, 1, 2] and capsys.readouterr().err == ""
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes any stream for a terminal
     assert list(progress(range(3))) == [0, 1, 2] and "diagnosing" in capsys.readouterr().err
+
+
+def test_no_line_is_drawn_over_a_gap() -> None:
+    t, (values,) = broken(np.arange(5.0), [np.arange(5.0) ** 2], [Gap(2.0, 3.0, 1, False)])
+    np.testing.assert_array_equal(t, [0.0, 1.0, 2.0, 3.0, 3.0, 4.0])
+    np.testing.assert_array_equal(values, [0.0, 1.0, 4.0, np.nan, 9.0, 16.0])
+
+
+def test_of_several_faults_of_a_sensor_the_largest_is_told(tmp_path: Path) -> None:
+    (q12,) = (e for e in BOTH.events if e.hypothesis == "q12")
+    given = (("spikes", 4.0, 20.0), ("drift", 30.0, 100.0))
+    small, large = (replace(q12, fault=f, sigmas=s, start=a, end=a + 20, open=False) for f, s, a in given)
+    found = diagnose_run(LeaveOneOutBank(PLANT, false_alarm=1e-6), Log(T, BIASED, U[:, 0]))
+    notes = About("log.csv", "loo", ("false alarms: few",))
+    write_page(tmp_path / "report.html", PLANT, BIASED, replace(found, events=(small, large)), notes)
+    page = html.unescape((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "q12: drift, spikes, 2 times" in page and "; and 1 smaller." in page and "<li>false alarms: few</li>" in page
+    assert re.search(r"q12: 100 s to 120 s, drift[^<]*; and 1 smaller\.", page)
