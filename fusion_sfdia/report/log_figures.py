@@ -152,8 +152,9 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
 
 
 def broken(t: Array, series: Sequence[Array], gaps: Sequence[Gap]) -> tuple[Array, list[Array]]:
-    """Times and series (K,) with NaN at the end of each gap, over which no line is drawn."""
-    over = np.flatnonzero(np.isin(t, [g.end for g in gaps]))
+    """Times and series (K,) with NaN after each gap between them, over which no line is drawn."""
+    over = np.unique(np.searchsorted(t, [g.end for g in gaps]).astype(int))
+    over = over[(over > 0) & (over < len(t))]
     return np.insert(t, over, t[over]), [np.insert(v, over, np.nan) for v in series]
 
 

@@ -229,9 +229,12 @@ def test_progress_is_shown_on_a_terminal_alone(capsys: pytest.CaptureFixture[str
 
 
 def test_no_line_is_drawn_over_a_gap() -> None:
-    t, (values,) = broken(np.arange(5.0), [np.arange(5.0) ** 2], [Gap(2.0, 3.0, 1, False)])
+    gaps = [Gap(start, start + 1.0, 1, False) for start in (-2.0, 2.0, 7.0)]
+    t, (values,) = broken(np.arange(5.0), [np.arange(5.0) ** 2], gaps)
     np.testing.assert_array_equal(t, [0.0, 1.0, 2.0, 3.0, 3.0, 4.0])
     np.testing.assert_array_equal(values, [0.0, 1.0, 4.0, np.nan, 9.0, 16.0])
+    few, _ = broken(np.array([0.0, 4.0]), [np.zeros(2)], gaps)  # thinned, without the end of the gap
+    assert few.tolist() == [0.0, 4.0, 4.0]
 
 
 def test_of_several_faults_of_a_sensor_the_largest_is_told(tmp_path: Path) -> None:
