@@ -52,7 +52,7 @@ def _monitor(chosen: argparse.Namespace) -> int:
         warn_of(path, one.brief)
     healthy, data = [loaded[path].log for path in chosen.healthy], loaded[chosen.data]
     count = sum(len(h.t) for h in healthy)
-    say(f"learning from {count} healthy samples of {len(sensors)} sensors and {len(inputs)} inputs ...")
+    say(f"learning from {count} healthy samples of {len(sensors)} sensors and {len(inputs)} inputs; this may take minutes ...")
     monitor = learn_monitor(sensors, healthy, inputs=inputs, false_alarm=chosen.false_alarm)
     with printed_warnings():
         found = monitor.diagnose(data.log, data.clock)
