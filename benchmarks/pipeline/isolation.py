@@ -80,7 +80,7 @@ def isolation_summary(settings: Settings, results: Results) -> Summary:
         "P0 is the paper's identity for the fusing EKF and UKF; the fusing EnKF starts from the sensors' noise instead, since "
         "members spread by 1 MPa at every node leave the gas model in their first step.",
     ]
-    weak_bias = [r for r in rows if r.metric == "isolation_recall" and r.fault == "weak-bias"]
+    weak_bias = [r for r in rows if r.metric == "isolation_recall" and r.fault == "weak-bias" and np.isfinite(r.value)]
     highlights = [
         f"{d}: of the samples of a weak bias, the faulty sensor is isolated in "
         + ", ".join(f"{r.value:.0%} ({r.quantity})" for r in weak_bias if r.detector == d)

@@ -244,7 +244,11 @@ def _label(task: Task) -> str:
     """A task in a few words: without its `sources`, the digests of objects that are not of this package."""
     named = {k: v for k, v in task.items() if k != "sources"}
     shown = {k: f"{v[0]}..{v[-1]}" if isinstance(v, list) and len(v) > 3 else v for k, v in named.items()}
-    return ", ".join(f"{k} {v}" for k, v in shown.items()) or "the only task"
+    return ", ".join(f"{k} {_named(v)}" for k, v in shown.items()) or "the only task"
+
+
+def _named(value: Any) -> str:
+    return " and ".join(value) if isinstance(value, list) and all(isinstance(v, str) for v in value) else str(value)
 
 
 @contextmanager

@@ -103,7 +103,7 @@ def test_a_failure_is_exit_code_1_and_an_interruption_130(capsys: pytest.Capture
     code, _, err = call(capsys, *once)
     assert code == 1
     assert err.startswith("fusion-sfdia: failed: toy/mean, ")
-    assert "detector b, quantity pressure, seeds [0, 1]: ArithmeticError: " in err
+    assert "detector b, quantity flow and level, seeds [0, 1]: ArithmeticError: " in err
     assert err.count("\n") == 1
     trap.unlink()
     assert call(capsys, *once)[0] == 0
