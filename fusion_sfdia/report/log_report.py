@@ -175,7 +175,7 @@ def draw(plant: Plant, y: NDArray[np.float64], found: Diagnosis) -> Figure:
 
 
 def _title(name: str, found: Diagnosis) -> str:
-    count = sum(e.hypothesis == name for e in found.events)
+    count = sum(e.hypothesis == name and e.kind != "undecided" for e in found.events)
     if not found.events:
         return f"{name}: {found.verdict if found.process_hypotheses else 'no sensor was isolated'}"
     return f"{name}: {count} event{'s' * (count != 1)}" if count or not found.process_hypotheses else f"{name}: not isolated"
