@@ -25,7 +25,8 @@ def add_watch(commands: Any) -> None:
         help="diagnose rows as they arrive, from standard input, an OPC UA server or an MQTT broker",
         epilog="Rows come from standard input, as CSV with a header or as JSON lines; events go to standard output, a JSON "
         "line each, in the units of the plant. Rows that are late or malformed are skipped and reported. A watch that was "
-        "killed goes on from --state: give the rows since then again, or all; events that it had written come again as the same lines.",
+        "killed goes on from --state: give the rows since then again, or all; events that it had written come again as the "
+        "same lines.",
         allow_abbrev=False,
     )
     add_plant(one)
