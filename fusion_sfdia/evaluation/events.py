@@ -188,7 +188,7 @@ def verdict(events: Sequence[Event], t: Array) -> str:
         if named := [e.hypothesis for e in likely if e.kind == kind]:
             parts.append(f"{word}{'s' * (len(set(named)) > 1)} {listed(named)}")
     known = {e.hypothesis for e in likely}
-    if others := [e.hypothesis for e in events if e not in likely and e.hypothesis not in known]:
+    if others := [e.hypothesis for e in events if e.confidence < EVEN and e.hypothesis not in known]:
         parts.append(f"perhaps {listed(others)}")
     return "; ".join(parts) or "no fault"
 
