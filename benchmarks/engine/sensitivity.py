@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
+from fusion_sfdia.core.state import chosen_runs
 from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
@@ -80,7 +81,7 @@ def sensitivity_work(task: Task) -> Arrays:
         beyond, threshold = beyond + found["beyond"][0], threshold + len(now) * found["threshold"][0]
         settled = fired[1 + np.arange(of_row.size), :, of_row] | fired[0].T[of_row]  # nothing more is to be known of them
         left = np.concatenate([[True], ~settled.all(axis=-1)])[rows]
-        rows, state = rows[left], campaign.some(state, left)
+        rows, state = rows[left], chosen_runs(state, np.flatnonzero(left))
     detected = (fired[1:] & ~fired[0]).reshape(len(own), SIZES.size, -1, bound.size)
     return {
         "beyond": beyond,

@@ -173,12 +173,6 @@ def fork(state: State, ways: int) -> State:
     return state._replace(diverged=diverged, memory=memory)
 
 
-def some(state: State, which: Array) -> State:
-    """The state of those `which` (ways,) of forked runs."""
-    diverged, memory = mapped(lambda a: a[which], (state.diverged, state.memory))
-    return state._replace(diverged=diverged, memory=memory)
-
-
 def sizes(detector: AdaptiveThreshold, size: float) -> Array:
     """Biases (N,) of `size` thresholds of each sensor's own module, at full load without noise; sensor units."""
     run = truth(1.0)
