@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.commissioning.disturbances import WINDOW, Found, learnt, windows
-from fusion_sfdia.commissioning.innovations import fixed, settling
+from fusion_sfdia.commissioning.innovations import settling
 from fusion_sfdia.commissioning.noise import Noise, joined, likeliest_noise, louder_sensors, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, estimated, moved
 from fusion_sfdia.commissioning.refusals import (
@@ -30,6 +30,7 @@ from fusion_sfdia.commissioning.refusals import (
 from fusion_sfdia.commissioning.score import Fit, coloured, fitted
 from fusion_sfdia.commissioning.start import Start, first_error, first_state, with_start
 from fusion_sfdia.core.arguments import probability
+from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.plant import Plant
 

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.commissioning.corrections import Offset, with_offset
-from fusion_sfdia.commissioning.innovations import Sample, filtered, fixed, until
+from fusion_sfdia.commissioning.innovations import Sample, filtered, until
+from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant

@@ -18,7 +18,6 @@ from fusion_sfdia.core.augment import augment
 from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import half_inverse
 
@@ -88,11 +87,6 @@ def held(plant: Plant) -> Plant:
     else:
         cov[n + p : n + p + m] = cov[:, n + p : n + p + m] = 0.0
     return replace(model, initial_cov=cov)
-
-
-def fixed(plant: Plant) -> Plant:
-    """The plant at its nominal parameters, augmented by its disturbances alone."""
-    return augment(replace(plant, uncertainty=Uncertainty(disturbances=plant.uncertainty.disturbances)))
 
 
 def until(log: Log, use: Array) -> Log:

@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.commissioning.innovations import Sample, filtered, fixed, until
+from fusion_sfdia.commissioning.innovations import Sample, filtered, until
+from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 

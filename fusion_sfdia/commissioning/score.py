@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.commissioning.innovations import filtered, fixed
+from fusion_sfdia.commissioning.innovations import filtered
+from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from fusion_sfdia.commissioning.innovations import filtered, fixed
+from fusion_sfdia.commissioning.innovations import filtered
+from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.gaussian import dense

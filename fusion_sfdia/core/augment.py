@@ -254,3 +254,8 @@ def _require_fit(plant: Plant, known: Uncertainty) -> None:
                 f"disturbance {d.name!r} has directions of shapes {d.state.shape} and {d.reading.shape}; expected "
                 f"{plant.x0.shape} for the states and {(len(plant.sensors),)} for the readings of plant {plant.name!r}"
             )
+
+
+def fixed(plant: Plant) -> Plant:
+    """The plant at its nominal parameters, augmented by its disturbances alone."""
+    return augment(replace(plant, uncertainty=Uncertainty(disturbances=plant.uncertainty.disturbances)))

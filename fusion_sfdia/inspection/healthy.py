@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fusion_sfdia import registry
-from fusion_sfdia.core.augment import augment
+from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.evaluation.diagnose import diagnose_run
 from fusion_sfdia.identification.whiteness import Whiteness, whiteness
 from fusion_sfdia.inspection.findings import REMARK, Finding
@@ -32,7 +30,7 @@ class OnHealthy(NamedTuple):
 
 def on_healthy(plant: Plant, log: Log, detector: registry.NamedDetector) -> OnHealthy:
     """Examine a healthy log of one run, with the disturbances that the plant states; ValueError where it is too short."""
-    plant = augment(replace(plant, uncertainty=Uncertainty(disturbances=plant.uncertainty.disturbances)))
+    plant = fixed(plant)
     found = diagnose_run(registry.detector(detector, plant), log)
     return OnHealthy(len(log.t), whiteness(plant, log), detector.name, tuple(map(str, found.events)))
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from fusion_sfdia import registry
 from fusion_sfdia.commissioning.commission import Commissioning
 from fusion_sfdia.commissioning.disturbances import Found, moves, with_disturbance
-from fusion_sfdia.commissioning.innovations import fixed
 from fusion_sfdia.commissioning.noise import Noise, state_groups, with_noise
 from fusion_sfdia.commissioning.parameters import Estimate, declared, free, moved
 from fusion_sfdia.commissioning.start import Start, with_start
 from fusion_sfdia.core.arguments import number, shown
+from fusion_sfdia.core.augment import fixed
 from fusion_sfdia.core.batch_detector import BatchDetector
 from fusion_sfdia.core.files import all_or_none
 from fusion_sfdia.core.plant import Plant

@@ -10,9 +10,9 @@ import pytest
 from fusion_sfdia import registry
 from fusion_sfdia.commissioning.commission import as_runs
 from fusion_sfdia.commissioning.disturbances import learnt
-from fusion_sfdia.commissioning.innovations import fixed, settling
+from fusion_sfdia.commissioning.innovations import settling
 from fusion_sfdia.commissioning.score import fitted
-from fusion_sfdia.core.augment import augment
+from fusion_sfdia.core.augment import augment, fixed
 from fusion_sfdia.core.uncertainty import Uncertainty
 from fusion_sfdia.evaluation.simulate import simulate
 
