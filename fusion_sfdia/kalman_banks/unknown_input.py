@@ -62,7 +62,7 @@ class UnknownInputFilter(SequentialBank):
         deviation = np.where(seen, DECOUPLED / np.sqrt(np.where(seen, information, 1.0)), 0.0)
         g, f = moved * deviation[..., None, :], effect * deviation[..., None, :]
         g_t, f_t = np.swapaxes(g, -1, -2), np.swapaxes(f, -1, -2)
-        return joint._replace(P=joint.P + g @ g_t, S=joint.S + f @ f_t, C=joint.C + g @ f_t)
+        return joint._replace(P=joint.P + g @ g_t, S=joint.S + f @ f_t, C=joint.C + g @ f_t, repeated=None)
 
     def _input_jacobians(self, t_start: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
         return input_jacobians(self.plant, t_start, t, x, u, self._complex_step)
