@@ -474,9 +474,9 @@ def local_derivatives(
 
 @compiled
 def directional(J: Any, stencil: Array, dgiven: Any, dtheta: Any, along: Any, rate: Any) -> None:
-    """Write to rate (3n COLUMNS,) the derivatives of dx/dt along columns with changes of states `along` (3n COLUMNS,), of the rates
-    given (3 COLUMNS,) and of the parameters (p COLUMNS,); J: `local_derivatives`. A node's rows of p, m, T follow each other, so
-    that those of its stencil are at known distances.
+    """Write to rate (3n COLUMNS,) the derivatives of dx/dt along columns: changes `along` (3n COLUMNS,) of the states, of the
+    rates given (3 COLUMNS,) and of the parameters (p COLUMNS,); J: `local_derivatives`. A node's rows of p, m, T follow each
+    other, so that those of its stencil are at known distances.
     """
     n = along.shape[0] // (3 * COLUMNS)
     for i in range(n):
