@@ -222,10 +222,10 @@ class Plant:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether step and output are linear: their states have no limits, their Jacobians are the same for all states and
-        explain their changes, to 1e-9 of what these add up, at points about x0.
+        """Whether step and output are linear: their states have no limits, their stated Jacobians are the same for all states
+        and explain their changes, to 1e-9 of what these add up, at points about x0.
         """
-        if np.any(np.isfinite(self.state_limits)):
+        if None in self.jacobians or np.any(np.isfinite(self.state_limits)):
             return False
         x, x0, u = self._points, self.x0, self.input_at(0.0)
         jacobians = self.step_jacobian_at(0.0, x, u, self.dt), self.output_jacobian_at(0.0, x, u)

@@ -199,7 +199,11 @@ class Ensemble:
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         over = np.expand_dims(u, -2)
-        return enkf.joint(prior.core.members, lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
+        found = enkf.joint(prior.core.members, lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
+        if not plant.linear:
+            return found
+        H = plant.output_jacobian_at(t, found.x, u)
+        return found._replace(repeated=repeated_readings(plant.same_readings, H, plant.sensor_cov))
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         over = np.expand_dims(reading.u, -2)

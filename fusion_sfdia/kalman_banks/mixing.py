@@ -43,7 +43,8 @@ def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Arr
     """
     count = sensor_cov.size
     S = repeated(single(joint.S) + np.diag(sensor_cov / (count - 1)), joint.S)
-    spread = Joint(joint.x, joint.P, joint.y, S, joint.C)
+    alike = joint.repeated and joint.repeated._replace(noise=joint.repeated.noise + sensor_cov / (count - 1))
+    spread = joint._replace(S=S, repeated=alike)
     x, p = posterior(spread, statistics(spread, y, used))
     return x, repeated(single(p) / count, p)
 
