@@ -570,9 +570,18 @@ def inside_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineP
 
 @compiled
 def monitor(
-    x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Any, c: EngineParameters, law: bool
+    x: Array,
+    error: Array,
+    before: Array,
+    reading: Array,
+    u: Array,
+    dt: float,
+    s: Any,
+    c: EngineParameters,
+    law: bool,
+    of: Array,
 ) -> Any:
-    """The result of monitoring.monitor, compiled."""
+    """The result of monitoring.monitor, compiled, for the equations `of` (10,) bool; of the other variables, the envelope."""
     size = x.shape[0]
     ahead, bound = np.empty((size, 3)), np.empty((size, 3))
     lower, upper = np.empty((size, 7)), np.empty((size, 7))
@@ -585,6 +594,9 @@ def monitor(
             middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
             radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + s.bound[j]
         for e in range(3):
+            if not of[e]:
+                ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
+                continue
             m, r = middle[e], radius[e]
             middle[e] = x[b, e]
             h = value_at(e, middle, c, law)
@@ -611,6 +623,9 @@ def monitor(
             middle[j] = s.nominal[j] if missing else reading[b, j]
             radius[j] = s.half_width[j] if missing else s.bound[j]
         for e in range(3, 10):
+            if not of[e]:
+                lower[b, e - 3], upper[b, e - 3] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]
+                continue
             least, most = bounds_at(e, middle, radius, v, s, c, law)
             if not np.isfinite(least + most):
                 least, most = inside_at(e, middle, radius, v, s, c, law)
