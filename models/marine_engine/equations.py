@@ -581,18 +581,22 @@ def monitor(
     law: bool,
     of: Array,
 ) -> Any:
-    """The result of monitoring.monitor, compiled, for the equations `of` (10,) bool; of the other variables, the envelope."""
+    """The result of monitoring.monitor, compiled, for the equations `of` (10,) bool; of the other variables, the envelope.
+
+    s: its bound (.., 10) and gains (.., 3) of all runs, or of each one.
+    """
     size = x.shape[0]
     ahead, bound = np.empty((size, 3)), np.empty((size, 3))
     lower, upper = np.empty((size, 7)), np.empty((size, 7))
     middle, radius, v = np.empty(11), np.empty(11), np.empty(11)
     for b in range(size):
+        noise, correction = s.bound[min(b, len(s.bound) - 1)], s.gains[min(b, len(s.gains) - 1)]
         middle[10], radius[10] = u[b, 0], 0.0
         for j in range(10):
             y0, y1 = before[b, j], reading[b, j]
             missing = np.isnan(y0) or np.isnan(y1)
             middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
-            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + s.bound[j]
+            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + noise[j]
         for e in range(3):
             if not of[e]:
                 ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
@@ -608,7 +612,7 @@ def monitor(
                 h = (least + most) / 2
             middle[e], radius[e] = m, r
             known = not np.isnan(before[b, e])
-            gain = s.gains[e] if known else 0.0
+            gain = correction[e] if known else 0.0
             rate = s.rates[e]
             a = rate + gain
             lam = np.exp(-a * dt)
@@ -616,12 +620,12 @@ def monitor(
             ahead[b, e] = lam * x[b, e] + held * (h + gain * (before[b, e] if known else 0.0))
             speed = max(abs(most - rate * x[b, e]), abs(least - rate * x[b, e])) + rate * error[b, e]
             moved = min(gain * held * s.drift[e] * dt, gain * (dt - held) / a * speed if a > 0 else 0.0)
-            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * s.bound[e]) + moved
+            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * noise[e]) + moved
             bound[b, e] = min(grown, abs(ahead[b, e] - s.nominal[e]) + s.half_width[e])
         for j in range(10):
             missing = np.isnan(reading[b, j])
             middle[j] = s.nominal[j] if missing else reading[b, j]
-            radius[j] = s.half_width[j] if missing else s.bound[j]
+            radius[j] = s.half_width[j] if missing else noise[j]
         for e in range(3, 10):
             if not of[e]:
                 lower[b, e - 3], upper[b, e - 3] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]

@@ -75,7 +75,9 @@ def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -
 
 
 def _monitor(c: EngineParameters, law: bool, *arguments: Any, of: NDArray[Any] = EVERY) -> Any:
-    return equations.monitor(*arguments, c, law, of)  # type: ignore[call-arg]
+    *before, s = arguments
+    of_runs = s._replace(bound=np.atleast_2d(s.bound), gains=np.atleast_2d(s.gains))
+    return equations.monitor(*before, of_runs, c, law, of)  # type: ignore[call-arg]
 
 
 def alone(modules: Modules, variable: str) -> Modules:
