@@ -134,7 +134,7 @@ def first_firings(
     """
     first = beyond = total = np.empty(0)
     shape: tuple[int, ...] = ()
-    trace: list[tuple[Array, Array]] = []
+    trace: list[tuple[Array, ...]] = []
     for k, (time, applied, now) in enumerate(zip(t, u, readings, strict=True)):
         y = now.reshape(-1, now.shape[-1])
         if k == 0:
@@ -150,7 +150,7 @@ def first_firings(
             beyond += firing
         total += decision.threshold
         if shown is not None:
-            trace.append((decision.residual.reshape(shape)[shown], decision.threshold.reshape(shape)[shown]))
+            trace.append(tuple(a.reshape(shape)[shown].copy() for a in (decision.residual, decision.threshold)))
     if state is None or not shape:
         raise ValueError("there are no readings; pass at least one")
     state = _of_batch(state, (len(first),), shape[:-1])
