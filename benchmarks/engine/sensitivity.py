@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,7 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.trials import DETECTORS, NAMES, row
 from fusion_sfdia.core.state import chosen_runs
@@ -19,7 +17,7 @@ from fusion_sfdia.evaluation.diagnosis_metrics import smallest_detected
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task, seed_blocks
-from fusion_sfdia.models.marine_engine.modules import GAINS, MODULES, alone
+from fusion_sfdia.models.marine_engine.modules import GAINS, MODULES
 from fusion_sfdia.models.marine_engine.published import DESIGNS, minimum_fault
 from fusion_sfdia.report.content import Figure, Summary
 from fusion_sfdia.report.findings import listed, pick, span
@@ -69,7 +67,7 @@ def sensitivity_work(task: Task) -> Arrays:
     draws = campaign.noise(detector.plant, t.size, task["seeds"])
     state, before = campaign.first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
     own = [NAMES.index(name) for name in OBSERVERS]
-    observers = [_alone(detector, variable) for variable in OBSERVERS.values()]
+    observers = [campaign.alone(detector, [variable]) for variable in OBSERVERS.values()]
     left = [np.arange(SIZES.size * count) for _ in own]  # runs with a bias, the sizes of each seed
     states = [chosen_runs(state, runs % count) for runs in left]
     silent, fired = np.ones((count, bound.size), bool), np.zeros((len(own), SIZES.size * count), bool)
@@ -94,14 +92,6 @@ def sensitivity_work(task: Task) -> Arrays:
         "detected": fired.reshape(len(own), SIZES.size, count) & silent.T[own, None],
         "bound": bound,
     }
-
-
-def _alone(detector: AdaptiveThreshold, variable: str) -> AdaptiveThreshold:
-    """The detector that evaluates only the module of a variable."""
-    plant = detector.plant
-    assert plant.structure.modules is not None
-    modules = alone(plant.structure.modules, variable)
-    return replace(detector, plant=replace(plant, structure=replace(plant.structure, modules=modules)))
 
 
 def sensitivity_summary(settings: Settings, results: list[tuple[Task, Arrays]]) -> Summary:

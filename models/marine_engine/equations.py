@@ -581,16 +581,16 @@ def monitor(
     law: bool,
     of: Array,
 ) -> Any:
-    """The result of monitoring.monitor, compiled, for the equations `of` (10,) bool; of the other variables, the envelope.
+    """The result of monitoring.monitor, compiled, for the equations `of` (.., 10) bool; of the other variables, the envelope.
 
-    s: its bound (.., 10) and gains (.., 3) of all runs, or of each one.
+    `of`, and of s the bound (.., 10) and the gains (.., 3), are those of all runs (1, ..) or of each one (B, ..).
     """
     size = x.shape[0]
     ahead, bound = np.empty((size, 3)), np.empty((size, 3))
     lower, upper = np.empty((size, 7)), np.empty((size, 7))
     middle, radius, v = np.empty(11), np.empty(11), np.empty(11)
     for b in range(size):
-        noise, correction = s.bound[min(b, len(s.bound) - 1)], s.gains[min(b, len(s.gains) - 1)]
+        noise, correction, own = s.bound[min(b, len(s.bound) - 1)], s.gains[min(b, len(s.gains) - 1)], of[min(b, len(of) - 1)]
         middle[10], radius[10] = u[b, 0], 0.0
         for j in range(10):
             y0, y1 = before[b, j], reading[b, j]
@@ -598,7 +598,7 @@ def monitor(
             middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
             radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + noise[j]
         for e in range(3):
-            if not of[e]:
+            if not own[e]:
                 ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
                 continue
             m, r = middle[e], radius[e]
@@ -627,7 +627,7 @@ def monitor(
             middle[j] = s.nominal[j] if missing else reading[b, j]
             radius[j] = s.half_width[j] if missing else noise[j]
         for e in range(3, 10):
-            if not of[e]:
+            if not own[e]:
                 lower[b, e - 3], upper[b, e - 3] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]
                 continue
             least, most = bounds_at(e, middle, radius, v, s, c, law)

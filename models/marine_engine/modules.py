@@ -5,7 +5,7 @@ The modules M(I,q) of a subsystem I each test the equation of one variable. Thos
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -49,7 +49,7 @@ DRIFT = {"p_receiver": 0.0}  # at a steady load, as in the papers; for a changin
 LOAD_RANGE = 0.03  # width of the range within which the fuel setting may change, see receiver_drift
 RECEIVER_PER_FUEL, RECEIVER_PER_CHARGE = 0.87, 1.25  # A_1 and A_4 over 1 - A_3 there; proved in test_engine_drift
 CHARGE_IMBALANCE = 0.3  # upper bound of |g_4 - x_4| there
-EVERY = np.ones(len(STATES) + len(ALGEBRAIC), bool)
+EVERY = np.ones((1, len(STATES) + len(ALGEBRAIC)), bool)
 MARGINS = {  # added to thresholds to reproduce the paper's pattern of modules that fire; our choice
     "p_receiver": 0.037,  # 2.95 noise bounds in all
     **dict.fromkeys(("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_compressor"), 0.03),
@@ -80,11 +80,15 @@ def _monitor(c: EngineParameters, law: bool, *arguments: Any, of: NDArray[Any] =
     return equations.monitor(*before, of_runs, c, law, of)  # type: ignore[call-arg]
 
 
-def alone(modules: Modules, variable: str) -> Modules:
-    """The engine's compiled modules, of which only that of a variable is evaluated: the others know only their envelopes."""
+def alone(modules: Modules, variables: Sequence[str]) -> Modules:
+    """The engine's compiled modules, of which each run evaluates that of its variable: the others know only their envelopes.
+
+    variables: one for all runs, or one for each.
+    """
     if modules.monitor is None:
-        raise ValueError(f"the modules have no compiled form; expected those of `engine_modules` to evaluate {variable} alone")
-    return replace(modules, monitor=partial(modules.monitor, of=np.array([v == variable for v in modules.equations])))
+        raise ValueError("the modules have no compiled form; expected those of `engine_modules` to evaluate one of them alone")
+    of = np.array([[v == own for v in modules.equations] for own in variables])
+    return replace(modules, monitor=partial(modules.monitor, of=of))
 
 
 def receiver_drift(c: EngineParameters, dt: float) -> float:

@@ -30,6 +30,7 @@ from fusion_sfdia.experiments.scenario import Arrays, Settings
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.governor import governed_settings
+from fusion_sfdia.models.marine_engine.modules import alone as modules_alone
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 
@@ -100,6 +101,14 @@ def steady_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", 
         modules = replace(plant.structure.modules, gains=gains)
         plant = replace(plant, structure=replace(plant.structure, modules=modules))
     return replace(adaptive_threshold(plant, name.partition(":")[2]), envelope=default_envelope(level))
+
+
+def alone(detector: AdaptiveThreshold, variables: Sequence[str]) -> AdaptiveThreshold:
+    """A detector that evaluates one module in a run, that of its variable; variables: one for all runs, or one for each."""
+    plant = detector.plant
+    assert plant.structure.modules is not None
+    modules = modules_alone(plant.structure.modules, variables)
+    return replace(detector, plant=replace(plant, structure=replace(plant.structure, modules=modules)))
 
 
 @cache

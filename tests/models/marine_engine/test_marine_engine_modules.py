@@ -31,21 +31,22 @@ def test_observers_have_gains_and_bounds_and_the_plant_carries_them() -> None:
     assert modules.names == {module.variable: name for name, module in MODULES.items()}
 
 
-@pytest.mark.parametrize("variable", ["p_charge", "T_turbine"])
-def test_a_module_alone_has_the_bits_it_has_among_the_others_which_know_their_envelopes(variable: str) -> None:
+def test_a_module_alone_has_the_bits_it_has_among_the_others_which_know_their_envelopes() -> None:
     plant = marine_engine()
     modules = plant.structure.modules
     assert modules is not None
     readings = simulate(plant, 30, [0, 1], truth="model")
     u = np.broadcast_to(readings.u[:, None], (30, 2, 1))
     every = AdaptiveThreshold(plant)
-    one = AdaptiveThreshold(changed(plant, modules=alone(modules, variable)))
-    found, expected = (run(d, d.init(2), readings.t, readings.y, u)[1] for d in (one, every))
-    own = list(SENSORS.values()).index(variable)
-    np.testing.assert_array_equal(found.residual[..., own], expected.residual[..., own])
-    np.testing.assert_array_equal(found.threshold[..., own], expected.threshold[..., own])
-    others = np.arange(len(SENSORS)) != own
+    expected = run(every, every.init(2), readings.t, readings.y, u)[1]
     widest = every.half_width[every._variable] + [s.noise_bound for s in plant.sensors]
-    np.testing.assert_allclose(found.threshold[:, :, others], np.broadcast_to(widest, found.threshold.shape)[:, :, others])
-    with pytest.raises(ValueError, match="no compiled form; expected those of `engine_modules` to evaluate p_charge alone"):
-        alone(replace(modules, monitor=None), "p_charge")
+    for variables in (("p_charge",), ("fuel", "T_turbine")):  # of both runs, of each
+        one = AdaptiveThreshold(changed(plant, modules=alone(modules, variables)))
+        found = run(one, one.init(2), readings.t, readings.y, u)[1]
+        for b in range(2):
+            own = np.array([v == variables[b % len(variables)] for v in SENSORS.values()])
+            np.testing.assert_array_equal(found.residual[:, b, own], expected.residual[:, b, own])
+            np.testing.assert_array_equal(found.threshold[:, b, own], expected.threshold[:, b, own])
+            np.testing.assert_allclose(found.threshold[:, b, ~own], np.broadcast_to(widest[~own], (30, 9)))
+    with pytest.raises(ValueError, match="no compiled form; expected those of `engine_modules` to evaluate one of them alone"):
+        alone(replace(modules, monitor=None), ["p_charge"])
