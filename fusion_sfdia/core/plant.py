@@ -246,6 +246,12 @@ class Plant:
         step, output = (a.size >= LARGE and bool(np.count_nonzero(a) <= FEW * a.size) for a in found)
         return step, output
 
+    @cached_property
+    def same_readings(self) -> Array | None:
+        """A number for each sensor (N,), the same for those with the same row of H at x0; None where all rows differ."""
+        rows, number = np.unique(self.output_jacobian_at(0.0, self.x0, self.input_at(0.0)), axis=0, return_inverse=True)
+        return number.ravel() if len(rows) < len(self.sensors) else None
+
     def _of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
         if np.shape(jacobian)[-2:] != (rows, len(self.states)):
             raise ValueError(

@@ -19,6 +19,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import ekf, enkf, gaussian, ukf
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.guarded_steps import guarded_points, guarded_step, readings_of
+from fusion_sfdia.filters.repeated import repeated_readings
 
 Array = NDArray[Any]
 Core = Any  # GaussianState or EnsembleState
@@ -134,7 +135,7 @@ class Extended(_Moments):
         expected = readings_of(plant, t, x, u)
         H = plant.output_jacobian_at(t, x, u)
         found = ekf.joint(x, p, lambda s: expected, H, plant.sensor_cov, plant.sparse[1])
-        return found._replace(considered=plant.considered)
+        return found._replace(considered=plant.considered, repeated=repeated_readings(plant.same_readings, H, plant.sensor_cov))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from scipy.linalg.lapack import dpotrf, dtrtri, dtrtrs
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.covariance import dense as dense
+from fusion_sfdia.filters.repeated import Repeated
 
 Array = NDArray[Any]
 
@@ -152,7 +153,7 @@ class Joint(NamedTuple):
 
     x (..., n), P (..., n, n): the state. y (..., N), S (..., N, N): the readings, S with their noise R. C (..., n, N):
     covariance of state and readings. considered (k,): positions of states that no update changes, see `consider`.
-    H (..., N, n): Jacobian of the readings at x; None of a filter without it.
+    H (..., N, n): Jacobian of the readings at x; None of a filter without it. repeated: sensors that read the same, if known.
     """
 
     x: Array
@@ -162,6 +163,7 @@ class Joint(NamedTuple):
     C: Array
     considered: Array | None = None
     H: Array | None = None
+    repeated: Repeated | None = None
 
 
 def gain(joint: Joint, inverse: Array) -> Array:

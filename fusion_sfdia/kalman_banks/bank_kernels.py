@@ -107,18 +107,19 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 @compiled
 def transition(
-    F: Array, K: Array, before: Array, H: Array, half: Array, leading: int, read: int, numbers: Array
+    F: Array, K: Array, before: Array, H: Array, half: Array, sizes: tuple[int, int, int], numbers: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """A = F - F K H, its columns of the `leading` states, F K, U' and -U' H of the states that are read.
+    """A = F - F K H, its columns of the `leading` states, F K, U', and -U' H of the states that are `read`, its first rows.
 
-    F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), half: U (B, N, N), each of 1 run where it is the same
-    for all. They are rounded to the type of `numbers` first.
+    sizes: leading, read, and how many rows. F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), half: U
+    (B, N, N), each of 1 run where it is the same for all. They are rounded to the type of `numbers` first.
     """
     B = max(F.shape[0], K.shape[0], before.shape[0], H.shape[0], half.shape[0])
     n, N = K.shape[1:]
+    leading, read, rank = sizes
     kind = numbers.dtype
     A, columns, FK = np.empty((B, n, n), kind), np.empty((B, n, leading), kind), np.empty((B, n, N), kind)
-    turned, seen = np.empty((B, N, N), kind), np.empty((B, N, read), kind)
+    turned, seen = np.empty((B, N, N), kind), np.empty((B, rank, read), kind)
     gain, taken = np.empty((n, N), kind), np.empty((n, read), kind)
     was, now = np.empty((N, read), kind), np.empty((N, read), kind)
     for k in range(B):
@@ -136,7 +137,7 @@ def transition(
                 turned[k, j, i] = half[u, i, j]
         np.dot(A[k], gain, FK[k])
         np.dot(FK[k], was, taken)
-        np.dot(turned[k], now, seen[k])
+        np.dot(turned[k][:rank], now, seen[k])
         for i in range(n):
             for j in range(read):
                 A[k, i, j] -= taken[i, j]
@@ -168,12 +169,13 @@ def weighed(
 
     eta (B, L, n, q) is written, from the slots `places` (L,) of `old`. A (B, n, n), and its columns of the `leading` states;
     the others count only where they are not 0. FK (B, n, N); before (B, L): D of `old`. change (B, n, r): C, the first `once`
-    at the onset only. half (B, N, N): U', seen: -U' H of the states that are read, scores (B, N): U' d, readings (B, L): D.
+    at the onset only. half (B, N, N): U', seen (B, rank, read): -U' H of the states
+    that are read, whose rows behind these are 0, scores (B, N): U' d, readings (B, L): D.
     Each is of 1 run where it is the same for all; eta and b may be. One onset comes after the other, so that what belongs to it
     stays near. Onsets that are the same have the same bits.
     """  # fmt: skip
     E, L, n, q = eta.shape
-    N, r, d, read = half.shape[1], change.shape[2], leading.shape[2], seen.shape[2]
+    N, r, d, rank, read = half.shape[1], change.shape[2], leading.shape[2], seen.shape[1], seen.shape[2]
     number = eta.dtype.type
     zero = number(0)
     M, sums, squares = np.empty((N, q), eta.dtype), np.empty(q, eta.dtype), np.empty(q, eta.dtype)
@@ -207,7 +209,8 @@ def weighed(
                 to, of = into[i, q - r :], change[c, i]
                 for j in range(0 if age[k, l] <= 1 else once, r):
                     to[j] -= of[j]
-            np.dot(seen[now], into[:read], M)
+            np.dot(seen[now], into[:read], M[:rank])
+            M[rank:] = zero
             by = number(readings[k, l])
             for j in range(q):
                 squares[j] = zero

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, on_diagonal
+from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
 from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
@@ -30,6 +31,7 @@ class LeaveOneOut(NamedTuple):
 
     whitened: u, weight: w (..., N), both 0 for a reading that is not used. inverse: S^-1 (..., N, N) with zero rows and columns
     for these readings. half: U with S^-1 = U U', scores: U' d (..., N), both None after an elimination.
+    rank: with the columns of U behind so many C U is 0 (None: with none).
     """
 
     whitened: Array
@@ -38,6 +40,7 @@ class LeaveOneOut(NamedTuple):
     used: Array
     half: Array | None
     scores: Array | None
+    rank: int | None = None
 
     @property
     def innovation(self) -> Array:
@@ -69,13 +72,27 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
             half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
             scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
         return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
-    half = half_inverse(single(joint.S)) if np.all(used) else half_inverse(joint.S, used)
-    half_t = np.swapaxes(half, -1, -2)
-    s_inv = half @ half_t
+    rank = None if joint.repeated is None else joint.repeated.quantities
+    if joint.repeated is not None:
+        half, s_inv = inverse_of_repeated(joint.repeated, joint.S, used)
+    else:
+        half = half_inverse(single(joint.S)) if np.all(used) else half_inverse(joint.S, used)
+        s_inv = half @ np.swapaxes(half, -1, -2)
     whitened = (s_inv @ d[..., None])[..., 0]
-    scores = (half_t @ d[..., None])[..., 0]
+    scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
     s_inv, half = repeated(s_inv, d), repeated(half, d)
-    return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half, scores)
+    return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half, scores, rank)
+
+
+def inverse_of_repeated(sensors: Repeated, S: Array, used: Array) -> tuple[Array, Array]:
+    """U and S^-1 (..., N, N), see `filters.repeated`; (1, N, N) where all runs have the same S and use all readings."""
+    batch, N = used.shape[:-1], used.shape[-1]
+    of_runs, in_use = bank_kernels.runs(single(S), batch), bank_kernels.runs(used, batch)
+    if len(batch) == 1 and len(of_runs) == 1 and used.all():
+        batch, in_use = (1,), in_use[:1]
+    V = half_inverse(mean_covariance(of_runs, in_use, *sensors))
+    half, s_inv = spread(V, V @ np.swapaxes(V, -1, -2), in_use, *sensors)
+    return half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
 
 
 def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
@@ -103,7 +120,7 @@ def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     """
     C, P = single(joint.C), single(joint.P)
     x = joint.x + (C @ found.whitened[..., None])[..., 0]
-    w = C @ (single(found.half) if found.half is not None else half_inverse(joint.S, found.used))
+    w = C @ (half_inverse(joint.S, found.used) if found.half is None else single(found.half)[..., : found.rank])
     p = P - w @ np.swapaxes(w, -1, -2)
     floor = 4 * np.finfo(float).eps * sum(C.shape[-2:])
     on_diagonal(p)[...] += floor * P.diagonal(axis1=-2, axis2=-1)

@@ -36,7 +36,8 @@ class WindowStep(NamedTuple):
     """A step of B runs.
 
     A (B, n, n), its columns of the first states, which are dense, FK (B, n, N). H (B, N, n), half U' (B, N, N), seen -U' H
-    (B, N, d) of the states that are read, scores U' d (B, N). Those but U' d are of 1 run where they are the same for all.
+    (B, rank, d) of the states that are read, its other rows being 0, scores U' d (B, N). Those but U' d are of 1 run where they
+    are the same for all.
     """
 
     A: Array
@@ -68,7 +69,8 @@ def window_step(
     read = n if d < n and (output_jacobian[..., d:].any() or last.readout[..., d:].any()) else d
     F, H = (common(v, batch, 2) for v in (tangent, output_jacobian))
     K, before, half = (runs(single(v), batch) for v in (*last, found.half))
-    A, columns, FK, turned, seen = transition(F, K, before, H, half, d, read, np.empty(0, kind))
+    rank = half.shape[-1] if found.rank is None else found.rank
+    A, columns, FK, turned, seen = transition(F, K, before, H, half, (d, read, rank), np.empty(0, kind))
     return WindowStep(A, columns, FK, H, turned, seen, runs(found.scores.astype(kind, copy=False), batch))
 
 
