@@ -142,13 +142,26 @@ def friction_factor(m: Any, c: PipelineParameters) -> Any:
     whose series to s^19 leaves 1e-14 where 1/sqrt f is between 6 and 17. A friction factor among the parameters replaces it
     for any turbulent flow; the logarithm makes that NaN for m <= 0, too.
     """
+    inside = friction_start(m, c)
+    return friction_from(m, inside, np.log(inside), c)
+
+
+@equation
+def friction_start(m: Any, c: PipelineParameters) -> Any:
+    """Of what `friction_factor` takes the logarithm: eps/(3.7 d) + 2.51/(Re sqrt f) at 1/sqrt f = 10, or m where f is given."""
     if c.friction > 0.0:
-        return c.friction + 0.0 * np.log(m)
+        return 1.0 * m
+    return c.roughness / (3.7 * c.diameter) + 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m) * 10.0
+
+
+@equation
+def friction_from(m: Any, inside: Any, logarithm: Any, c: PipelineParameters) -> Any:
+    """`friction_factor` from what `friction_start` gives, and its logarithm: apart from it, this takes arithmetic alone."""
+    if c.friction > 0.0:
+        return c.friction + 0.0 * logarithm
     b = 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m)
     rough = c.roughness / (3.7 * c.diameter)
     root = 10.0 + 0.0 * b
-    inside = rough + b * root
-    logarithm = np.log(inside)
     root = root - (root + 2.0 / LN10 * logarithm) / (1.0 + 2.0 / LN10 * b / inside)
     for _ in range(2):
         before = inside
@@ -234,7 +247,7 @@ def outlet_rates(p: Any, T: Any, local: tuple[Any, ...], m_given: Any, c: Pipeli
 # The driver takes states in lanes of up to LANES, (3n, LANES) with the lane last, and a node's operands lie in one flat array
 # `w` at known distances: the compiler vectorises the loops over lanes, and a lane has the bits that it has alone. The equations
 # are inlined where they are called: `rates` stands in each driver once, as most of the time of its compilation is theirs.
-LANES = 32
+LANES = 64
 ROOM = 19  # rows of w
 
 
@@ -261,7 +274,11 @@ def slope(lanes: int, x: Any, given: Any, c: PipelineParameters, stencil: Array,
                     + stencil[row, 4] * x[at + 4, k]
                 )
         for k in range(lanes):
-            w[6 * LANES + k] = friction_factor(w[LANES + k], c)
+            w[6 * LANES + k] = friction_start(w[LANES + k], c)
+        for k in range(lanes):  # by itself: a logarithm is no vector instruction
+            w[10 * LANES + k] = np.log(w[6 * LANES + k])
+        for k in range(lanes):
+            w[6 * LANES + k] = friction_from(w[LANES + k], w[6 * LANES + k], w[10 * LANES + k], c)
         for k in range(lanes):
             (
                 w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k], w[13 * LANES + k], w[14 * LANES + k],

@@ -10,7 +10,8 @@ def every_rule(x, y):
     sums = (x + y) + (x + 2.0) - (3.0 - y) - (y - 0.5) + (1.5 + x) - (x - y)
     products = (x * y) * (3.0 * x) * (y * 0.5)
     quotients = (x / y) / 3.0 + 2.0 / x
-    return np.log(products) * np.sqrt(quotients) - (-sums)
+    powers = np.exp(0.1 * x) + x**0.7 + (x - y) ** 2 + np.maximum(x, 1.0) * np.maximum(y, 5.0)
+    return np.log(products) * np.sqrt(quotients) - (-sums) + powers
 
 
 @njit(error_model="numpy")
