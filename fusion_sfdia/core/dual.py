@@ -124,28 +124,28 @@ infer_global(operator.neg)(type("_Slopes_neg", (_Slopes,), {}))
 _define(operator.neg, (DUAL,), lambda a, da: (-a, -da))
 
 
-@overload(np.log)  # type: ignore[untyped-decorator]
+@overload(np.log)
 def _log(x):  # type: ignore[no-untyped-def]
     return (lambda x: dual(np.log(x.value), x.slope / x.value)) if x is DUAL else None
 
 
-@overload(np.sqrt)  # type: ignore[untyped-decorator]
+@overload(np.sqrt)
 def _sqrt(x):  # type: ignore[no-untyped-def]
     return (lambda x: dual(np.sqrt(x.value), 0.5 * x.slope / np.sqrt(x.value))) if x is DUAL else None
 
 
-@overload(np.exp)  # type: ignore[untyped-decorator]
+@overload(np.exp)
 def _exp(x):  # type: ignore[no-untyped-def]
     return (lambda x: dual(np.exp(x.value), np.exp(x.value) * x.slope)) if x is DUAL else None
 
 
-@overload(np.maximum)  # type: ignore[untyped-decorator]
+@overload(np.maximum)
 def _maximum(x, least):  # type: ignore[no-untyped-def]
     at_least = lambda x, least: dual(np.maximum(x.value, least), x.slope if x.value >= least else 0.0)  # noqa: E731
     return at_least if x is DUAL and least == types.float64 else None
 
 
-@overload(operator.pow)  # type: ignore[untyped-decorator]
+@overload(operator.pow)
 def _power(x, by):  # type: ignore[no-untyped-def]
     """Of a positive number to a constant power."""
     return (lambda x, by: dual(x.value**by, by * x.value**by / x.value * x.slope)) if x is DUAL else None

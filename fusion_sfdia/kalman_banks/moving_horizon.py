@@ -57,15 +57,18 @@ def renew(now: Horizons) -> Horizons:
 def extend(now: Horizons, tangent: Array, output_jacobian: Array, gain: Array, found: LeaveOneOut) -> Horizons:
     """Add the present innovations; F (..., n, n) of the step just taken, H (..., N, n), K (..., n, N) of all sensors in use.
 
-    E and G do not depend on readings: where all runs have the same matrices they are computed once.
+    With S^-1 = U U' it adds (U' M)' U' d to g and (U' M)' U' M to G. E and G do not depend on readings: where all runs have the
+    same matrices they are computed once.
     """
-    before, F, H, K, s_inv = (single(a) for a in (now.effect, tangent, output_jacobian, gain, found.inverse))
+    assert found.half is not None and found.scores is not None
+    before, F, H, K, U = (single(a) for a in (now.effect, tangent, output_jacobian, gain, found.half))
     eta = F[..., None, :, :] @ before
     change = np.eye(found.used.shape[-1]) - H[..., None, :, :] @ eta
-    transposed = np.swapaxes(change, -1, -2)
     effect = eta + K[..., None, :, :] @ change
-    G = single(now.G) + transposed @ (s_inv[..., None, :, :] @ change)
-    g = now.g + (transposed @ found.whitened[..., None, :, None])[..., 0]
+    whitened = np.swapaxes(U, -1, -2)[..., None, :, :] @ change
+    transposed = np.swapaxes(whitened, -1, -2)
+    G = single(now.G) + transposed @ whitened
+    g = now.g + (transposed @ found.scores[..., None, :, None])[..., 0]
     return Horizons(repeated(effect, g), g, repeated(G, g))
 
 

@@ -24,7 +24,7 @@ from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters import gaussian
 from fusion_sfdia.filters.estimators import GaussianState, step_stream
 from fusion_sfdia.kalman_banks import moving_horizon
-from fusion_sfdia.kalman_banks.excluding_bank import SensorTests, Update
+from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.moving_horizon import Horizons
@@ -67,11 +67,12 @@ class MovingHorizon(LeaveOneOutBank):
     def _judge(self, memory: Any, now: TimeStep, y: Array, u: Array) -> tuple[Any, Decision]:
         estimate, exclusion, past = memory
         plant, est, t = self.plant, self.estimator, now.t
-        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
         joint = est.joint(plant, prior, t, u)
         usable = np.isfinite(y) & ~exclusion.out
         found = statistics(joint, y, usable)
         x, p = posterior(joint, found)
+        found = found._replace(known=found.inverse)  # read several times
         gain = gaussian.gain(joint, found.inverse)
         tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
         if now.k % (self.window // 2) == 0:

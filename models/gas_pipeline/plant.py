@@ -218,7 +218,8 @@ class _Pipe:
     def _advance(self, function: Any, x: Array, u: Array, dt: float, theta: Array, *which: Array) -> Array:
         """The function of states, inputs and parameters theta, (4,) for all or (..., 4), as matrices with a row for each."""
         rows = [x, u, theta]
-        kind, batch = np.result_type(*rows, float), np.broadcast_shapes(*(a.shape[:-1] for a in rows))
+        shapes = {a.shape[:-1] for a in rows} - {()}
+        kind, batch = np.result_type(*rows, float), shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
         flat = [_rows(a, batch if a.ndim > 1 or a is not theta else (), kind) for a in rows]
         result: Array = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
         return result.reshape(*batch, *result.shape[1:])
@@ -226,7 +227,8 @@ class _Pipe:
 
 def _rows(a: Array, batch: tuple[int, ...], kind: Any) -> Array:
     """The batch of a (..., n) as a matrix with a row for each, all of them of one type: nothing is compiled twice."""
-    rows = np.ascontiguousarray(np.broadcast_to(a, (*batch, a.shape[-1])), dtype=kind).reshape(-1, a.shape[-1])
+    whole = a if a.shape[:-1] == batch else np.broadcast_to(a, (*batch, a.shape[-1]))
+    rows = np.ascontiguousarray(whole, dtype=kind).reshape(-1, a.shape[-1])
     rows.flags.writeable = False
     return rows
 

@@ -653,21 +653,37 @@ def inside_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineP
 
 @compiled
 def monitor(
-    x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Any, c: EngineParameters, law: bool
+    x: Array,
+    error: Array,
+    before: Array,
+    reading: Array,
+    u: Array,
+    dt: float,
+    s: Any,
+    c: EngineParameters,
+    law: bool,
+    of: Array,
 ) -> Any:
-    """The result of monitoring.monitor, compiled."""
+    """The result of monitoring.monitor, compiled, for the equations `of` (.., 10) bool; of the other variables, the envelope.
+
+    `of`, and of s the bound (.., 10) and the gains (.., 3), are those of all runs (1, ..) or of each one (B, ..).
+    """
     size = x.shape[0]
     ahead, bound = np.empty((size, 3)), np.empty((size, 3))
     lower, upper = np.empty((size, 7)), np.empty((size, 7))
     middle, radius, v = np.empty(11), np.empty(11), np.empty(11)
     for b in range(size):
+        noise, correction, own = s.bound[min(b, len(s.bound) - 1)], s.gains[min(b, len(s.gains) - 1)], of[min(b, len(of) - 1)]
         middle[10], radius[10] = u[b, 0], 0.0
         for j in range(10):
             y0, y1 = before[b, j], reading[b, j]
             missing = np.isnan(y0) or np.isnan(y1)
             middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
-            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + s.bound[j]
+            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + noise[j]
         for e in range(3):
+            if not own[e]:
+                ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
+                continue
             m, r = middle[e], radius[e]
             middle[e] = x[b, e]
             h = value_at(e, middle, c, law)
@@ -679,7 +695,7 @@ def monitor(
                 h = (least + most) / 2
             middle[e], radius[e] = m, r
             known = not np.isnan(before[b, e])
-            gain = s.gains[e] if known else 0.0
+            gain = correction[e] if known else 0.0
             rate = s.rates[e]
             a = rate + gain
             lam = np.exp(-a * dt)
@@ -687,13 +703,16 @@ def monitor(
             ahead[b, e] = lam * x[b, e] + held * (h + gain * (before[b, e] if known else 0.0))
             speed = max(abs(most - rate * x[b, e]), abs(least - rate * x[b, e])) + rate * error[b, e]
             moved = min(gain * held * s.drift[e] * dt, gain * (dt - held) / a * speed if a > 0 else 0.0)
-            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * s.bound[e]) + moved
+            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * noise[e]) + moved
             bound[b, e] = min(grown, abs(ahead[b, e] - s.nominal[e]) + s.half_width[e])
         for j in range(10):
             missing = np.isnan(reading[b, j])
             middle[j] = s.nominal[j] if missing else reading[b, j]
-            radius[j] = s.half_width[j] if missing else s.bound[j]
+            radius[j] = s.half_width[j] if missing else noise[j]
         for e in range(3, 10):
+            if not own[e]:
+                lower[b, e - 3], upper[b, e - 3] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]
+                continue
             least, most = bounds_at(e, middle, radius, v, s, c, law)
             if not np.isfinite(least + most):
                 least, most = inside_at(e, middle, radius, v, s, c, law)
