@@ -229,11 +229,13 @@ class Plant:
             return False
         x, x0, u = self._points, self.x0, self.input_at(0.0)
         jacobians = self.step_jacobian_at(0.0, x, u, self.dt), self.output_jacobian_at(0.0, x, u)
-        functions = (lambda p: self.step(0.0, p, u, self.dt)), (lambda p: self.output(0.0, p, u))
+        changes = (
+            self.step(0.0, x, u, self.dt) - self.step(0.0, x0, u, self.dt),
+            self.output(0.0, x, u) - self.output(0.0, x0, u),
+        )
         return all(
-            J.ndim == 2
-            and bool(np.all(np.abs(f(x) - f(x0) - (x - x0) @ J.T) <= 1e-9 * ((np.abs(x) + np.abs(x0)) @ np.abs(J).T)))
-            for f, J in zip(functions, jacobians, strict=True)
+            J.ndim == 2 and np.all(np.abs(change - (x - x0) @ J.T) <= 1e-9 * ((np.abs(x) + np.abs(x0)) @ np.abs(J).T))
+            for change, J in zip(changes, jacobians, strict=True)
         )
 
     @cached_property
