@@ -80,7 +80,7 @@ def fires(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, sizes: Arra
     watched = campaign.alone(detector, [s.measures for s in detector.plant.sensors] * (2 * runs))
     readings = (y[k, :, None, None] + (change if now >= ONSET else 0.0 * change) for k, now in enumerate(t))
     _, found = campaign.first_firings(watched, t, u, readings)
-    return np.isfinite(np.diagonal(found["first"], axis1=-2, axis2=-1))
+    return np.asarray(np.isfinite(np.diagonal(found["first"], axis1=-2, axis2=-1)))
 
 
 def minimum_summary(settings: Settings, results: Results) -> Summary:
