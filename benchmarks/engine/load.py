@@ -24,7 +24,7 @@ from fusion_sfdia.report.plots import panels
 
 Array = NDArray[Any]
 
-CHUNK = 25  # runs in one task
+CHUNK = 50  # runs in one task
 CASES = ("none", *SENSORS)
 SHOWN = "S(2){3}"  # the first of K24's faults, in the figures of single runs
 ALLOWED = {  # the operation that the detector's envelope and drifts cover

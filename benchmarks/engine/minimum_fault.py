@@ -15,9 +15,9 @@ import numpy as np
 from matplotlib.figure import Figure as Drawing
 
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+from fusion_sfdia.benchmarks.engine.support import campaign
 from fusion_sfdia.benchmarks.engine.support.decisions import value_of
 from fusion_sfdia.benchmarks.engine.support.trials import (
-    BLOCK,
     DETECTORS,
     NAMES,
     Array,
@@ -28,7 +28,6 @@ from fusion_sfdia.benchmarks.engine.support.trials import (
     row,
     tasks,
 )
-from fusion_sfdia.core.detector import run
 from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.scenario import Arrays, Scenario, Settings, Task
@@ -78,19 +77,10 @@ def fires(detector: AdaptiveThreshold, t: Array, y: Array, u: Array, sizes: Arra
     """Whether each sensor's own module fires (B, 2, M), with an offset of + or - its size (B, 2, M) on it alone from ONSET."""
     runs, _, n = sizes.shape
     change = np.array([1.0, -1.0])[:, None, None] * np.eye(n) * sizes[..., None]  # (B, 2, M, N)
-    state = detector.init((runs, 2, n), float(t[0]) - detector.plant.dt)
-    fired = np.zeros(sizes.shape, bool)
-    block = BLOCK // 10
-    for k in range(0, t.size, block):
-        now = slice(k, k + block)
-        begun = (t[now] >= ONSET)[:, None, None, None, None]
-        readings = y[now, :, None, None] + begun * change
-        applied = np.broadcast_to(u[now, None, None, None], (*readings.shape[:-1], u.shape[-1]))
-        state, decision = run(detector, state, t[now], readings, applied)
-        with np.errstate(invalid="ignore"):
-            exceeded = np.abs(decision.residual) > decision.threshold
-        fired |= np.diagonal(exceeded, axis1=-2, axis2=-1).any(axis=0)
-    return fired
+    watched = campaign.alone(detector, [s.measures for s in detector.plant.sensors] * (2 * runs))
+    readings = (y[k, :, None, None] + (change if now >= ONSET else 0.0 * change) for k, now in enumerate(t))
+    _, found = campaign.first_firings(watched, t, u, readings)
+    return np.isfinite(np.diagonal(found["first"], axis1=-2, axis2=-1))
 
 
 def minimum_summary(settings: Settings, results: Results) -> Summary:

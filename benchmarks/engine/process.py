@@ -6,6 +6,7 @@ Both are future work in K24. The detector assumes sensor faults only; under a pr
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -25,6 +26,7 @@ from fusion_sfdia.benchmarks.engine.support.process_figures import (
     severity_text,
 )
 from fusion_sfdia.benchmarks.engine.support.trials import NAMES, row
+from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.faults import Fault
 from fusion_sfdia.evaluation.metrics import Estimate, share
@@ -36,7 +38,7 @@ from fusion_sfdia.report.findings import pick, span
 
 Array = NDArray[Any]
 
-CHUNK = 5  # runs in one task
+CHUNK = 25  # runs in one task
 PROCESS, ATTACK = "process", "attack"
 
 
@@ -58,18 +60,29 @@ def process_work(task: Task) -> Arrays:
     moving = task["drive"] != "constant"
     detector = campaign.moving_detector(name, level, duration, onset) if moving else steady
     t, u, healthy = campaign.truth(duration, task["drive"], onset)
-    draws = np.stack(list(campaign.noise(detector.plant, t.size, task["seeds"])))
+    draws = campaign.noise(detector.plant, t.size, task["seeds"])
+    readings: Iterator[Array]
     if task["what"] == PROCESS:
         signals = [campaign.truth(duration, "constant", onset, case).signal for case in process_cases(task["severities"])]
-        y = np.stack(signals, axis=1)[:, :, None] + draws[:, None]
+        readings = (signal[:, None] + noise for signal, noise in zip(np.stack(signals, axis=1), draws, strict=True))
     else:
-        lists = [attack(*case, campaign.sizes(steady, task["size"]), healthy[0], task) for case in attack_cases()]
-        everyone = np.repeat((healthy[:, None] + draws)[:, None], len(lists), axis=1)
-        runs = [faults for faults in lists for _ in task["seeds"]]
-        y = apply_faults(detector.plant, t, everyone, runs).y
+        size = campaign.sizes(steady, task["size"])
+        lists = [attack(*case, size, healthy[0], task) for case in attack_cases()]
+        readings = _attacked(detector.plant, t, healthy[:, None] + np.stack(list(draws)), lists)
     shown = _drawn(task["severities"]) if task["what"] == PROCESS else 0
-    _, found = campaign.first_firings(detector, t, u, y, shown=(shown, 0))
+    _, found = campaign.first_firings(detector, t, u, readings, shown=(shown, 0))
     return {k: found[k] for k in ("first", "diverged", "trace")}
+
+
+def _attacked(plant: Plant, t: Array, y: Array, lists: Sequence[Sequence[Fault]]) -> Iterator[Array]:
+    """Sample by sample the readings y (K, B, N) with the faults of each case (cases, B, N); only attacked columns are kept."""
+    sensors = [[plant.sensor_index(fault.sensor) for fault in faults] for faults in lists]
+    changed = [apply_faults(plant, t, y, faults).y[..., own] for faults, own in zip(lists, sensors, strict=True)]
+    for k, healthy in enumerate(y):
+        now = np.repeat(healthy[None], len(lists), axis=0)
+        for case, own, values in zip(now, sensors, changed, strict=True):
+            case[:, own] = values[k]
+        yield now
 
 
 def _drawn(severities: list[float]) -> int:

@@ -25,7 +25,7 @@ from fusion_sfdia.report.plots import COLOURS, DASHES, MARKERS, legend_above, pa
 
 Array = NDArray[Any]
 
-CHUNK = 10  # runs in one task
+CHUNK = 100  # runs in one task
 K24 = "K24"
 GAIN_SETS = {  # design and factor; V22 has the gains of K22; the factors are ours
     "K24 x 0.01": ("K24", 0.01),
@@ -35,7 +35,7 @@ GAIN_SETS = {  # design and factor; V22 has the gains of K22; the factors are ou
     "K24 x 10": ("K24", 10.0),
 }
 OBSERVERS = {name: module.variable for name, module in MODULES.items() if module.variable in GAINS}
-STRETCH = 50  # samples after which a bias is left out that in each run was detected, or had the module fire without it
+STRETCH = 50  # samples after which a run with a bias ends that was detected, or whose module fired without it
 SIZES = np.round(np.geomspace(0.01, 5.0, 28), 4)  # of the faults tried, in noise bounds
 
 
@@ -57,36 +57,39 @@ def sensitivity_tasks(settings: Settings, seeds: int) -> list[Task]:
 def sensitivity_work(task: Task) -> Arrays:
     """Of the healthy runs: samples beyond their thresholds (B, N) and mean thresholds (B, N), sensor units, after the onset.
 
-    detected (3, sizes, B) bool: whether an observer's module, silent otherwise, fired with a bias of SIZES on its sensor.
+    detected (3, sizes, B) bool: whether an observer's module, silent otherwise, fired with a bias of SIZES on its sensor. A run
+    with a bias is stepped through that module alone.
     """
     detector = campaign.steady_detector(task["detector"], task["level"], *GAIN_SETS[task["gains"]])
     t, u, signal = campaign.truth(task["duration"])
-    bound = np.array([s.noise_bound for s in detector.plant.sensors])
-    own = [NAMES.index(name) for name in OBSERVERS]
-    biases = np.zeros((1 + len(own) * SIZES.size, 1, bound.size))  # the first is none
-    for i, sensor in enumerate(own):
-        biases[1 + i * SIZES.size : 1 + (i + 1) * SIZES.size, 0, sensor] = SIZES * bound[sensor]
+    bound, count = np.array([s.noise_bound for s in detector.plant.sensors]), len(task["seeds"])
     onset = int(np.searchsorted(t, task["onset"] - detector.plant.dt / 2))
     draws = campaign.noise(detector.plant, t.size, task["seeds"])
     state, before = campaign.first_firings(detector, t[:onset], u[:onset], (signal[k] + next(draws) for k in range(onset)))
-    state, rows = campaign.fork(state, len(biases)), np.arange(len(biases))
-    of_row = np.repeat(own, SIZES.size)
-    fired = np.zeros((len(biases), len(task["seeds"]), bound.size), bool)
-    beyond, threshold = before["beyond"], np.zeros(fired.shape[1:])
+    own = [NAMES.index(name) for name in OBSERVERS]
+    observers = [campaign.alone(detector, [variable]) for variable in OBSERVERS.values()]
+    left = [np.arange(SIZES.size * count) for _ in own]  # runs with a bias, the sizes of each seed
+    states = [chosen_runs(state, runs % count) for runs in left]
+    silent, fired = np.ones((count, bound.size), bool), np.zeros((len(own), SIZES.size * count), bool)
+    beyond, threshold = before["beyond"], np.zeros((count, bound.size))
     for first in range(onset, t.size, STRETCH):
         now = range(first, min(first + STRETCH, t.size))
-        readings = (signal[k] + next(draws) + biases[rows] for k in now)
+        readings = np.array([signal[k] + next(draws) for k in now])
         state, found = campaign.first_firings(detector, t[now], u[now], readings, state)
-        fired[rows] |= np.isfinite(found["first"])
-        beyond, threshold = beyond + found["beyond"][0], threshold + len(now) * found["threshold"][0]
-        settled = fired[1 + np.arange(of_row.size), :, of_row] | fired[0].T[of_row]  # nothing more is to be known of them
-        left = np.concatenate([[True], ~settled.all(axis=-1)])[rows]
-        rows, state = rows[left], chosen_runs(state, np.flatnonzero(left))
-    detected = (fired[1:] & ~fired[0]).reshape(len(own), SIZES.size, -1, bound.size)
+        beyond, threshold = beyond + found["beyond"], threshold + len(now) * found["threshold"]
+        silent &= np.isinf(found["first"])
+        for i, sensor in enumerate(own):
+            if (runs := left[i]).size:
+                y = readings[:, runs % count]
+                y[..., sensor] += SIZES[runs // count] * bound[sensor]
+                states[i], found = campaign.first_firings(observers[i], t[now], u[now], y, states[i])
+                fired[i, runs] |= np.isfinite(found["first"][:, sensor])
+                open_ = ~fired[i, runs] & silent[runs % count, sensor]  # of the others nothing more is to be known
+                left[i], states[i] = runs[open_], chosen_runs(states[i], np.flatnonzero(open_))
     return {
         "beyond": beyond,
         "threshold": threshold / (t.size - onset),
-        "detected": np.stack([detected[i, ..., sensor] for i, sensor in enumerate(own)]),
+        "detected": fired.reshape(len(own), SIZES.size, count) & silent.T[own, None],
         "bound": bound,
     }
 

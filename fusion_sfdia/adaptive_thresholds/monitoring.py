@@ -11,6 +11,7 @@ A plant may provide a compiled form of this step (`Modules.monitor`).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ class Settings(NamedTuple):
 
     nominal, half_width: middle and half-width of the envelope (E,). bound: noise bounds (E,). rates, gains: (S,), 1/s. signs,
     unproved: signs and slacks of the equations' corners (E, V), see corner_bounds. drift: largest drift of each state per
-    second (S,), 0 at a steady load. In array code, bound and gains may differ between runs (B, ...).
+    second (S,), 0 at a steady load. Bound and gains may differ between runs (B, ...).
     """
 
     nominal: Array
@@ -43,9 +44,10 @@ class Settings(NamedTuple):
     rounding: float = ROUNDING
 
 
-def quantities_of(equation: Callable[..., Any]) -> list[str]:
+@lru_cache(maxsize=1024)  # asked in each step
+def quantities_of(equation: Callable[..., Any]) -> tuple[str, ...]:
     """Return the names of the variables and inputs that an equation takes: its arguments without its parameters c."""
-    return [a for a in argument_names(equation) if a != "c"]
+    return tuple(a for a in argument_names(equation) if a != "c")
 
 
 def monitor(
@@ -115,7 +117,8 @@ def into_envelope(low: Array, high: Array, s: Settings) -> tuple[Array, Array]:
 
 
 def _value(function: Callable[..., Any], at: Array, c: Any) -> Array:
-    return np.broadcast_to(function(*at.T, c), at.shape[:1])
+    value = np.asarray(function(*at.T, c))
+    return value if value.shape == at.shape[:1] else np.broadcast_to(value, at.shape[:1])  # an equation of inputs alone
 
 
 def _corners(

@@ -35,7 +35,7 @@ from fusion_sfdia.adaptive_thresholds.adaptive_observer import Estimates, Rates,
 from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.adaptive_thresholds.algebraic_bounds import enclosure
 from fusion_sfdia.adaptive_thresholds.fault_memory import FaultMemory
-from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, monitor, quantities_of
+from fusion_sfdia.adaptive_thresholds.monitoring import Settings, box, quantities_of
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.modules import Modules
@@ -173,27 +173,14 @@ class VirtualSensors(BatchDetector):
         s, states = self._settings, len(self._settings.gains)
         (before, _), (healthy, bound) = (m.reconstructed(a, s.bound) for a in (m.before, reading))
         gains = np.where(m.isolated[:, :states], 0.0, s.gains)
-        x, error, lower, upper = self._monitor(m, before, healthy, bound, gains, u, dt)
+        x, error, lower, upper = self.thresholds._monitor(
+            m.x, m.error, before, healthy, u, dt, s._replace(bound=bound, gains=gains)
+        )
         if self.inversion == "sivia":
             lower, upper = self._inverted(m, healthy, bound, u, lower, upper)
         low, high = np.concatenate([x - error, lower], axis=-1), np.concatenate([x + error, upper], axis=-1)
         firing = np.abs(reading - (low + high) / 2) > self.threshold_scale * ((high - low) / 2 + s.bound)
         return ModuleBounds(x, error, low, high, firing)
-
-    def _monitor(
-        self, m: FaultMemory, before: Array, healthy: Array, bound: Array, gains: Array, u: Array, dt: float
-    ) -> list[Array]:
-        """As `monitor`: compiled code run by run, since bounds and gains differ between runs; otherwise array code."""
-        modules, s = self._modules, self._settings
-        given = m.x, m.error, before, healthy, u
-        if modules.monitor is None:
-            of_all = s._replace(bound=bound, gains=gains)
-            return list(monitor(modules, *given, dt, of_all))
-        runs = [
-            modules.monitor(*(a[b : b + 1] for a in given), dt, s._replace(bound=bound[b], gains=gains[b]))
-            for b in range(len(m.x))
-        ]
-        return [np.concatenate(parts) for parts in zip(*runs, strict=True)]
 
     def _inverted(
         self, m: FaultMemory, healthy: Array, bound: Array, u: Array, lower: Array, upper: Array

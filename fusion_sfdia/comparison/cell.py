@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from fusion_sfdia.comparison.protocol import GRADED, PROCESS, conditions
 from fusion_sfdia.comparison.subjects import ComparedPlant, cases_of, plant_of
 from fusion_sfdia.evaluation import detection_metrics as metrics
-from fusion_sfdia.evaluation.metrics import LEVEL, Estimate, mean_over_runs, proportion, rate_over_runs
+from fusion_sfdia.evaluation.metrics import Estimate, mean_over_runs, normal_quantile, proportion, rate_over_runs
 from fusion_sfdia.experiments.scenario import Arrays, Settings
 
 Array = NDArray[Any]
@@ -223,7 +222,7 @@ def mean(values: Array) -> Estimate:
 
 def widened(e: Estimate, deviation: float) -> Estimate:
     """The interval with another, independent source of error of that standard deviation."""
-    more = (stats.norm.ppf((1 + LEVEL) / 2) * deviation) ** 2 if np.isfinite(deviation) else 0.0
+    more = (normal_quantile() * deviation) ** 2 if np.isfinite(deviation) else 0.0
     low, high = e.value - np.sqrt((e.value - e.low) ** 2 + more), e.value + np.sqrt((e.high - e.value) ** 2 + more)
     return Estimate(e.value, float(low), float(high), e.n)
 

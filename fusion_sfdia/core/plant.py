@@ -221,6 +221,22 @@ class Plant:
         return step, output
 
     @cached_property
+    def linear(self) -> bool:
+        """Whether step and output are linear: their states have no limits, their Jacobians are the same for all states and
+        explain their changes, to 1e-9 of what these add up, at points about x0.
+        """
+        if np.any(np.isfinite(self.state_limits)):
+            return False
+        x, x0, u = self._points, self.x0, self.input_at(0.0)
+        jacobians = self.step_jacobian_at(0.0, x, u, self.dt), self.output_jacobian_at(0.0, x, u)
+        functions = (lambda p: self.step(0.0, p, u, self.dt)), (lambda p: self.output(0.0, p, u))
+        return all(
+            J.ndim == 2
+            and bool(np.all(np.abs(f(x) - f(x0) - (x - x0) @ J.T) <= 1e-9 * ((np.abs(x) + np.abs(x0)) @ np.abs(J).T)))
+            for f, J in zip(functions, jacobians, strict=True)
+        )
+
+    @cached_property
     def _points(self) -> Array:
         """Four states about x0, not on a limit of the model."""
         spread = self.state_scale * np.random.default_rng(0).standard_normal((4, len(self.states)))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,6 +48,7 @@ def without_diverged(diverged: Array, *arrays: Array) -> tuple[int, tuple[Array,
     return int(lost.sum()), tuple(a[:, ~lost] for a in arrays)
 
 
+@lru_cache(maxsize=100_000)
 def proportion(hits: int, trials: int) -> Estimate:
     """Return hits / trials of independent trials, with the interval of Wilson (1927)."""
     if trials == 0:
@@ -81,12 +83,23 @@ def rate_over_runs(hits: Array, samples: Array) -> Estimate:
 
 def _wilson(p: float, variance: float, runs: int, most: float = np.inf) -> Estimate:
     """The share p with Wilson's interval for the number of independent samples that has this variance between runs."""
-    z = float(scipy.stats.norm.ppf((1 + LEVEL) / 2))
+    z = normal_quantile()
     n = float(runs)
     if runs > 1 and variance > 0:
-        n = min(p * (1 - p) / variance, most) * (z / float(scipy.stats.t.ppf((1 + LEVEL) / 2, runs - 1))) ** 2
+        n = min(p * (1 - p) / variance, most) * (z / _student_quantile(runs - 1)) ** 2
     centre, half = (p + z**2 / (2 * n)) / (1 + z**2 / n), z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     return Estimate(p, float(min(max(centre - half, 0.0), p)), float(max(min(centre + half, 1.0), p)), runs)
+
+
+@lru_cache
+def normal_quantile() -> float:
+    """The half width of the interval in standard deviations."""
+    return float(scipy.stats.norm.ppf((1 + LEVEL) / 2))
+
+
+@lru_cache(maxsize=10_000)
+def _student_quantile(degrees: int) -> float:
+    return float(scipy.stats.t.ppf((1 + LEVEL) / 2, degrees))
 
 
 def mean_over_runs(totals: Array, counts: Array) -> Estimate:
@@ -103,7 +116,7 @@ def mean_over_runs(totals: Array, counts: Array) -> Estimate:
     if runs == 1:
         return Estimate(ratio, float("nan"), float("nan"), 1)
     variance = runs / (runs - 1) * np.sum((total - ratio * count) ** 2) / count.sum() ** 2
-    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, runs - 1) * np.sqrt(variance))
+    half = _student_quantile(runs - 1) * float(np.sqrt(variance))
     return Estimate(ratio, ratio - half, ratio + half, runs)
 
 

@@ -23,6 +23,7 @@ import fusion_sfdia
 from fusion_sfdia.core.files import all_or_none
 from fusion_sfdia.evaluation.results import Row, write_rows
 from fusion_sfdia.experiments.cluster import connected
+from fusion_sfdia.experiments.drawing import draw_figures
 from fusion_sfdia.experiments.output import (
     Command,
     locked,
@@ -39,7 +40,6 @@ from fusion_sfdia.experiments.scenario import Scenario, Settings, Task, adjust
 from fusion_sfdia.experiments.workers import Done, Piece, work_off
 from fusion_sfdia.report.content import Summary
 from fusion_sfdia.report.page import Section, write_report
-from fusion_sfdia.report.plots import write_figure
 
 WorkOff = Callable[[Sequence[Piece]], Iterator[Done]]
 
@@ -103,7 +103,7 @@ def run_scenarios(
             earlier = own_files(read_manifest(out) or {})
             notes = _work_off(plans, out, work_off_pieces)
         with all_or_none(out) as new:
-            sections = [_summarise(plan, out / "parts", new / "figures") for plan in plans]
+            sections = [_summarise(plan, out / "parts", new / "figures", workers) for plan in plans]
             rows = [row for section in sections for row in section.summary.rows]
             files = [f"figures/{name}.{kind}" for s in sections for name in s.figures for kind in ("svg", "png")]
             files += ["metrics.csv", "report.html"]
@@ -197,8 +197,8 @@ def _work_off(plans: list[_Plan], out: Path, work_off: WorkOff) -> list[str]:
     return notes
 
 
-def _summarise(plan: _Plan, kept: Path, drawn: Path) -> Section:
-    """Turn a scenario's parts, which are `kept`, into rows and figures; failures become rows too."""
+def _summarise(plan: _Plan, kept: Path, folder: Path, workers: int) -> Section:
+    """Turn a scenario's parts, which are `kept`, into rows and figures in a folder; failures become rows too."""
     results = []
     for part, task in plan.parts.items():
         arrays = None if part in plan.errors else read_part(kept / part)
@@ -216,13 +216,8 @@ def _summarise(plan: _Plan, kept: Path, drawn: Path) -> Section:
     except Exception as problem:
         failures.append(f"{name}, summary: {type(problem).__name__}: {problem}")
     rows = list(summary.rows)
-    figures: dict[str, str] = {}
-    for figure in summary.every_figure:
-        slug = f"{name.replace('/', '-')}-{figure.name}"
-        try:
-            figures[slug] = write_figure(drawn, slug, figure.draw)
-        except Exception as problem:
-            failures.append(f"{name}, figure {figure.name}: {type(problem).__name__}: {problem}")
+    figures, undrawn = draw_figures(folder, name, summary.every_figure, workers)
+    failures += [f"{name}, figure {figure}: {error}" for figure, error in undrawn.items()]
     failed = Counter(
         tuple(_column(task.get(k) or usual) for k, usual in _USUAL) for task in map(plan.parts.__getitem__, errors)
     )

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import BrokenProcessPool
@@ -22,6 +22,9 @@ from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.experiments.parts import write_part
 from fusion_sfdia.experiments.scenario import Arrays, Task
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 class Piece(NamedTuple):
@@ -45,11 +48,14 @@ def work_off(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
 
     Raises RuntimeError where a process is killed.
     """
-    parallel = Parallel(
-        n_jobs=min(workers, max(len(pieces), 1)), return_as="generator_unordered", batch_size=1, max_nbytes=None
-    )
+    return in_processes(_do, pieces, workers)
+
+
+def in_processes(function: Callable[[T], R], of: Sequence[T], workers: int) -> Iterator[R]:
+    """The function of each in at most `workers` processes, as they are done, in any order; RuntimeError where one is killed."""
+    parallel = Parallel(n_jobs=min(workers, max(len(of), 1)), return_as="generator_unordered", batch_size=1, max_nbytes=None)
     try:
-        yield from parallel(delayed(_do)(piece, os.getpid()) for piece in pieces)
+        yield from parallel(delayed(_followed)(function, one, os.getpid()) for one in of)
     except BrokenProcessPool as error:
         raise RuntimeError(
             "a worker process was killed, usually for lack of memory; finished pieces are kept: run the same command "
@@ -57,10 +63,14 @@ def work_off(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
         ) from error
 
 
-def _do(piece: Piece, parent: int) -> Done:
-    """One piece, where it is run; its arrays go to disk and an error is reported, not raised."""
+def _followed(function: Callable[[T], R], of: T, parent: int) -> R:
     if os.getpid() != parent:
         _follow(parent)
+    return function(of)
+
+
+def _do(piece: Piece) -> Done:
+    """One piece, where it is run; its arrays go to disk and an error is reported, not raised."""
     arrays, seconds, error = timed(piece.work, piece.task)
     if error is None:
         try:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.alike import for_all
+from fusion_sfdia.core.alike import for_all, repeated, single
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.plant import Plant
@@ -43,7 +43,7 @@ class Prior(NamedTuple):
 
     core: predicted. guarded (...): whether the estimate, or a point of it, had to be moved into the plant's limits. lost (...):
     whether the model gives no finite value, see `guarded_steps`. tangent: Jacobian of the step, propagated: sigma points for
-    the update; None for filters without them.
+    the update, or their covariance where the plant is linear; None for filters without them.
     """
 
     core: Core
@@ -143,7 +143,8 @@ class Unscented(_Moments):
     """The unscented Kalman filter (Shaheen 2024, sec. III-C3).
 
     redraw: whether new sigma points are drawn from the predicted moments before the update, as in textbooks. Without it, the
-    propagated points are used again, as the paper prints it, and the gain neglects the process noise.
+    propagated points are used again, as the paper prints it, and the gain neglects the process noise. The moments of linear
+    functions of the points are those of their matrices.
     """
 
     points: ukf.SigmaPoints = field(default_factory=ukf.SigmaPoints)
@@ -154,6 +155,14 @@ class Unscented(_Moments):
         return self.redraw
 
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
+        if plant.linear:
+            prior = Extended().predict(plant, core, t_start, u, dt, rng)
+            p = prior.core.P
+            return (
+                prior
+                if self.redraw
+                else prior._replace(propagated=repeated(gaussian.add(single(p), -plant.process_cov_over(dt)), p))
+            )
         start, moved = plant.guard(core.x)
         points = ukf.sigma_points(self.points, start, core.P)
         _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, points, u, dt)
@@ -162,6 +171,9 @@ class Unscented(_Moments):
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
+        if plant.linear:
+            spread = p if prior.propagated is None else prior.propagated
+            return Extended().joint(plant, prior._replace(core=GaussianState(x, spread)), t, u)._replace(P=p)
         over = np.expand_dims(u, -2)
         found = ukf.joint(self.points, x, p, lambda s: readings_of(plant, t, s, over), plant.sensor_cov, prior.propagated)
         return found._replace(considered=plant.considered)

@@ -27,7 +27,9 @@ ROUNDING = 1e-10  # an eigenvalue of a unit-diagonal covariance above minus this
 
 def symmetrise(P: Array) -> Array:
     """(P + P') / 2, (..., n, n)."""
-    return (P + np.swapaxes(P, -1, -2)) / 2
+    total = P + np.swapaxes(P, -1, -2)
+    total *= 0.5
+    return total
 
 
 def add(P: Array, Q: Array) -> Array:

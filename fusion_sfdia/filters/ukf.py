@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import single
 from fusion_sfdia.core.arguments import number
 from fusion_sfdia.filters.gaussian import Joint, add, square_root, symmetrise
 
@@ -55,13 +56,13 @@ class SigmaPoints:
 
 def sigma_points(points: SigmaPoints, x: Array, P: Array) -> Array:
     """Return the sigma points (..., 2n+1, n): x, then x + sqrt(n + lambda) L_j, then x - sqrt(n + lambda) L_j, L L' = P."""
-    return _around(points, x, square_root(P))
+    return _around(points, x, square_root(single(P)))
 
 
 def _around(points: SigmaPoints, x: Array, L: Array) -> Array:
     n = x.shape[-1]
     offsets = np.sqrt(points.spread(n)) * np.swapaxes(L, -1, -2)
-    X = np.empty((*offsets.shape[:-2], 2 * n + 1, n))
+    X = np.empty((*x.shape[:-1], 2 * n + 1, n))
     centre = x[..., None, :]
     X[..., :1, :] = centre
     np.add(centre, offsets, out=X[..., 1 : n + 1, :])

@@ -29,18 +29,27 @@ Array = NDArray[Any]
 class LeaveOneOut(NamedTuple):
     """Leave-one-out statistics of the readings used (..., N).
 
-    whitened: u, weight: w (..., N), both 0 for a reading that is not used. inverse: S^-1 (..., N, N) with zero rows and columns
-    for these readings. half: U with S^-1 = U U', scores: U' d (..., N), both None after an elimination.
+    whitened: u, weight: w (..., N), both 0 for a reading that is not used. known: S^-1 if it was computed, see `inverse`.
+    half: U with S^-1 = U U', scores: U' d (..., N), both None after an elimination.
     rank: with the columns of U behind so many C U is 0 (None: with none).
     """
 
     whitened: Array
     weight: Array
-    inverse: Array
+    known: Array | None
     used: Array
     half: Array | None
     scores: Array | None
     rank: int | None = None
+
+    @property
+    def inverse(self) -> Array:
+        """S^-1 (..., N, N) with zero rows and columns for readings that are not used."""
+        if self.known is not None:
+            return self.known
+        assert self.half is not None
+        half = single(self.half)
+        return repeated(half @ np.swapaxes(half, -1, -2), self.half)
 
     @property
     def innovation(self) -> Array:
@@ -72,16 +81,18 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
             half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
             scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
         return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
-    rank = None if joint.repeated is None else joint.repeated.quantities
     if joint.repeated is not None:
         half, s_inv = inverse_of_repeated(joint.repeated, joint.S, used)
-    else:
-        half = half_inverse(single(joint.S)) if np.all(used) else half_inverse(joint.S, used)
-        s_inv = half @ np.swapaxes(half, -1, -2)
-    whitened = (s_inv @ d[..., None])[..., 0]
+        scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
+        whitened = (s_inv @ d[..., None])[..., 0]
+        s_inv, half = repeated(s_inv, d), repeated(half, d)
+        weight, rank = np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), joint.repeated.quantities
+        return LeaveOneOut(whitened, weight, s_inv, used, half, scores, rank)
+    half = half_inverse(single(joint.S)) if np.all(used) else half_inverse(joint.S, used)
     scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
-    s_inv, half = repeated(s_inv, d), repeated(half, d)
-    return LeaveOneOut(whitened, np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), s_inv, used, half, scores, rank)
+    whitened = (half @ scores[..., None])[..., 0]
+    weight = np.einsum("...ij,...ij->...i", half, half)
+    return LeaveOneOut(whitened, repeated(weight, d), None, used, repeated(half, d), scores)
 
 
 def inverse_of_repeated(sensors: Repeated, S: Array, used: Array) -> tuple[Array, Array]:

@@ -58,10 +58,13 @@ def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array
     """
     x, a = posterior(joint, found)
     count = found.weight.shape[-1]
+    a, inverse = single(a), single(found.inverse)
+    weight, used, gains = found.weight[: len(inverse)], found.used[: len(inverse)], single(joint.C) @ inverse
     exact = np.diagonal(a, axis1=-2, axis2=-1) == 0
     factor = cholesky(a + exact[..., None] * np.eye(a.shape[-1]) if np.any(exact) else a)
-    b = solve_lower(factor, joint.C @ found.inverse)
-    share = np.where(found.used, 1.0 / np.where(found.used, found.weight + np.sum(b * b, axis=-2), 1.0), 0.0)
+    batch = np.broadcast_shapes(factor.shape[:-2], gains.shape[:-2])
+    b = solve_lower(*(np.broadcast_to(m, (*batch, *m.shape[-2:])) for m in (factor, gains)))
+    share = np.where(used, 1.0 / np.where(used, weight + np.sum(b * b, axis=-2), 1.0), 0.0)
     shared = b * np.sqrt(share)[..., None, :]
     inner = shared @ np.swapaxes(shared, -1, -2)
     np.negative(inner, out=inner)
@@ -70,4 +73,5 @@ def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array
     LV = factor @ V
     pull = np.swapaxes(V, -1, -2) @ (b @ (share * found.whitened)[..., None])
     p = LV @ np.swapaxes(LV, -1, -2)
-    return x - (LV @ pull)[..., 0], np.where(exact[..., None] | exact[..., None, :], 0.0, p) if np.any(exact) else p
+    p = np.where(exact[..., None] | exact[..., None, :], 0.0, p) if np.any(exact) else p
+    return x - (LV @ pull)[..., 0], repeated(p, x)

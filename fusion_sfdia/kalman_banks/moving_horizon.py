@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import for_all, repeated, single
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.kalman_banks.likelihood_window import LEAST_INFORMATION
 
@@ -42,27 +43,30 @@ class Horizons(NamedTuple):
 
 def empty(batch: tuple[int, ...], horizons: int, states: int, sensors: int) -> Horizons:
     """Return horizons that begin with the next reading."""
-    shape = (*batch, horizons)
-    return Horizons(*(np.zeros((*shape, *s)) for s in ((states, sensors), (sensors,), (sensors, sensors))))
+    effect, G = (for_all(np.zeros((horizons, rows, sensors)), batch) for rows in (states, sensors))
+    return Horizons(effect, np.zeros((*batch, horizons, sensors)), G)
 
 
 def renew(now: Horizons) -> Horizons:
     """Return the horizons, shifted by one index, with a new first horizon that begins with the next reading."""
-    effect, g, G = (np.roll(a, 1, axis) for a, axis in zip(now, (-3, -2, -3), strict=True))
+    effect, g, G = (np.roll(single(a), 1, axis) for a, axis in zip(now, (-3, -2, -3), strict=True))
     effect[..., 0, :, :] = g[..., 0, :] = G[..., 0, :, :] = 0.0
-    return Horizons(effect, g, G)
+    return Horizons(repeated(effect, now.effect), repeated(g, now.g), repeated(G, now.G))
 
 
 def extend(now: Horizons, tangent: Array, output_jacobian: Array, gain: Array, found: LeaveOneOut) -> Horizons:
-    """Add the present innovations; F (..., n, n) of the step just taken, H (..., N, n), K (..., n, N) of all sensors in use."""
-    eta = tangent[..., None, :, :] @ now.effect
-    change = np.eye(found.used.shape[-1]) - output_jacobian[..., None, :, :] @ eta
+    """Add the present innovations; F (..., n, n) of the step just taken, H (..., N, n), K (..., n, N) of all sensors in use.
+
+    E and G do not depend on readings: where all runs have the same matrices they are computed once.
+    """
+    before, F, H, K, s_inv = (single(a) for a in (now.effect, tangent, output_jacobian, gain, found.inverse))
+    eta = F[..., None, :, :] @ before
+    change = np.eye(found.used.shape[-1]) - H[..., None, :, :] @ eta
     transposed = np.swapaxes(change, -1, -2)
-    return Horizons(
-        eta + gain[..., None, :, :] @ change,
-        now.g + (transposed @ found.whitened[..., None, :, None])[..., 0],
-        now.G + transposed @ (found.inverse[..., None, :, :] @ change),
-    )
+    effect = eta + K[..., None, :, :] @ change
+    G = single(now.G) + transposed @ (s_inv[..., None, :, :] @ change)
+    g = now.g + (transposed @ found.whitened[..., None, :, None])[..., 0]
+    return Horizons(repeated(effect, g), g, repeated(G, g))
 
 
 def of_present(gain: Array, found: LeaveOneOut) -> Horizons:

@@ -84,7 +84,7 @@ class MovingHorizon(LeaveOneOutBank):
         ratio = np.abs(g) * deviation / self.penalty
         room = self.most_faults - np.sum(exclusion.out, axis=-1)
         free_x, free_p, isolated, size, capped = self._solve((present, past), known > 0, ratio, room, x, p)
-        if self.accommodate:
+        if self.accommodate and np.any(isolated):
             x, p = free_x, free_p
             keep = ~np.any(isolated, axis=-1)[..., None, None]
             past = Horizons(past.effect * keep[..., None], past.g * keep, past.G * keep[..., None])
@@ -105,11 +105,12 @@ class MovingHorizon(LeaveOneOutBank):
         Return estimate and covariance with the detected faults free, the sensors isolated (..., N), the sizes of their
         faults (..., N), and whether more would be isolated without max_faults (...).
         """
-        x, p = x.copy(), p.copy()
         shape = (*x.shape[:-1], ratio.shape[-1])
         isolated, size = np.zeros(shape, bool), np.zeros(shape)
         above = np.any(ratio > 1, axis=(-2, -1))
         capped = above & (room <= 0)
+        if np.any(above):
+            x, p = x.copy(), p.copy()
         for run in zip(*np.nonzero(above & (room > 0)), strict=True):
             j, worst = divmod(int(np.argmax(ratio[run])), ratio.shape[-1])
             effect, g, G = (a[run][max(j - 1, 0)] for a in problems[min(j, 1)])

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, shared_again, single
 from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.equation import COMPLEX_STEP, complex_step_holds, difference_jacobian
@@ -60,9 +61,11 @@ class UnknownInputFilter(SequentialBank):
         information = np.sum(by_reading, axis=-2)
         seen = (information > 0) & (np.sum(by_reading * usable[..., None], axis=-2) > SEEN * information)
         deviation = np.where(seen, DECOUPLED / np.sqrt(np.where(seen, information, 1.0)), 0.0)
-        g, f = moved * deviation[..., None, :], effect * deviation[..., None, :]
+        g, f = (single(shared_again(a * deviation[..., None, :], joint.S)) for a in (moved, effect))
         g_t, f_t = np.swapaxes(g, -1, -2), np.swapaxes(f, -1, -2)
-        return joint._replace(P=joint.P + g @ g_t, S=joint.S + f @ f_t, C=joint.C + g @ f_t, repeated=None)
+        P, S, C = (single(a) for a in (joint.P, joint.S, joint.C))
+        more = {"P": P + g @ g_t, "S": S + f @ f_t, "C": C + g @ f_t}
+        return joint._replace(**{k: repeated(a, joint.x) for k, a in more.items()}, repeated=None)
 
     def _input_jacobians(self, t_start: float, t: float, x: Array, u: Array) -> tuple[Array, Array]:
         return input_jacobians(self.plant, t_start, t, x, u, self._complex_step)

@@ -19,12 +19,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated
 from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.health import broken
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.filters import gaussian
-from fusion_sfdia.filters.estimators import Estimator, GaussianState, Prior, step_stream
+from fusion_sfdia.filters import ekf, gaussian
+from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, Unscented, step_stream
 from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.filters.guarded_steps import readings_of
 
 Array = NDArray[Any]
 
@@ -81,10 +83,15 @@ class Diagnoser(Protocol):
 
 
 class _Inner(NamedTuple):
+    """The prior, and the Jacobian of its readings. joint: None where the tangent gives it when needed. readings (B, N): its
+    own. error: bounds of the states' errors (BoundedReadings).
+    """
+
     prior: Prior
-    joint: Joint
     readout: Array
-    error: Array | None = None  # bounds of the states' errors (BoundedReadings)
+    joint: Joint | None = None
+    readings: Array = np.empty(0)
+    error: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +111,12 @@ class PresentReadings:
         alone = np.sum(h != 0, axis=1) == 1
         return np.where(measures & alone, np.swapaxes(h, 0, 1), 0.0)
 
+    @cached_property
+    def _linear(self) -> bool:
+        """Whether every sensor reads a state and nothing else: exact moments of the readings are then those of the tangent."""
+        exact = isinstance(self.moments, Extended) or (isinstance(self.moments, Unscented) and self.moments.redraw)
+        return exact and bool(np.all(np.any(self._direct != 0, axis=0)))
+
     def start(self, batch: tuple[int, ...], seed: int) -> PresentMemory:
         """Return the memory at the plant's x0 and initial covariance."""
         n, count = len(self.plant.states), len(self.plant.sensors)
@@ -115,53 +128,81 @@ class PresentReadings:
     def predict(self, memory: PresentMemory, now: TimeStep, u: Array) -> PredictedReadings:
         state = GaussianState(memory.x, memory.P)
         prior = self.moments.predict(self.plant, state, now.t_start, u, now.dt, step_stream(now.seed, 2 * now.k))
-        joint = self.moments.joint(self.plant, prior, now.t, u)
-        expected = joint.y - self.lam * memory.residual
-        ahead = self.lam * memory.deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
-        readout = self.plant.output_jacobian_at(now.t, joint.x, u)
-        lost = prior.lost | broken(joint.x, joint.P)
-        return PredictedReadings(expected, ahead, prior.guarded, lost, _Inner(prior, joint, readout))
+        inner = _Inner(prior, self.plant.output_jacobian_at(now.t, prior.core.x, u))
+        lost = prior.lost | broken(*prior.core)
+        predicted = PredictedReadings(np.empty(0), np.empty(0), prior.guarded, lost, inner)
+        return self._expecting(predicted, memory.residual, memory.deviation, now.t, u)
+
+    def _expecting(
+        self, predicted: PredictedReadings, residual: Array, deviation: Array, t: float, u: Array
+    ) -> PredictedReadings:
+        """What the prior predicts with these last residuals (B, N) and their deviations."""
+        inner = predicted.inner
+        if self._linear:
+            x, P = inner.prior.core
+            inner = inner._replace(readings=readings_of(self.plant, t, x, u))
+            variance = np.diagonal(P, axis1=-2, axis2=-1) @ self._direct**2 + self.plant.sensor_cov
+        else:
+            joint = self.moments.joint(self.plant, inner.prior, t, u)
+            inner = inner._replace(readings=joint.y, joint=joint)
+            variance = np.diagonal(joint.S, axis1=-2, axis2=-1)
+        ahead = inner.readings - self.lam * residual, self.lam * deviation + np.sqrt(variance)
+        return predicted._replace(expected=ahead[0], deviation=ahead[1], inner=inner)
 
     def take(self, predicted: PredictedReadings, y: Array) -> Taken:
         """Return memory and estimate after the readings y (B, N), NaN where missing or left out."""
-        joint, H = predicted.inner.joint, predicted.inner.readout
         used = np.isfinite(y)
         given = np.where(used, y, 0.0)
         noise = self.plant.sensor_cov
-        precision = np.where(used[..., None, :], self._direct / noise, 0.0)
+        precision = np.where((used[:1] if np.all(used) else used)[..., None, :], self._direct / noise, 0.0)
         total = np.sum(precision * self._direct, axis=-1)
-        read = total > 0
-        W = precision / np.where(read, total, 1.0)[..., None]
+        W = precision / np.where(total > 0, total, 1.0)[..., None]
         estimate = np.sum(W * given[..., None, :], axis=-1)
-        P = (W * noise) @ np.swapaxes(W, -1, -2)
-        if not np.all(read):
-            U = gaussian.half_inverse(joint.S, used)
-            gain = gaussian.gain(joint, U @ np.swapaxes(U, -1, -2))
-            W = np.where(read[..., None], W, gain)
-            innovation = np.where(used, given - joint.y, 0.0)
-            estimate = np.where(read, estimate, joint.x + np.sum(W * innovation[..., None, :], axis=-1))
-            kept = np.where(read[..., None], 0.0, np.eye(read.shape[-1]) - W @ H)
-            P = kept @ joint.P @ np.swapaxes(kept, -1, -2) + (W * noise) @ np.swapaxes(W, -1, -2)
-            P = gaussian.symmetrise(P)
+        W, P = repeated(W, y), repeated((W * noise) @ np.swapaxes(W, -1, -2), y)
+        read = np.broadcast_to(total > 0, estimate.shape)
+        if np.any(some := ~np.all(read, axis=-1)):
+            W, P = W.copy(), P.copy()
+            estimate[some], P[some], W[some] = self._filtered(
+                predicted.inner, some, y[some], read[some], estimate[some], W[some]
+            )
         residual = np.where(used, y - predicted.expected, 0.0)
         deviation = np.where(used, predicted.deviation, 0.0)
         error = np.zeros((*estimate.shape[:-1], 0))
         return Taken(PresentMemory(estimate, P, W, residual, deviation, error), estimate, P)
+
+    def _filtered(
+        self, inner: _Inner, some: Array, y: Array, read: Array, estimate: Array, W: Array
+    ) -> tuple[Array, Array, Array]:
+        """Estimate, covariance and gain of `some` runs (B,) with the Kalman gain for those states that are not `read`."""
+        (x, P), readings = (a[some] for a in inner.prior.core), inner.readings[some]
+        H = inner.readout[some] if inner.readout.ndim > 2 else inner.readout
+        if inner.joint is None:
+            joint = ekf.joint(x, P, lambda s: readings, H, self.plant.sensor_cov, self.plant.sparse[1])
+        else:
+            joint = Joint(x, P, readings, inner.joint.S[some], inner.joint.C[some])
+        used = np.isfinite(y)
+        U = gaussian.half_inverse(joint.S, used)
+        gain = gaussian.gain(joint._replace(considered=self.plant.considered), U @ np.swapaxes(U, -1, -2))
+        W = np.where(read[..., None], W, gain)
+        innovation = np.where(used, y - readings, 0.0)
+        estimate = np.where(read, estimate, x + np.sum(W * innovation[..., None, :], axis=-1))
+        kept = np.where(read[..., None], 0.0, np.eye(read.shape[-1]) - W @ H)
+        P = kept @ P @ np.swapaxes(kept, -1, -2) + (W * self.plant.sensor_cov) @ np.swapaxes(W, -1, -2)
+        return estimate, gaussian.symmetrise(P), W
 
     def without_faults(
         self, memory: PresentMemory, predicted: PredictedReadings, now: TimeStep, u: Array, size: Array, uncertainty: Array
     ) -> PredictedReadings:
         """Return the prediction without the effect of faults in the last readings; size, uncertainty (B, N), 0 for no fault."""
         rows = np.any(size != 0, axis=-1)
-        absorbed = np.zeros((*size.shape[:-1], *memory.gain.shape[-2:]))
-        absorbed[rows] = self._tangent(memory, predicted, now, u, rows) @ memory.gain[rows]
-        prior, joint, readout, error = predicted.inner
-        spread = absorbed * uncertainty[..., None, :]
-        x, P = joint.x - np.sum(absorbed * size[..., None, :], axis=-1), joint.P + spread @ np.swapaxes(spread, -1, -2)
-        joint = self.moments.joint(self.plant, prior._replace(core=GaussianState(x, P)), now.t, u)
-        expected = joint.y - self.lam * np.where(size != 0, 0.0, memory.residual)
-        ahead = self.lam * memory.deviation + np.sqrt(np.diagonal(joint.S, axis1=-2, axis2=-1))
-        return predicted._replace(expected=expected, deviation=ahead, inner=_Inner(prior, joint, readout, error))
+        absorbed = self._tangent(memory, predicted, now, u, rows) @ memory.gain[rows]
+        spread = absorbed * uncertainty[rows][..., None, :]
+        x, P = (a.copy() for a in predicted.inner.prior.core)
+        x[rows] -= np.sum(absorbed * size[rows][..., None, :], axis=-1)
+        P[rows] += spread @ np.swapaxes(spread, -1, -2)
+        prior = predicted.inner.prior._replace(core=GaussianState(x, P))
+        changed = predicted._replace(inner=predicted.inner._replace(prior=prior))
+        return self._expecting(changed, np.where(size != 0, 0.0, memory.residual), memory.deviation, now.t, u)
 
     def _tangent(self, memory: PresentMemory, predicted: PredictedReadings, now: TimeStep, u: Array, rows: Array) -> Array:
         """F (R, n, n) of the runs chosen by `rows`, or (n, n) of all runs."""

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.dual import dual
 from fusion_sfdia.core.equation import compiled, equation
 from fusion_sfdia.models.gas_pipeline.natural_gas import Gas
 
@@ -70,26 +71,45 @@ def with_unknown(c: PipelineParameters, theta: Any) -> PipelineParameters:
 @equation
 def compressibility(p: Any, T: Any, c: PipelineParameters | Gas) -> tuple[Any, Any, Any, Any]:
     """z, alpha_1 = 1 + (T/z) z_T, alpha_2 = 1 - (p/z) z_p, and sum_i z_i''(tau) x^i / i; x = p / 1e7 Pa, tau = 300 K / T."""
-    x = p / PRESSURE_SCALE
-    tau = TEMPERATURE_SCALE / T
-    y = tau - 1.0
-    power = x
-    z = 1.0 + 0.0 * x
-    p_z_p = 0.0 * x
-    z_tau = 0.0 * x
-    curvature = 0.0 * x
+    sums = no_powers(p)
     for i in range(POWERS_OF_PRESSURE):
-        value, first, second = c.z[i, POWERS_OF_TAU] + 0.0 * y, 0.0 * y, 0.0 * y  # of the row, d/dtau, (d/dtau)^2 / 2
-        for k in range(POWERS_OF_TAU):
-            second = second * y + first
-            first = first * y + value
-            value = value * y + c.z[i, POWERS_OF_TAU - 1 - k]
-        z = z + power * value
-        p_z_p = p_z_p + (i + 1.0) * power * value
-        z_tau = z_tau + power * first
-        curvature = curvature + 2.0 / (i + 1.0) * power * second
-        power = power * x
-    return z, 1.0 - tau * z_tau / z, 1.0 - p_z_p / z, curvature
+        sums = with_power(i, p, T, sums, c)
+    return of_powers(T, sums)
+
+
+@equation
+def no_powers(p: Any) -> tuple[Any, Any, Any, Any, Any]:
+    """x, z, x z_x, z_tau and sum_i z_i''(tau) x^i / i of an ideal gas: what `with_power` adds to."""
+    x = p / PRESSURE_SCALE
+    return x, 1.0 + 0.0 * x, 0.0 * x, 0.0 * x, 0.0 * x
+
+
+@equation
+def with_power(
+    i: int, p: Any, T: Any, sums: tuple[Any, Any, Any, Any, Any], c: PipelineParameters | Gas
+) -> tuple[Any, Any, Any, Any, Any]:
+    """x^(i + 2), and the sums of `no_powers` with the term in x^(i + 1), whose factor is a polynomial in tau - 1."""
+    power, z, p_z_p, z_tau, curvature = sums
+    y = TEMPERATURE_SCALE / T - 1.0
+    value, first, second = c.z[i, POWERS_OF_TAU] + 0.0 * y, 0.0 * y, 0.0 * y  # of the factor, d/dtau, (d/dtau)^2 / 2
+    for k in range(POWERS_OF_TAU):
+        second = second * y + first
+        first = first * y + value
+        value = value * y + c.z[i, POWERS_OF_TAU - 1 - k]
+    return (
+        power * (p / PRESSURE_SCALE),
+        z + power * value,
+        p_z_p + (i + 1.0) * power * value,
+        z_tau + power * first,
+        curvature + 2.0 / (i + 1.0) * power * second,
+    )
+
+
+@equation
+def of_powers(T: Any, sums: tuple[Any, Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
+    """What `compressibility` returns, from its sums over all powers."""
+    _, z, p_z_p, z_tau, curvature = sums
+    return z, 1.0 - TEMPERATURE_SCALE / T * z_tau / z, 1.0 - p_z_p / z, curvature
 
 
 @equation
@@ -122,13 +142,26 @@ def friction_factor(m: Any, c: PipelineParameters) -> Any:
     whose series to s^19 leaves 1e-14 where 1/sqrt f is between 6 and 17. A friction factor among the parameters replaces it
     for any turbulent flow; the logarithm makes that NaN for m <= 0, too.
     """
+    inside = friction_start(m, c)
+    return friction_from(m, inside, np.log(inside), c)
+
+
+@equation
+def friction_start(m: Any, c: PipelineParameters) -> Any:
+    """Of what `friction_factor` takes the logarithm: eps/(3.7 d) + 2.51/(Re sqrt f) at 1/sqrt f = 10, or m where f is given."""
     if c.friction > 0.0:
-        return c.friction + 0.0 * np.log(m)
+        return 1.0 * m
+    return c.roughness / (3.7 * c.diameter) + 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m) * 10.0
+
+
+@equation
+def friction_from(m: Any, inside: Any, logarithm: Any, c: PipelineParameters) -> Any:
+    """`friction_factor` from what `friction_start` gives, and its logarithm: apart from it, this takes arithmetic alone."""
+    if c.friction > 0.0:
+        return c.friction + 0.0 * logarithm
     b = 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m)
     rough = c.roughness / (3.7 * c.diameter)
     root = 10.0 + 0.0 * b
-    inside = rough + b * root
-    logarithm = np.log(inside)
     root = root - (root + 2.0 / LN10 * logarithm) / (1.0 + 2.0 / LN10 * b / inside)
     for _ in range(2):
         before = inside
@@ -139,21 +172,6 @@ def friction_factor(m: Any, c: PipelineParameters) -> Any:
             artanh = artanh * s * s + 1.0 / (19.0 - 2.0 * k)
         logarithm = logarithm + 2.0 * s * artanh
         root = root - (root + 2.0 / LN10 * logarithm) / (1.0 + 2.0 / LN10 * b / inside)
-    return 1.0 / (root * root)
-
-
-@equation
-def friction_near(f: Any, m: Any, c: PipelineParameters) -> Any:
-    """`friction_factor` by one Newton step in 1/sqrt f from a value f at m and c, or at such that differ by next to nothing.
-
-    There the step does not depend on where it begins, so that a complex step of m or c gives the derivatives of f.
-    """
-    if c.friction > 0.0:
-        return c.friction + 0.0 * np.log(m)
-    b = 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m)
-    root = 1.0 / np.sqrt(f)
-    inside = c.roughness / (3.7 * c.diameter) + b * root
-    root = root - (root + 2.0 / LN10 * np.log(inside)) / (1.0 + 2.0 / LN10 * b / inside)
     return 1.0 / (root * root)
 
 
@@ -229,7 +247,7 @@ def outlet_rates(p: Any, T: Any, local: tuple[Any, ...], m_given: Any, c: Pipeli
 # The driver takes states in lanes of up to LANES, (3n, LANES) with the lane last, and a node's operands lie in one flat array
 # `w` at known distances: the compiler vectorises the loops over lanes, and a lane has the bits that it has alone. The equations
 # are inlined where they are called: `rates` stands in each driver once, as most of the time of its compilation is theirs.
-LANES = 32
+LANES = 64
 ROOM = 19  # rows of w
 
 
@@ -256,7 +274,11 @@ def slope(lanes: int, x: Any, given: Any, c: PipelineParameters, stencil: Array,
                     + stencil[row, 4] * x[at + 4, k]
                 )
         for k in range(lanes):
-            w[6 * LANES + k] = friction_factor(w[LANES + k], c)
+            w[6 * LANES + k] = friction_start(w[LANES + k], c)
+        for k in range(lanes):  # by itself: a logarithm is no vector instruction
+            w[10 * LANES + k] = np.log(w[6 * LANES + k])
+        for k in range(lanes):
+            w[6 * LANES + k] = friction_from(w[LANES + k], w[6 * LANES + k], w[10 * LANES + k], c)
         for k in range(lanes):
             (
                 w[10 * LANES + k], w[11 * LANES + k], w[12 * LANES + k], w[13 * LANES + k], w[14 * LANES + k],
@@ -327,130 +349,239 @@ def advance(states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: P
     return result
 
 
-@compiled
-def tangent_slope(
-    x: Any, given: Any, dx: Any, dgiven: Any, theta: Any, which: Any, c: PipelineParameters, stencil: Array, k: Any, dk: Any
-) -> None:
-    """Write to k dx/dt (3n,) as `slope`, and to dk (3n, M) its derivative along the columns of dx (3n, M), dgiven (3, M), the
-    last with respect to the parameters `which` (p,) of theta (4,).
+# Derivatives take two passes. In the first the lanes are the nodes of one state: each node's rates depend on its own p, m, T,
+# their gradients, the rates given at the boundaries and the parameters, and dual numbers give these few derivatives. In the
+# second, the chain rule through stencil and stages, the lanes are columns of the Jacobian, so few that they stay in the cache.
+EIGHT = 8  # lanes: loops over nodes are filled up to a multiple, since what is left over takes a lane at a time
+COLUMNS = 16  # lanes of the second pass
+OWN = 9  # directions before those of the parameters
 
-    Each node depends on its own p, m, T, their gradients and the parameters: a complex step of each gives its small Jacobian,
-    which is exact to rounding; the stencil does the rest. The polynomials of the gas, most of the work, depend on p and T,
-    and `flow` does not depend on gradients. All else is complex throughout, so that it is compiled for one type.
+
+@compiled
+def local_derivatives(
+    x: Any, given: Any, theta: Any, which: Any, c: PipelineParameters, stencil: Array, w: Any, rate: Any, J: Any
+) -> None:
+    """Write to rate (3n,) dx/dt as `slope`, and to J (9 + p, 3, n) the derivatives of each node's rates by its p, m, T, their
+    gradients, the rates given at the boundaries and the parameters `which` (p,) of theta (4,).
+
+    w (40 LANES,) is workspace for up to LANES nodes: p, m, T, p_s, m_s, T_s, f and its slope, what `flow` returns and its
+    slopes, the rates and their slopes, the sums over powers of the pressure and their slopes. A loop over lanes becomes vector
+    instructions only where loops in it are short: these sums are taken power by power.
     """
-    n, variables = x.shape[0] // 3, 9 + which.shape[0]
-    columns = dx.shape[1]
-    own = columns - variables  # a parameter, 9 + j among the variables, has the column own + 9 + j
-    tiny = 1e-30
-    local, at = np.empty(9, np.complex128), np.empty(4, np.complex128)
-    gradient = np.empty((3, columns))
-    for j in range(4):
-        at[j] = theta[j]
-    of_gas, usual = (0j, 0j, 0j, 0j), (0j, 0j, 0j, 0j, 0j, 0j, 0j, 0j)  # compressibility and flow where they do not change
-    for i in range(n):
-        first = min(max(i - 2, 0), n - 5)
-        row = i if i < 2 else (2 if i < n - 2 else i - n + 5)
-        for v in range(3):
-            for j in range(columns):
-                gradient[v, j] = 0.0
-                dk[v * n + i, j] = 0.0
-            local[v] = x[v * n + i]
-            s = 0.0
-            for near in range(5):
-                d = stencil[row, near]
-                s += d * x[v * n + first + near]
-                for j in range(columns):
-                    gradient[v, j] += d * dx[v * n + first + near, j]
-            local[3 + v] = s
-            local[6 + v] = given[v]
-        p, T = local[0].real, local[2].real
-        still = friction_factor(local[1].real, c)
-        for a in range(variables):
-            if 6 <= a < 9 and 0 < i < n - 1:
-                continue
-            if a < 9:
-                local[a] += 1j * tiny
-            else:
-                at[which[a - 9]] += 1j * tiny
-            e = with_unknown(c, at)
-            f = friction_near(still, local[1], e) if a == 1 or a >= 9 else still + 0j
-            known, flows = of_gas, usual
-            if a == 0:
-                known = compressibility(local[0], T, c)
-            elif a == 2:
-                known = compressibility(p, local[2], c)
-            if a < 3 or a >= 9:
-                flows = flow(local[0], local[1], local[2], f, known, e)
-            r0, r1, r2 = rates_along(local[0], local[1], local[2], local[3], local[4], local[5], flows, e)
-            if a == 0:
-                of_gas = known[0].real + 0j, known[1].real + 0j, known[2].real + 0j, known[3].real + 0j
-                usual = (
-                    flows[0].real + 0j, flows[1].real + 0j, flows[2].real + 0j, flows[3].real + 0j,
-                    flows[4].real + 0j, flows[5].real + 0j, flows[6].real + 0j, flows[7].real + 0j,
+    n = x.shape[0] // 3
+    of = np.empty(OWN + 4)
+    for begin in range(0, n, LANES):
+        nodes = min(LANES, n - begin)
+        lanes = (nodes + EIGHT - 1) // EIGHT * EIGHT
+        for k in range(lanes):
+            i = min(begin + k, n - 1)
+            first = max(min(i - 2, n - 5), 0)
+            row = i - first
+            for v in range(3):
+                at = v * n + first
+                w[v * LANES + k] = x[v * n + i]
+                w[(3 + v) * LANES + k] = (
+                    stencil[row, 0] * x[at]
+                    + stencil[row, 1] * x[at + 1]
+                    + stencil[row, 2] * x[at + 2]
+                    + stencil[row, 3] * x[at + 3]
+                    + stencil[row, 4] * x[at + 4]
+                )
+        for a in range(OWN + which.shape[0]):
+            of[:] = 0.0
+            of[a if a < OWN else OWN + which[a - OWN]] = 1.0
+            unknown = dual(theta[0], of[9]), dual(theta[1], of[10]), dual(theta[2], of[11]), dual(theta[3], of[12])
+            e, of_p, of_m, of_T, of_p_s, of_m_s, of_T_s = with_unknown(c, unknown), of[0], of[1], of[2], of[3], of[4], of[5]
+            of_f = 1.0 if a == 1 or of[OWN] else 0.0  # friction depends on m and, of the parameters, on the roughness
+            if a == 0 or of[OWN]:
+                for k in range(lanes):
+                    f = friction_factor(dual(w[LANES + k], 1.0 if a == 0 else 0.0), e)
+                    w[6 * LANES + k], w[7 * LANES + k] = f.value, f.slope
+            if a == 0 or a == 2:
+                for j in range(POWERS_OF_PRESSURE):
+                    for k in range(lanes):
+                        p, T = dual(w[k], of_p), dual(w[2 * LANES + k], of_T)
+                        sums = no_powers(p)
+                        if j > 0:
+                            sums = (
+                                dual(w[30 * LANES + k], w[35 * LANES + k]), dual(w[31 * LANES + k], w[36 * LANES + k]),
+                                dual(w[32 * LANES + k], w[37 * LANES + k]), dual(w[33 * LANES + k], w[38 * LANES + k]),
+                                dual(w[34 * LANES + k], w[39 * LANES + k]),
+                            )  # fmt: skip
+                        power, z, p_z_p, z_tau, curvature = with_power(j, p, T, sums, e)
+                        w[30 * LANES + k], w[35 * LANES + k] = power.value, power.slope
+                        w[31 * LANES + k], w[36 * LANES + k] = z.value, z.slope
+                        w[32 * LANES + k], w[37 * LANES + k] = p_z_p.value, p_z_p.slope
+                        w[33 * LANES + k], w[38 * LANES + k] = z_tau.value, z_tau.slope
+                        w[34 * LANES + k], w[39 * LANES + k] = curvature.value, curvature.slope
+            elif a == 1 or a == OWN:
+                w[35 * LANES : 40 * LANES] = 0.0
+            if a < 3 or a >= OWN:
+                for k in range(lanes):
+                    p, m, T = dual(w[k], of_p), dual(w[LANES + k], of_m), dual(w[2 * LANES + k], of_T)
+                    sums = (
+                        dual(w[30 * LANES + k], w[35 * LANES + k]), dual(w[31 * LANES + k], w[36 * LANES + k]),
+                        dual(w[32 * LANES + k], w[37 * LANES + k]), dual(w[33 * LANES + k], w[38 * LANES + k]),
+                        dual(w[34 * LANES + k], w[39 * LANES + k]),
+                    )  # fmt: skip
+                    f = dual(w[6 * LANES + k], of_f * w[7 * LANES + k])
+                    v, rho, a2, alpha_1, alpha_2, cp, loss, source = flow(p, m, T, f, of_powers(T, sums), e)
+                    w[8 * LANES + k], w[16 * LANES + k] = v.value, v.slope
+                    w[9 * LANES + k], w[17 * LANES + k] = rho.value, rho.slope
+                    w[10 * LANES + k], w[18 * LANES + k] = a2.value, a2.slope
+                    w[11 * LANES + k], w[19 * LANES + k] = alpha_1.value, alpha_1.slope
+                    w[12 * LANES + k], w[20 * LANES + k] = alpha_2.value, alpha_2.slope
+                    w[13 * LANES + k], w[21 * LANES + k] = cp.value, cp.slope
+                    w[14 * LANES + k], w[22 * LANES + k] = loss.value, loss.slope
+                    w[15 * LANES + k], w[23 * LANES + k] = source.value, source.slope
+            elif a == 3:  # on gradients and given rates it does not depend
+                w[16 * LANES : 24 * LANES] = 0.0
+            for k in range(lanes):
+                p_t, m_t, T_t = rates_along(
+                    dual(w[k], of_p), dual(w[LANES + k], of_m), dual(w[2 * LANES + k], of_T),
+                    dual(w[3 * LANES + k], of_p_s), dual(w[4 * LANES + k], of_m_s), dual(w[5 * LANES + k], of_T_s),
+                    (
+                        dual(w[8 * LANES + k], w[16 * LANES + k]), dual(w[9 * LANES + k], w[17 * LANES + k]),
+                        dual(w[10 * LANES + k], w[18 * LANES + k]), dual(w[11 * LANES + k], w[19 * LANES + k]),
+                        dual(w[12 * LANES + k], w[20 * LANES + k]), dual(w[13 * LANES + k], w[21 * LANES + k]),
+                        dual(w[14 * LANES + k], w[22 * LANES + k]), dual(w[15 * LANES + k], w[23 * LANES + k]),
+                    ), e,
                 )  # fmt: skip
-            here = r0, r1, r2, flows[0], flows[1], flows[2], flows[3], flows[4], flows[5]
-            if i == 0:
-                r0, r1, r2 = inlet_rates(local[0], local[2], here, local[6], local[7], e)
-            elif i == n - 1:
-                r0, r1, r2 = outlet_rates(local[0], local[2], here, local[8], e)
-            j0, j1, j2 = r0.imag / tiny, r1.imag / tiny, r2.imag / tiny
-            if a == 0:
-                k[i], k[n + i], k[2 * n + i] = r0.real, r1.real, r2.real
-            if a >= 9:
-                at[which[a - 9]] = theta[which[a - 9]]
-                dk[i, own + a] += j0
-                dk[n + i, own + a] += j1
-                dk[2 * n + i, own + a] += j2
-                continue
-            local[a] = local[a].real
-            along = dx[a * n + i] if a < 3 else (gradient[a - 3] if a < 6 else dgiven[a - 6])
-            for j in range(columns):
-                dk[i, j] += j0 * along[j]
-                dk[n + i, j] += j1 * along[j]
-                dk[2 * n + i, j] += j2 * along[j]
+                w[24 * LANES + k], w[25 * LANES + k], w[26 * LANES + k] = p_t.value, m_t.value, T_t.value
+                w[27 * LANES + k], w[28 * LANES + k], w[29 * LANES + k] = p_t.slope, m_t.slope, T_t.slope
+            for k in range(nodes):
+                i = begin + k
+                if i == 0 or i == n - 1:
+                    here = (
+                        dual(w[24 * LANES + k], w[27 * LANES + k]), dual(w[25 * LANES + k], w[28 * LANES + k]),
+                        dual(w[26 * LANES + k], w[29 * LANES + k]), dual(w[8 * LANES + k], w[16 * LANES + k]),
+                        dual(w[9 * LANES + k], w[17 * LANES + k]), dual(w[10 * LANES + k], w[18 * LANES + k]),
+                        dual(w[11 * LANES + k], w[19 * LANES + k]), dual(w[12 * LANES + k], w[20 * LANES + k]),
+                        dual(w[13 * LANES + k], w[21 * LANES + k]),
+                    )  # fmt: skip
+                    p, T = dual(w[k], of_p), dual(w[2 * LANES + k], of_T)
+                    if i == 0:
+                        p_t, m_t, T_t = inlet_rates(p, T, here, dual(given[0], of[6]), dual(given[1], of[7]), e)
+                    else:
+                        p_t, m_t, T_t = outlet_rates(p, T, here, dual(given[2], of[8]), e)
+                    w[24 * LANES + k], w[25 * LANES + k], w[26 * LANES + k] = p_t.value, m_t.value, T_t.value
+                    w[27 * LANES + k], w[28 * LANES + k], w[29 * LANES + k] = p_t.slope, m_t.slope, T_t.slope
+                for v in range(3):
+                    J[a, v, i] = w[(27 + v) * LANES + k]
+                    if a == 0:
+                        rate[v * n + i] = w[(24 + v) * LANES + k]
+
+
+@compiled
+def directional(J: Any, stencil: Array, dgiven: Any, dtheta: Any, along: Any, rate: Any) -> None:
+    """Write to rate (3n COLUMNS,) the derivatives of dx/dt along columns: changes `along` (3n COLUMNS,) of the states, of the
+    rates given (3 COLUMNS,) and of the parameters (p COLUMNS,); J: `local_derivatives`. A node's rows of p, m, T follow each
+    other, so that those of its stencil are at known distances.
+    """
+    n = along.shape[0] // (3 * COLUMNS)
+    for i in range(n):
+        first = max(min(i - 2, n - 5), 0)  # in this order the compiler sees that it is not negative
+        row = i - first
+        d0, d1, d2, d3, d4 = stencil[row, 0], stencil[row, 1], stencil[row, 2], stencil[row, 3], stencil[row, 4]
+        near, own = along[3 * COLUMNS * first : 3 * COLUMNS * (first + 5)], along[3 * COLUMNS * i : 3 * COLUMNS * (i + 1)]
+        into = rate[3 * COLUMNS * i : 3 * COLUMNS * (i + 1)]
+        pp, pm, pT, pp_s, pm_s, pT_s = J[0, 0, i], J[1, 0, i], J[2, 0, i], J[3, 0, i], J[4, 0, i], J[5, 0, i]
+        mp, mm, mT, mp_s, mm_s, mT_s = J[0, 1, i], J[1, 1, i], J[2, 1, i], J[3, 1, i], J[4, 1, i], J[5, 1, i]
+        Tp, Tm, TT, Tp_s, Tm_s, TT_s = J[0, 2, i], J[1, 2, i], J[2, 2, i], J[3, 2, i], J[4, 2, i], J[5, 2, i]
+        for k in range(COLUMNS):
+            p, m, T = own[k], own[COLUMNS + k], own[2 * COLUMNS + k]
+            p_s = (
+                d0 * near[k] + d1 * near[3 * COLUMNS + k] + d2 * near[6 * COLUMNS + k]
+                + d3 * near[9 * COLUMNS + k] + d4 * near[12 * COLUMNS + k]
+            )  # fmt: skip
+            m_s = (
+                d0 * near[COLUMNS + k] + d1 * near[4 * COLUMNS + k] + d2 * near[7 * COLUMNS + k]
+                + d3 * near[10 * COLUMNS + k] + d4 * near[13 * COLUMNS + k]
+            )  # fmt: skip
+            T_s = (
+                d0 * near[2 * COLUMNS + k] + d1 * near[5 * COLUMNS + k] + d2 * near[8 * COLUMNS + k]
+                + d3 * near[11 * COLUMNS + k] + d4 * near[14 * COLUMNS + k]
+            )  # fmt: skip
+            into[k] = pp * p + pm * m + pT * T + pp_s * p_s + pm_s * m_s + pT_s * T_s
+            into[COLUMNS + k] = mp * p + mm * m + mT * T + mp_s * p_s + mm_s * m_s + mT_s * T_s
+            into[2 * COLUMNS + k] = Tp * p + Tm * m + TT * T + Tp_s * p_s + Tm_s * m_s + TT_s * T_s
+        for v in range(3):
+            if i == 0 or i == n - 1:
+                for j in range(3):
+                    for k in range(COLUMNS):
+                        into[v * COLUMNS + k] += J[6 + j, v, i] * dgiven[j * COLUMNS + k]
+            for j in range(dtheta.shape[0] // COLUMNS):
+                for k in range(COLUMNS):
+                    into[v * COLUMNS + k] += J[OWN + j, v, i] * dtheta[j * COLUMNS + k]
 
 
 @compiled
 def advance_tangent(
-    states: Any, inputs: Any, theta: Any, which: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
+    states: Any, inputs: Any, theta: Any, columns: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
 ) -> Array:
-    """Derivatives (B, 3n, 3n + 3 + p) of `advance` with respect to states, inputs and the parameters `which` (p,), by the chain
-    rule through its stages.
+    """Derivatives (B, 3n, M) of `advance` with respect to those of (states, inputs, parameters UNKNOWN) whose positions are
+    `columns` (M,), in ascending order, by the chain rule through its stages.
     """
     size = states.shape[1]
-    n, width = size // 3, size + 3 + which.shape[0]
-    result = np.zeros((states.shape[0], size, width))
+    n = size // 3
+    which = columns[columns >= size + 3] - (size + 3)
+    result = np.empty((states.shape[0], size, columns.shape[0]))
     x, at, rate, total = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    along, drate, dtotal = np.empty((size, width)), np.empty((size, width)), np.empty((size, width))
-    given, dgiven = np.empty(3), np.zeros((3, width))
-    dgiven[0, 0] = dgiven[1, 2 * n] = dgiven[2, 2 * n - 1] = -1.0 / dt
-    dgiven[0, size] = dgiven[1, size + 1] = dgiven[2, size + 2] = 1.0 / dt
+    given, w = np.empty(3), np.empty(40 * LANES)
+    J = np.empty((substeps, 4, OWN + which.shape[0], 3, n))
+    dx, along = np.empty(size * COLUMNS), np.empty(size * COLUMNS)
+    drate, dtotal = np.empty(size * COLUMNS), np.empty(size * COLUMNS)
+    dgiven, dtheta = np.empty(3 * COLUMNS), np.empty(which.shape[0] * COLUMNS)
     h = dt / substeps
     for b in range(states.shape[0]):
         own = theta[min(b, theta.shape[0] - 1)]
-        d = with_unknown(c, own)
-        dx = result[b]
         for i in range(size):
             x[i] = states[b, i]
-            dx[i, i] = 1.0
         given[0] = (inputs[b, 0] - x[0]) / dt
         given[1] = (inputs[b, 1] - x[2 * n]) / dt
         given[2] = (inputs[b, 2] - x[2 * n - 1]) / dt
-        for _ in range(substeps):
+        for part in range(substeps):
             for stage in range(4):
                 ahead = 1.0 if stage == 3 else 0.5
                 weight = 2.0 if 0 < stage < 3 else 1.0
                 for i in range(size):
                     at[i] = x[i] if stage == 0 else x[i] + ahead * h * rate[i]
-                    for j in range(width):
-                        along[i, j] = dx[i, j] if stage == 0 else dx[i, j] + ahead * h * drate[i, j]
-                tangent_slope(at, given, along, dgiven, own, which, d, stencil, rate, drate)
+                local_derivatives(at, given, own, which, c, stencil, w, rate, J[part, stage])
                 for i in range(size):
                     total[i] = rate[i] if stage == 0 else total[i] + weight * rate[i]
-                    for j in range(width):
-                        dtotal[i, j] = drate[i, j] if stage == 0 else dtotal[i, j] + weight * drate[i, j]
             for i in range(size):
                 x[i] += h / 6.0 * total[i]
-                for j in range(width):
-                    dx[i, j] += h / 6.0 * dtotal[i, j]
+        for begin in range(0, columns.shape[0], COLUMNS):
+            lanes = min(COLUMNS, columns.shape[0] - begin)
+            dx[:] = 0.0
+            dgiven[:] = 0.0
+            dtheta[:] = 0.0
+            for k in range(lanes):
+                j = columns[begin + k]
+                if j < size:
+                    dx[(3 * (j % n) + j // n) * COLUMNS + k] = 1.0
+                for v in range(3):
+                    if j == (0, 2 * n, 2 * n - 1)[v]:
+                        dgiven[v * COLUMNS + k] = -1.0 / dt
+                    elif j == size + v:
+                        dgiven[v * COLUMNS + k] = 1.0 / dt
+                for v in range(which.shape[0]):
+                    if j == size + 3 + which[v]:
+                        dtheta[v * COLUMNS + k] = 1.0
+            changes = dtheta if columns[begin + lanes - 1] >= size + 3 else dtheta[:0]
+            for part in range(substeps):
+                for stage in range(4):
+                    ahead = 1.0 if stage == 3 else 0.5
+                    weight = 2.0 if 0 < stage < 3 else 1.0
+                    for i in range(size * COLUMNS):
+                        along[i] = dx[i] if stage == 0 else dx[i] + ahead * h * drate[i]
+                    directional(J[part, stage], stencil, dgiven, changes, along, drate)
+                    for i in range(size * COLUMNS):
+                        dtotal[i] = drate[i] if stage == 0 else dtotal[i] + weight * drate[i]
+                for i in range(size * COLUMNS):
+                    dx[i] += h / 6.0 * dtotal[i]
+            for v in range(3):
+                for i in range(n):
+                    for k in range(lanes):
+                        result[b, v * n + i, begin + k] = dx[(3 * i + v) * COLUMNS + k]
     return result

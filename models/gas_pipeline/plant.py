@@ -172,8 +172,7 @@ class _Pipe:
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         require_dense(self.nodes)
-        found = self._advance(equations.advance_tangent, x, u, dt, self.nominal, self.unknown[:0])
-        return np.ascontiguousarray(found[..., : x.shape[-1]])
+        return self._advance(equations.advance_tangent, x, u, dt, self.nominal, np.arange(x.shape[-1]))
 
     @cached_property
     def unknown(self) -> Array:
@@ -190,7 +189,9 @@ class _Pipe:
 
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         require_dense(self.nodes)
-        return self._advance(equations.advance_tangent, x, u, dt, self._of(theta), self.unknown)
+        states_and_inputs = x.shape[-1] + u.shape[-1]
+        columns = np.concatenate([np.arange(states_and_inputs), states_and_inputs + self.unknown])
+        return self._advance(equations.advance_tangent, x, u, dt, self._of(theta), columns)
 
     def _of(self, theta: Array) -> Array:
         """The parameters equations.UNKNOWN (..., 4) with the values theta (..., p)."""

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.dual import dual
 from fusion_sfdia.core.equation import argument_names, compiled, equation
 
 Array = NDArray[Any]
@@ -438,8 +439,13 @@ def solved_torque(fuel: Any, p_charge: Any, T_charge: Any, c: EngineParameters) 
 @equation
 def variables(fuel: Any, p_receiver: Any, p_charge: Any, c: EngineParameters, law: Any) -> tuple[Any, ...]:
     """The algebraic variables in the order of ALGEBRAIC, and the slip; law: whether it follows its law or is nominal."""
+    return variables_at(fuel, solved_torque(fuel, p_charge, charge_temperature(c), c), p_receiver, p_charge, c, law)
+
+
+@equation
+def variables_at(fuel: Any, torque: Any, p_receiver: Any, p_charge: Any, c: EngineParameters, law: Any) -> tuple[Any, ...]:
+    """`variables` with the torque that solved_torque gives."""
     T_charge = charge_temperature(c)
-    torque = solved_torque(fuel, p_charge, T_charge, c)
     p_cylinder = cylinder_pressure(fuel, torque, p_charge, c)
     T_cylinder = cylinder_temperature(fuel, torque, p_charge, T_charge, c)
     slip = slip_law(torque, p_receiver, p_charge, T_charge, c) if law else c.slip_nominal + 0.0 * torque
@@ -452,7 +458,13 @@ def variables(fuel: Any, p_receiver: Any, p_charge: Any, c: EngineParameters, la
 @equation
 def inflow_of(fuel: Any, p_receiver: Any, p_charge: Any, c: EngineParameters, law: Any) -> tuple[Any, Any]:
     """h(3) and h(4) of the states, Pa/s."""
-    _, _, torque, T_receiver, _, T_charge, _, slip = variables(fuel, p_receiver, p_charge, c, law)
+    return inflow_at(fuel, solved_torque(fuel, p_charge, charge_temperature(c), c), p_receiver, p_charge, c, law)
+
+
+@equation
+def inflow_at(fuel: Any, torque: Any, p_receiver: Any, p_charge: Any, c: EngineParameters, law: Any) -> tuple[Any, Any]:
+    """`inflow_of` with the torque that solved_torque gives."""
+    _, _, _, T_receiver, _, T_charge, _, slip = variables_at(fuel, torque, p_receiver, p_charge, c, law)
     h3 = receiver_inflow_at(fuel, torque, slip, T_receiver, p_charge, T_charge, c)
     h4 = charge_inflow_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
     return h3, h4
@@ -478,6 +490,63 @@ def advance(states: Any, inputs: Any, dt: float, substeps: int, c: EngineParamet
     return result
 
 
+@equation
+def torque_and_slopes(x: Any, c: EngineParameters) -> tuple[Any, Any, Any, Any]:
+    """The torque of the state x (3,) and its derivatives with respect to the states.
+
+    It is the fixed point of phi = swept_torque, so that they are those of phi over 1 - d phi / d torque.
+    """
+    T_charge = charge_temperature(c)
+    torque, by_fuel, by_pressure, by_torque = solved_torque(x[0], x[2], T_charge, c), 0.0, 0.0, 0.0
+    for a in range(3):  # once in the compiled code
+        fuel, p_charge = dual(x[0], 1.0 if a == 0 else 0.0), dual(x[2], 1.0 if a == 1 else 0.0)
+        phi = swept_torque(fuel, dual(torque, 1.0 if a == 2 else 0.0), p_charge, T_charge, c)
+        by_fuel, by_pressure, by_torque = by_pressure, by_torque, phi.slope
+    return torque, by_fuel / (1.0 - by_torque), 0.0, by_pressure / (1.0 - by_torque)
+
+
+@equation
+def along(a: int, x: Any, found: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
+    """Fuel, torque and both pressures of the state x (3,) with slopes along the state a; found: `torque_and_slopes`."""
+    slope = found[1] if a == 0 else found[2] if a == 1 else found[3]
+    p_receiver, p_charge = dual(x[1], 1.0 if a == 1 else 0.0), dual(x[2], 1.0 if a == 2 else 0.0)
+    return dual(x[0], 1.0 if a == 0 else 0.0), dual(found[0], slope), p_receiver, p_charge
+
+
+@compiled
+def advance_tangent(states: Any, inputs: Any, dt: float, substeps: int, c: EngineParameters, law: bool) -> Array:
+    """Derivatives (B, 3, 3) of `advance` with respect to the states, by the chain rule through its stages."""
+    result = np.empty((states.shape[0], 3, 3))
+    tau = np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
+    stages = -np.expm1(-dt / (2 * substeps) / tau), -np.expm1(-dt / substeps / tau)
+    x, at, J = np.empty(3), np.empty(3), np.zeros((3, 3))
+    aims, dx, dat, ahead = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for b in range(states.shape[0]):
+        aims[0] = c.fuel_delay * fuel_inflow(inputs[b, 0], c)
+        for i in range(3):
+            x[i] = states[b, i]
+            for j in range(3):
+                dx[i, j] = 1.0 if i == j else 0.0
+        for _ in range(substeps):
+            at[:], dat[:] = x, dx
+            for share in stages:
+                found = torque_and_slopes(at, c)
+                for a in range(3):
+                    fuel, torque, p_receiver, p_charge = along(a, at, found)
+                    h3, h4 = inflow_at(fuel, torque, p_receiver, p_charge, c, law)
+                    aims[1], aims[2] = tau[1] * h3.value, tau[2] * h4.value
+                    J[1, a], J[2, a] = tau[1] * h3.slope, tau[2] * h4.slope
+                for i in range(3):
+                    at[i] = x[i] + share[i] * (aims[i] - x[i])
+                    for j in range(3):
+                        moved = J[i, 0] * dat[0, j] + J[i, 1] * dat[1, j] + J[i, 2] * dat[2, j]
+                        ahead[i, j] = dx[i, j] + share[i] * (moved - dx[i, j])
+                dat[:] = ahead
+            x[:], dx[:] = at, dat
+        result[b] = dx
+    return result
+
+
 @compiled
 def inflows(states: Any, c: EngineParameters, law: bool) -> Array:
     """h(3) and h(4), Pa/s (B, 2), of states (B, 3)."""
@@ -495,6 +564,20 @@ def algebraic(states: Any, c: EngineParameters, law: bool) -> Array:
         z = variables(states[b, 0], states[b, 1], states[b, 2], c, law)
         result[b, 0], result[b, 1], result[b, 2] = z[0], z[1], z[2]
         result[b, 3], result[b, 4], result[b, 5], result[b, 6] = z[3], z[4], z[5], z[6]
+    return result
+
+
+@compiled
+def algebraic_tangent(states: Any, c: EngineParameters, law: bool) -> Array:
+    """Derivatives (B, 7, 3) of `algebraic` with respect to the states; the charge temperature is constant."""
+    result = np.zeros((states.shape[0], 7, 3))
+    for b in range(states.shape[0]):
+        found = torque_and_slopes(states[b], c)
+        for a in range(3):
+            fuel, torque, p_receiver, p_charge = along(a, states[b], found)
+            z = variables_at(fuel, torque, p_receiver, p_charge, c, law)
+            result[b, 0, a], result[b, 1, a], result[b, 2, a] = z[0].slope, z[1].slope, z[2].slope
+            result[b, 3, a], result[b, 4, a], result[b, 6, a] = z[3].slope, z[4].slope, z[6].slope
     return result
 
 
@@ -570,21 +653,37 @@ def inside_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineP
 
 @compiled
 def monitor(
-    x: Array, error: Array, before: Array, reading: Array, u: Array, dt: float, s: Any, c: EngineParameters, law: bool
+    x: Array,
+    error: Array,
+    before: Array,
+    reading: Array,
+    u: Array,
+    dt: float,
+    s: Any,
+    c: EngineParameters,
+    law: bool,
+    of: Array,
 ) -> Any:
-    """The result of monitoring.monitor, compiled."""
+    """The result of monitoring.monitor, compiled, for the equations `of` (.., 10) bool; of the other variables, the envelope.
+
+    `of`, and of s the bound (.., 10) and the gains (.., 3), are those of all runs (1, ..) or of each one (B, ..).
+    """
     size = x.shape[0]
     ahead, bound = np.empty((size, 3)), np.empty((size, 3))
     lower, upper = np.empty((size, 7)), np.empty((size, 7))
     middle, radius, v = np.empty(11), np.empty(11), np.empty(11)
     for b in range(size):
+        noise, correction, own = s.bound[min(b, len(s.bound) - 1)], s.gains[min(b, len(s.gains) - 1)], of[min(b, len(of) - 1)]
         middle[10], radius[10] = u[b, 0], 0.0
         for j in range(10):
             y0, y1 = before[b, j], reading[b, j]
             missing = np.isnan(y0) or np.isnan(y1)
             middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
-            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + s.bound[j]
+            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + noise[j]
         for e in range(3):
+            if not own[e]:
+                ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
+                continue
             m, r = middle[e], radius[e]
             middle[e] = x[b, e]
             h = value_at(e, middle, c, law)
@@ -596,7 +695,7 @@ def monitor(
                 h = (least + most) / 2
             middle[e], radius[e] = m, r
             known = not np.isnan(before[b, e])
-            gain = s.gains[e] if known else 0.0
+            gain = correction[e] if known else 0.0
             rate = s.rates[e]
             a = rate + gain
             lam = np.exp(-a * dt)
@@ -604,13 +703,16 @@ def monitor(
             ahead[b, e] = lam * x[b, e] + held * (h + gain * (before[b, e] if known else 0.0))
             speed = max(abs(most - rate * x[b, e]), abs(least - rate * x[b, e])) + rate * error[b, e]
             moved = min(gain * held * s.drift[e] * dt, gain * (dt - held) / a * speed if a > 0 else 0.0)
-            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * s.bound[e]) + moved
+            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * noise[e]) + moved
             bound[b, e] = min(grown, abs(ahead[b, e] - s.nominal[e]) + s.half_width[e])
         for j in range(10):
             missing = np.isnan(reading[b, j])
             middle[j] = s.nominal[j] if missing else reading[b, j]
-            radius[j] = s.half_width[j] if missing else s.bound[j]
+            radius[j] = s.half_width[j] if missing else noise[j]
         for e in range(3, 10):
+            if not own[e]:
+                lower[b, e - 3], upper[b, e - 3] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]
+                continue
             least, most = bounds_at(e, middle, radius, v, s, c, law)
             if not np.isfinite(least + most):
                 least, most = inside_at(e, middle, radius, v, s, c, law)

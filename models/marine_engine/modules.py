@@ -5,11 +5,13 @@ The modules M(I,q) of a subsystem I each test the equation of one variable. Thos
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion_sfdia.core.modules import Modules, ObserverBound
 from fusion_sfdia.models.marine_engine import equations
@@ -47,6 +49,7 @@ DRIFT = {"p_receiver": 0.0}  # at a steady load, as in the papers; for a changin
 LOAD_RANGE = 0.03  # width of the range within which the fuel setting may change, see receiver_drift
 RECEIVER_PER_FUEL, RECEIVER_PER_CHARGE = 0.87, 1.25  # A_1 and A_4 over 1 - A_3 there; proved in test_engine_drift
 CHARGE_IMBALANCE = 0.3  # upper bound of |g_4 - x_4| there
+EVERY = np.ones((1, len(STATES) + len(ALGEBRAIC)), bool)
 MARGINS = {  # added to thresholds to reproduce the paper's pattern of modules that fire; our choice
     "p_receiver": 0.037,  # 2.95 noise bounds in all
     **dict.fromkeys(("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_compressor"), 0.03),
@@ -71,8 +74,21 @@ def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -
     )
 
 
-def _monitor(c: EngineParameters, law: bool, *arguments: Any) -> Any:
-    return equations.monitor(*arguments, c, law)  # type: ignore[call-arg]
+def _monitor(c: EngineParameters, law: bool, *arguments: Any, of: NDArray[Any] = EVERY) -> Any:
+    *before, s = arguments
+    of_runs = s._replace(bound=np.atleast_2d(s.bound), gains=np.atleast_2d(s.gains))
+    return equations.monitor(*before, of_runs, c, law, of)  # type: ignore[call-arg]
+
+
+def alone(modules: Modules, variables: Sequence[str]) -> Modules:
+    """The engine's compiled modules, of which each run evaluates that of its variable: the others know only their envelopes.
+
+    variables: one for all runs, or one for each.
+    """
+    if modules.monitor is None:
+        raise ValueError("the modules have no compiled form; expected those of `engine_modules` to evaluate one of them alone")
+    of = np.array([[v == own for v in modules.equations] for own in variables])
+    return replace(modules, monitor=partial(modules.monitor, of=of))
 
 
 def receiver_drift(c: EngineParameters, dt: float) -> float:

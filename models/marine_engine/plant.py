@@ -131,6 +131,7 @@ def marine_engine(
         plant,
         step=model.step,
         output=model.output,
+        numerics=replace(plant.numerics, step_jacobian=model.step_jacobian, output_jacobian=model.output_jacobian),
         truth=Truth(finer=partial(with_same_states, finer)),
         structure=Structure(modules=engine_modules(c, slip, nominal)),
         uncertainty=Uncertainty() if process_faults else _uncertainty(model, c),
@@ -158,6 +159,21 @@ class _Compiled:
         flat = rows(x, batch, u.dtype)
         both = np.concatenate([flat, equations.algebraic(flat, self.parameters_at(t), self.law)], axis=-1)
         return both[:, PICKS].reshape(*batch, PICKS.size)
+
+    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        parts = self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
+        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
+        result: Array = equations.advance_tangent(
+            rows(x, batch, float), rows(u, batch, float), float(dt), parts, self.parameters_at(t_start), self.law
+        )
+        return result.reshape(*batch, *result.shape[1:])
+
+    def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
+        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
+        of_algebraic = equations.algebraic_tangent(rows(x, batch, float), self.parameters_at(t), self.law)
+        of_states = np.broadcast_to(np.eye(len(STATES)), (len(of_algebraic), len(STATES), len(STATES)))
+        both = np.concatenate([of_states, of_algebraic], axis=1)
+        return both[:, PICKS].reshape(*batch, PICKS.size, len(STATES))
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         parts = self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))

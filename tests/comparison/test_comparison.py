@@ -134,7 +134,8 @@ def test_a_kind_of_fault_meets_all_phases() -> None:
     """Each of 12 places is a kind's with probability 1/12 in each of 600 seeds: chi-square of 11 degrees of freedom."""
     settings = tiny(lengths="")
     groups = list(protocol.segments(settings, cases("two-tanks")))
-    places = np.array([[protocol.onsets(settings, cases("two-tanks"), s)[g] for g in groups] for s in range(600)])
+    drawn = [protocol.onsets(settings, cases("two-tanks"), s) for s in range(600)]
+    places = np.array([[onset[g] for g in groups] for onset in drawn])
     for of_group in places.T:
         _, counts = np.unique(of_group, return_counts=True)
         assert counts.size == len(groups)

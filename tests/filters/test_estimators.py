@@ -14,6 +14,7 @@ from toy_plants import chain, readings
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Uncertainty
+from fusion_sfdia.filters import ukf
 from fusion_sfdia.filters.estimators import Ensemble, Extended, Unscented
 from fusion_sfdia.filters.ukf import SigmaPoints
 from fusion_sfdia.kalman_banks.central_filter import CentralFilter
@@ -109,6 +110,23 @@ def test_without_considered_states_the_joint_has_none(estimator: Extended | Unsc
     for plant, expected in ((PLANT, None), (CONSIDERING, HELD)):
         prior = estimator.predict(plant, estimator.start(plant, (1,), rng), 0.0, np.zeros((1, 0)), 1.0, rng)
         np.testing.assert_array_equal(estimator.joint(plant, prior, 1.0, np.zeros((1, 0))).considered, expected)
+
+
+@pytest.mark.parametrize("redraw", [True, False])
+def test_unscented_moments_of_a_linear_plant_are_those_of_sigma_points_and_shared_by_all_runs(redraw: bool) -> None:
+    rng, u, points = np.random.default_rng(0), np.zeros((3, 0)), SigmaPoints(alpha=1.0)
+    estimator = Unscented(points, redraw)
+    core = estimator.start(PLANT, (3,), rng)._replace(x=rng.normal(size=(3, 5)))
+    prior = estimator.predict(PLANT, core, 0.0, u, 1.0, rng)
+    found = estimator.joint(PLANT, prior, 1.0, u)
+    x, P, ahead = ukf.predict(points, core.x, core.P, lambda s: PLANT.step(0.0, s, u[:1], 1.0), PLANT.process_cov)
+    of_points = None if redraw else ahead
+    expected = ukf.joint(points, x, P, lambda s: PLANT.output(1.0, s, u[:1]), PLANT.sensor_cov, of_points)
+    for name in ("x", "P", "y", "S", "C"):
+        given, wanted = getattr(found, name), getattr(expected, name)
+        # sums over 11 points of numbers up to 4
+        np.testing.assert_allclose(given, wanted, rtol=0, atol=4 * 11 * np.finfo(float).eps, err_msg=name)
+    assert found.S.strides[0] == found.P.strides[0] == 0
 
 
 @pytest.mark.parametrize(

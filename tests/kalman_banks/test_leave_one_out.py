@@ -89,8 +89,9 @@ def test_elimination_equals_starting_without_the_sensors_in_any_order() -> None:
     for i, gone in enumerate([(4, 0), (1, 6), ()]):
         used = ~np.isin(np.arange(7), gone)
         direct = statistics(Joint(*(a[i] for a in joint[:5])), y[i], used)
-        for got, expected in zip(twice[:4], direct[:4], strict=True):
-            np.testing.assert_allclose(np.asarray(got)[i], expected, rtol=0, atol=of_update(joint, y, 3))
+        for name in ("whitened", "weight", "inverse", "used"):
+            got, expected = getattr(twice, name)[i], getattr(direct, name)
+            np.testing.assert_allclose(got, expected, rtol=0, atol=of_update(joint, y, 3))
 
 
 def test_chi_square_is_chi_square_with_one_degree_of_freedom() -> None:

@@ -30,6 +30,7 @@ from fusion_sfdia.experiments.scenario import Arrays, Settings
 from fusion_sfdia.models.marine_engine.equilibrium import engine_variables, equilibrium
 from fusion_sfdia.models.marine_engine.faults import EngineFault
 from fusion_sfdia.models.marine_engine.governor import governed_settings
+from fusion_sfdia.models.marine_engine.modules import alone as modules_alone
 from fusion_sfdia.models.marine_engine.parameters import engine_parameters
 from fusion_sfdia.models.marine_engine.plant import marine_engine
 
@@ -102,6 +103,14 @@ def steady_detector(name: str, level: float = USUAL_NOISE, design: str = "K24", 
     return replace(adaptive_threshold(plant, name.partition(":")[2]), envelope=default_envelope(level))
 
 
+def alone(detector: AdaptiveThreshold, variables: Sequence[str]) -> AdaptiveThreshold:
+    """A detector that evaluates one module in a run, that of its variable; variables: one for all runs, or one for each."""
+    plant = detector.plant
+    assert plant.structure.modules is not None
+    modules = modules_alone(plant.structure.modules, variables)
+    return replace(detector, plant=replace(plant, structure=replace(plant.structure, modules=modules)))
+
+
 @cache
 def moving_detector(name: str, level: float, duration: float, at: float) -> AdaptiveThreshold:
     """A detector for changing loads: its envelope and drifts cover the runs of DRIVES, with a margin for noise."""
@@ -134,7 +143,7 @@ def first_firings(
     """
     first = beyond = total = np.empty(0)
     shape: tuple[int, ...] = ()
-    trace: list[tuple[Array, Array]] = []
+    trace: list[tuple[Array, ...]] = []
     for k, (time, applied, now) in enumerate(zip(t, u, readings, strict=True)):
         y = now.reshape(-1, now.shape[-1])
         if k == 0:
@@ -150,7 +159,7 @@ def first_firings(
             beyond += firing
         total += decision.threshold
         if shown is not None:
-            trace.append((decision.residual.reshape(shape)[shown], decision.threshold.reshape(shape)[shown]))
+            trace.append(tuple(a.reshape(shape)[shown].copy() for a in (decision.residual, decision.threshold)))
     if state is None or not shape:
         raise ValueError("there are no readings; pass at least one")
     state = _of_batch(state, (len(first),), shape[:-1])
