@@ -1,20 +1,28 @@
-"""Lines on stderr for compiled code that is not on disk yet: the first use of a plant waits for it once."""
+"""Compiled code that is not on disk yet: lines on stderr, and a second process that compiles the detector's meanwhile."""
 
 from __future__ import annotations
 
 import gc
+import signal
 import sys
+import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
 from typing import Any
 
+from fusion_sfdia.experiments.provenance import cores
+
 OWN = "fusion_sfdia."
+MANY = 16  # sensors, with which the code for large plants is compiled: of small ones it is the plant that takes long
 
 
 @contextmanager
-def announced() -> Iterator[None]:
+def announced(detector: str | None = None) -> Iterator[None]:
     """Within the block, report each module of which numba compiles something; what it loads from its cache is not compiled.
 
+    detector: the name of one that will be needed. Once something is compiled, usually of the plant, another process compiles
+    that detector's part, if there are two cores, and a cache on disk through which this process gets it.
     Meanwhile no garbage is collected, which would take a fifth of the time: the compiler makes many objects, and keeps them.
     """
     from numba.core import event
@@ -23,19 +31,52 @@ def announced() -> Iterator[None]:
         def __init__(self) -> None:
             self.told: set[str] = set()
             self.deep = 0  # one function is compiled within another
+            self.helper: Any = None
 
         def on_start(self, event: Any) -> None:
             self.deep += 1
             gc.disable()
-            module = str(event.data["dispatcher"].py_func.__module__)
+            dispatcher = event.data["dispatcher"]
+            module = str(dispatcher.py_func.__module__)
             if module not in self.told and not module.startswith("numba."):
                 self.told.add(module)
                 print(f"fusion-sfdia: compiling, once: {module.removeprefix(OWN)}", file=sys.stderr, flush=True)
+            if detector and not self.helper and dispatcher.stats.cache_path and cores() > 1:
+                self.helper = get_context("spawn").Process(target=compile_detector, args=(detector,), daemon=True)
+                self.helper.start()
 
         def on_end(self, event: Any) -> None:
             self.deep -= 1
             if not self.deep:
                 gc.enable()
 
-    with event.install_listener("numba:compile", Modules()):
-        yield
+    modules = Modules()
+    try:
+        with event.install_listener("numba:compile", modules):
+            yield
+    finally:
+        if modules.helper:
+            modules.helper.terminate()
+            modules.helper.join()
+
+
+def compile_detector(name: str) -> None:
+    """Compile what a registered detector calls in a step, by one on a plant that is not compiled; in a process of its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
+    gc.disable()
+    import numpy as np
+
+    from fusion_sfdia import registry
+    from fusion_sfdia.core.linear import linear_plant
+    from fusion_sfdia.core.signals import Sensor
+
+    one = np.eye(MANY)
+    sensors = [Sensor(f"y_{i}", f"x_{i}", "1", sigma=1.0) for i in range(MANY)]
+    covariance = np.ones(MANY)
+    plant = linear_plant(
+        "stand-in", one / 2, one, sensors, dt=1.0, x0=0 * covariance, initial_cov=covariance, process_cov=covariance
+    )
+    with warnings.catch_warnings(), suppress(Exception):  # one that does not apply to this plant; the command reports the rest
+        warnings.simplefilter("ignore")
+        detector = registry.detector(name, plant)
+        detector.step(detector.init((), 0.0), 1.0, np.zeros(MANY), np.zeros(0))

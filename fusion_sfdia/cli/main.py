@@ -23,6 +23,8 @@ from fusion_sfdia.cli.runs import add_compare, add_run
 from fusion_sfdia.cli.speed import add_bench
 from fusion_sfdia.cli.tune import add_tune
 from fusion_sfdia.cli.watch import add_watch
+from fusion_sfdia.core.references import is_reference
+from fusion_sfdia.registry import DEFAULT_DETECTOR
 
 
 def parser() -> argparse.ArgumentParser:
@@ -60,8 +62,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):  # a terminal without π shows \\u03c0
             stream.reconfigure(errors="backslashreplace")
     chosen = parser().parse_args(arguments)
-    with _terminated_as_interrupted(), nullcontext() if arguments is not None or chosen.command == "list" else announced():
+    quiet = arguments is not None or chosen.command == "list"
+    with _terminated_as_interrupted(), nullcontext() if quiet else announced(detector_of(chosen)):
         return _done(chosen)
+
+
+def detector_of(chosen: argparse.Namespace) -> str | None:
+    """The registered detector that a command runs; None where it runs none, or a file names it."""
+    if chosen.command not in ("diagnose", "tune", "watch") or getattr(chosen, "tuned", None):
+        return None
+    name = chosen.detector or DEFAULT_DETECTOR
+    return None if is_reference(name) else name
 
 
 @contextmanager

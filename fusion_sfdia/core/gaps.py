@@ -29,7 +29,8 @@ class Gap(NamedTuple):
 
 
 class Track(NamedTuple):
-    """A log with the steps through its gaps: times t (S,), readings y (S, N), NaN in gaps, inputs u (S, m).
+    """A log with the steps through its gaps: times t (S,), readings y (S, N), NaN in gaps, inputs u (S, m); without gaps they
+    are the log's own arrays.
 
     own (S,): whether a step has a sample of the log. begins (S,): the time at which a fresh start begins, NaN where a step
     follows the one before.
@@ -131,6 +132,8 @@ def bridged(plant: Plant, log: Log) -> tuple[Track, tuple[Gap, ...]]:
             plant.check_dt(float(step))
         except ValueError as error:
             raise ValueError(f"reading {k + 1}, {t[k]:.10g} s, is {gaps[k]:.10g} s after the one before: {error}") from error
+    if np.all(parts == 1):
+        return Track(t, y, u, np.ones(t.size, bool), np.where(fresh, t - gaps, np.nan)), reported
     last, which = np.cumsum(parts.astype(int)) - 1, np.repeat(np.arange(t.size), parts.astype(int))
     ahead = last[which] - np.arange(which.size)  # steps of the gap that are still to come
     times = t[which] - ahead * (gaps / parts)[which]

@@ -26,7 +26,7 @@ def without_model(
     """
     batch = y.shape[:-1]
     return Decision(
-        estimate=np.broadcast_to(plant.x0, (*batch, plant.x0.size)).copy(),
+        estimate=np.broadcast_to(plant.x0, (*batch, plant.x0.size)),
         reconstruction=reconstruction,
         residual=residual,
         threshold=threshold,

@@ -161,15 +161,19 @@ def diagnose_run(
     t, y, u = log
     track, gaps = bridged(detector.plant, log)
     decisions = decided(detector, track, each)
-    y = np.where(decisions.absurd, np.nan, y)
+    y = present(y, decisions)
     frozen = repeats(y)
     out = left_out(decisions.isolated[:, : y.shape[1]])
     for i, stretches in enumerate(frozen):
         for a, b in stretches:
             out[a : b + 1, i] = True
-    track.y[track.own], own = y, np.flatnonzero(track.own)
-    for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)) if decisions.absurd_input.shape == u.shape else ():
-        track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
+    if y is not log.y:
+        track = track._replace(y=track.y.copy())
+        track.y[track.own] = y
+    if decisions.absurd_input.shape == u.shape and np.any(decisions.absurd_input):
+        track, own = track._replace(u=track.u.copy()), np.flatnonzero(track.own)
+        for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)):
+            track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
     model = getattr(detector, "model", None)  # of principal components it is no plant
     after = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
@@ -180,6 +184,11 @@ def diagnose_run(
     health = health_of(names, after, starts, rate, against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
     return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
+
+
+def present(y: Array, decisions: Decision) -> Array:
+    """The readings (K, N) without absurd ones; the same array where there is none."""
+    return np.where(decisions.absurd, np.nan, y) if np.any(decisions.absurd) else y
 
 
 def _limit(detector: Detector) -> str:

@@ -47,6 +47,8 @@ def checked(plant: Plant, found: LoadedLog) -> LoadedLog:
 
 def without_suspects(plant: Plant, found: LoadedLog) -> LoadedLog:
     """The log with the readings missing whose unit is suspected wrong: what they show is no fault of the sensor."""
+    if not found.suspects:
+        return found
     y = found.log.y.copy()
     y[:, np.isin(plant.sensor_names, found.suspects)] = np.nan
     return found._replace(log=found.log._replace(y=y))

@@ -86,11 +86,13 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     assert found.after is not None
     at, names, step = time_axis(found), plant.sensor_names, _step(found.t)
     with np.errstate(invalid="ignore"):
-        z = np.abs(found.after.error / found.after.sd)
+        z = found.after.error / found.after.sd
+    np.abs(z, out=z)
+    z[~(np.isfinite(y) & np.isfinite(z))] = -1.0
     edges = np.linspace(found.t[0], found.t[-1] + step, min(len(found.t), MOST_COLUMNS) + 1)
     which = np.clip(np.searchsorted(edges, found.t, side="right") - 1, 0, edges.size - 2)
     cells = np.full((edges.size - 1, len(names)), -1.0)
-    np.maximum.at(cells, which, np.where(np.isfinite(y) & np.isfinite(z), z, -1.0))
+    np.maximum.at(cells, which, z)
     height = max(1.8, 0.9 + len(names) * (0.17 if len(names) <= MOST_LABELS else 0.06))
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots()

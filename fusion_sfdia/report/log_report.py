@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.detector import Detector, chosen
 from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run
+from fusion_sfdia.evaluation.diagnose import Diagnosis, diagnose_run, present
 from fusion_sfdia.evaluation.events import ProcessEvent, open_questions
 from fusion_sfdia.logs.check import check_log, checked, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
@@ -103,7 +103,7 @@ def write_diagnosis(
     """
     header, rows = found.table()
     _write_table(out / "events.csv", header, rows)
-    taken, made = np.where(found.decisions.absurd, np.nan, y), found.decisions.reconstruction
+    taken, made = present(y, found.decisions), found.decisions.reconstruction
     write_log(out / "reconstructed.csv", plant, found.t, made, u, replaced=np.isfinite(made) & (made != taken))
     _write_scores(out / "scores.csv", plant, found)
     if shown_in is not None:
@@ -114,14 +114,14 @@ def write_diagnosis(
 
 def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
     """Of each sample: its time, and of each sensor the score and the residual in standard deviations, empty where unknown."""
-    scores = found.decisions.scores
-    with np.errstate(invalid="ignore"):
-        residuals = found.after.error / found.after.sd if found.after else np.full(scores.shape, np.nan)
-    names, form = plant.sensor_names, ",".join(["%r", "%s", *["%.4g"] * 2 * scores.shape[1]])
+    names, form = plant.sensor_names, ",".join(["%r", "%s", *["%.4g"] * 2 * len(plant.sensors)])
     header = ("time_s", "time", *(f"{name} score" for name in names), *(f"{name} residual [sd]" for name in names))
 
     def lines(rows: slice) -> list[str]:
-        values = np.concatenate([scores[rows], residuals[rows]], axis=1)
+        scores = chosen(found.decisions, rows).scores
+        with np.errstate(invalid="ignore"):
+            residuals = found.after.error[rows] / found.after.sd[rows] if found.after else np.full(scores.shape, np.nan)
+        values = np.concatenate([scores, residuals], axis=1)
         found_at = zip(found.t[rows].tolist(), values.tolist(), strict=True)
         texts = [form % (t, found.clock.at(t), *row) for t, row in found_at]
         return [text.replace("nan", "") for text in texts] if np.isnan(values).any() else texts

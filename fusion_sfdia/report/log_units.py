@@ -37,17 +37,18 @@ class LogUnits:
             self.factor[c.position], self.offset[c.position] = conversion(c.unit, s.unit)
             sigma, bound = (v and v / abs(self.factor[c.position]) for v in (s.sigma, s.bound))
             sensors[c.position] = replace(s, name=name, unit=c.unit or s.unit, sigma=sigma, bound=bound)
+        self.same = bool(np.all(self.factor == 1) and np.all(self.offset == 0))  # then nothing is copied
         self.own = plant.sensor_names
         self.plant = replace(plant, sensors=tuple(sensors))  # names, units and noise alone: its output is the plant's
 
     def readings(self, y: Array) -> Array:
         """Readings (K, N) in the units of the log."""
-        return np.asarray((y - self.offset) / self.factor)
+        return y if self.same else np.asarray((y - self.offset) / self.factor)
 
     def diagnosis(self, found: Diagnosis) -> Diagnosis:
         """A diagnosis for people: events, health and readings in the names and units of the log, Decisions else as they are."""
         after, health = found.after, found.health
-        if after is not None:
+        if after is not None and not self.same:
             after = after._replace(error=after.error / self.factor, sd=after.sd / np.abs(self.factor))
         if health is not None:
             health = health._replace(excess={self._named(name): value for name, value in health.excess.items()})

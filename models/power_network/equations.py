@@ -107,11 +107,18 @@ def hold(matrices: Any, dt: Any) -> Any:
         np.empty_like(matrices[0]),
     )
     for i in range(matrices.shape[0]):
-        scaled[:] = matrices[i] * dt
-        norm = np.max(np.sum(np.abs(scaled), axis=1))
-        squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-300)))) + 1)
-        scaled /= 2.0**squarings
-        now[:] = unit
+        norm = 1e-300  # elements one by one: numba takes seconds to compile the same by arrays
+        for row in range(4):
+            across = 0.0
+            for column in range(6):
+                scaled[row, column] = matrices[i, row, column] * dt
+                across += abs(scaled[row, column])
+            norm = max(norm, across)
+        squarings = max(0, int(np.ceil(np.log2(norm))) + 1)
+        for row in range(4):
+            for column in range(6):
+                scaled[row, column] /= 2.0**squarings
+                now[row, column] = unit[row, column]
         for k in range(TERMS, 0, -1):  # S now / k + 1, with S = [A B; 0 0]
             for row in range(4):
                 for column in range(6):
@@ -119,7 +126,7 @@ def hold(matrices: Any, dt: Any) -> Any:
                     for inner in range(4):
                         total += scaled[row, inner] * now[inner, column]
                     following[row, column] = total / k + unit[row, column]
-            now[:] = following
+            now, following = following, now
         for _ in range(squarings):  # [F G; 0 1]^2
             for row in range(4):
                 for column in range(6):
@@ -127,8 +134,10 @@ def hold(matrices: Any, dt: Any) -> Any:
                     for inner in range(4):
                         total += now[row, inner] * now[inner, column]
                     following[row, column] = total
-            now[:] = following
-        result[i] = now
+            now, following = following, now
+        for row in range(4):
+            for column in range(6):
+                result[i, row, column] = now[row, column]
     return result
 
 

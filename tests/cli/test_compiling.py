@@ -1,13 +1,40 @@
-"""Compiling is announced."""
+"""Compiling is announced, and a second process takes its part."""
 
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
+from types import SimpleNamespace
+from typing import Any
 
 import numba
 import pytest
+from numba.core import event
 
-from fusion_sfdia.cli.compiling import announced
+from fusion_sfdia.cli import compiling
+from fusion_sfdia.cli.compiling import announced, compile_detector
+from fusion_sfdia.cli.main import detector_of, parser
+
+COMPILED = """
+from fusion_sfdia import registry
+from fusion_sfdia.cli.compiling import compile_detector
+from fusion_sfdia.core.linear import linear_plant
+from fusion_sfdia.filters import sparse
+from fusion_sfdia.kalman_banks import bank_kernels
+
+def found():
+    return {f: f.signatures for f in (*vars(bank_kernels).values(), *vars(sparse).values()) if hasattr(f, "py_func")}
+
+compile_detector("robust-glr")
+before = found()
+plant = registry.plant("power-network")
+detector = registry.detector("robust-glr", plant)
+state = detector.init((), 0.0)
+for k in range(2):
+    state, _ = detector.step(state, (k + 1) * plant.dt, plant.output(0.0, plant.x0, plant.input_at(0.0)), plant.input_at(0.0))
+assert found() == before and sum(map(bool, before.values())) > 4, found()
+"""
 
 
 def test_a_module_of_which_something_is_compiled_is_announced_once(capsys: pytest.CaptureFixture[str]) -> None:
@@ -22,3 +49,50 @@ def test_a_module_of_which_something_is_compiled_is_announced_once(capsys: pytes
         one(2)
     numba.njit(lambda x: x + 3)(1)  # outside
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("detector", "folder", "cores", "started"), [("a", "x", 2, 1), (None, "x", 2, 0), ("a", None, 2, 0), ("a", "x", 1, 0)]
+)
+def test_a_second_process_compiles_the_detector_where_both_have_a_cache_and_a_core(
+    detector: str | None, folder: str | None, cores: int, started: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[Any] = []
+
+    class Process:
+        def __init__(self, **arguments: Any) -> None:
+            calls.append(arguments)
+
+        def __getattr__(self, name: str) -> Any:
+            return lambda: calls.append(name)
+
+    monkeypatch.setattr(compiling, "get_context", lambda method: SimpleNamespace(Process=Process))
+    monkeypatch.setattr(compiling, "cores", lambda: cores)
+    compiled = SimpleNamespace(py_func=compile_detector, stats=SimpleNamespace(cache_path=folder))
+    with announced(detector):
+        for _ in range(2):
+            with event.trigger_event("numba:compile", data={"dispatcher": compiled}):
+                pass
+    assert calls == [{"target": compile_detector, "args": ("a",), "daemon": True}, "start", "terminate", "join"][: 4 * started]
+
+
+def test_what_the_second_process_compiles_is_what_a_large_plant_calls() -> None:
+    subprocess.run([sys.executable, "-c", COMPILED], check=True)
+
+
+def test_a_detector_that_does_not_apply_to_the_stand_in_is_left_to_the_command() -> None:
+    subprocess.run([sys.executable, "-c", "from fusion_sfdia.cli import compiling as c; c.compile_detector('uio')"], check=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (["diagnose", "--plant", "p", "--data", "d"], "robust-glr"),
+        (["diagnose", "--plant", "p", "--data", "d", "--detector", "limits"], "limits"),
+        (["diagnose", "--plant", "p", "--data", "d", "--detector", "own.py:make"], None),
+        (["diagnose", "--plant", "p", "--data", "d", "--tuned", "tuned.toml"], None),
+        (["list", "plants"], None),
+    ],
+)
+def test_the_registered_detector_that_a_command_runs(arguments: list[str], name: str | None) -> None:
+    assert detector_of(parser().parse_args(arguments)) == name

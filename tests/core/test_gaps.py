@@ -78,6 +78,13 @@ def test_steps_lead_through_a_gap_under_interpolated_inputs() -> None:
     assert track.begins[0] == 0.0
 
 
+def test_a_log_without_gaps_is_its_own_track() -> None:
+    log = Log(np.arange(1.0, 5.0), np.ones((4, 2)), np.zeros((4, 0)))
+    track, gaps = bridged(leak(0.02), log)
+    assert (track.t is log.t, track.y is log.y, track.u is log.u, gaps) == (True, True, True, ())
+    assert track.own.all() and np.flatnonzero(np.isfinite(track.begins)).tolist() == [0] and track.begins[0] == 0.0
+
+
 def test_what_takes_too_many_steps_starts_anew() -> None:
     plant = tanks()
     later = 20.0 + 5.0 * (MOST_BRIDGES + 1)

@@ -185,6 +185,7 @@ def test_limits_of_a_diagnosis_are_warned_of() -> None:
         diagnose(detector, t, flooded, u)
     drained = u.copy()
     drained[10:20] = -0.05  # m3/s: the tanks would be empty within a step, which has no number then
+    drained.flags.writeable = False  # what is replaced is so in a copy
     with pytest.warns(DiagnosisWarning) as warned:
         found = diagnose(detector, t, y, drained)
     assert [str(w.message) for w in warned] == [
@@ -194,6 +195,7 @@ def test_limits_of_a_diagnosis_are_warned_of() -> None:
     assert not found.decisions.diverged.any() and not found.events
     impossible = y.copy()
     impossible[[4, 7], 2] = [1e303, -1e30]
+    impossible.flags.writeable = False
     with pytest.warns(DiagnosisWarning) as warned:
         found = diagnose(detector, t, impossible, u)
     assert [str(w.message) for w in warned] == [

@@ -103,6 +103,7 @@ def test_a_size_is_a_difference_without_the_offset_of_its_unit() -> None:
     (event,) = shown_in.diagnosis(replace(BOTH, events=(five,))).events
     assert event.extent.startswith("bias 5 degC (4 to 6)")
     assert shown_in.readings(np.full((1, 4), 300.0))[0] == pytest.approx([26.85, 300.0, 300.0, 300.0])
+    assert LogUnits(PLANT, [column("l1", "LI1.PV", "m")]).readings(BIASED) is BIASED  # no copy where nothing is converted
 
 
 def test_the_files_have_kinds_and_standard_deviations(tmp_path: Path) -> None:
