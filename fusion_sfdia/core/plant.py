@@ -221,21 +221,23 @@ class Plant:
         return step, output
 
     @cached_property
-    def linear(self) -> bool:
-        """Whether step and output are linear: their states have no limits, their stated Jacobians are the same for all states
-        and explain their changes, to 1e-9 of what these add up, at points about x0.
+    def linear(self) -> tuple[bool, bool]:
+        """Whether step and output are linear: their stated Jacobians are the same for all states and explain their changes, to
+        1e-9 of what these add up, at points about x0; and, of the step, no state has a limit.
         """
-        if None in self.jacobians or np.any(np.isfinite(self.state_limits)):
-            return False
         x, x0, u = self._points, self.x0, self.input_at(0.0)
-        jacobians = self.step_jacobian_at(0.0, x, u, self.dt), self.output_jacobian_at(0.0, x, u)
-        changes = (
-            self.step(0.0, x, u, self.dt) - self.step(0.0, x0, u, self.dt),
-            self.output(0.0, x, u) - self.output(0.0, x0, u),
-        )
-        return all(
-            J.ndim == 2 and np.all(np.abs(change - (x - x0) @ J.T) <= 1e-9 * ((np.abs(x) + np.abs(x0)) @ np.abs(J).T))
-            for change, J in zip(changes, jacobians, strict=True)
+
+        def explained(given: Any, function: Any, jacobian: Any) -> bool:
+            if given is None or (J := jacobian(x)).ndim > 2:
+                return False
+            rounding = 1e-9 * ((np.abs(x) + np.abs(x0)) @ np.abs(J).T)
+            return bool(np.all(np.abs(function(x) - function(x0) - (x - x0) @ J.T) <= rounding))
+
+        step, output = self.jacobians
+        return (
+            not np.any(np.isfinite(self.state_limits))
+            and explained(step, lambda p: self.step(0.0, p, u, self.dt), lambda p: self.step_jacobian_at(0.0, p, u, self.dt)),
+            explained(output, lambda p: self.output(0.0, p, u), lambda p: self.output_jacobian_at(0.0, p, u)),
         )
 
     @cached_property

@@ -62,6 +62,13 @@ def predict(E: Array, f: Model, Q: Array, rng: np.random.Generator) -> Array:
     return f(E) + sample(Q, rng, E.shape[:-1])
 
 
+def moments(E: Array) -> tuple[Array, Array]:
+    """Return the sample mean (..., n) and covariance (..., n, n) of the members; it is singular for Ne <= n."""
+    x = np.mean(E, axis=-2)
+    A = E - x[..., None, :]
+    return x, np.swapaxes(A, -1, -2) @ A / (E.shape[-2] - 1)
+
+
 def joint(E: Array, h: Model, R: Array) -> Joint:
     """Return the sample moments of state and readings, S with R (N,) or (N, N) added; P is singular for Ne <= n."""
     A, Y, x, y = _anomalies(E, h(E))

@@ -43,7 +43,7 @@ class Prior(NamedTuple):
 
     core: predicted. guarded (...): whether the estimate, or a point of it, had to be moved into the plant's limits. lost (...):
     whether the model gives no finite value, see `guarded_steps`. tangent: Jacobian of the step, propagated: sigma points for
-    the update, or their covariance where the plant is linear; None for filters without them.
+    the update, or their covariance where the plant's output is linear; None for filters without them.
     """
 
     core: Core
@@ -155,7 +155,7 @@ class Unscented(_Moments):
         return self.redraw
 
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        if plant.linear:
+        if all(plant.linear):
             prior = Extended().predict(plant, core, t_start, u, dt, rng)
             p = prior.core.P
             return (
@@ -166,12 +166,14 @@ class Unscented(_Moments):
         start, moved = plant.guard(core.x)
         points = ukf.sigma_points(self.points, start, core.P)
         _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, points, u, dt)
-        x, p = ukf.moments(self.points, ahead, plant.process_cov_over(dt))
-        return Prior(GaussianState(x, p), moved | any_moved | stuck, lost, propagated=None if self.redraw else ahead)
+        x, spread = ukf.moments(self.points, ahead)
+        p = gaussian.add(spread, plant.process_cov_over(dt))
+        used_again = None if self.redraw else spread if plant.linear[1] else ahead
+        return Prior(GaussianState(x, p), moved | any_moved | stuck, lost, propagated=used_again)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
-        if plant.linear:
+        if plant.linear[1]:
             spread = p if prior.propagated is None else prior.propagated
             return Extended().joint(plant, prior._replace(core=GaussianState(x, spread)), t, u)._replace(P=p)
         over = np.expand_dims(u, -2)
@@ -198,12 +200,11 @@ class Ensemble:
         return Prior(EnsembleState(members), moved | stuck, lost)
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
+        if plant.linear[1]:
+            moments = GaussianState(*enkf.moments(prior.core.members))
+            return Extended().joint(plant, prior._replace(core=moments), t, u)
         over = np.expand_dims(u, -2)
-        found = enkf.joint(prior.core.members, lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
-        if not plant.linear:
-            return found
-        H = plant.output_jacobian_at(t, found.x, u)
-        return found._replace(repeated=repeated_readings(plant.same_readings, H, plant.sensor_cov))
+        return enkf.joint(prior.core.members, lambda s: readings_of(plant, t, s, over), plant.sensor_cov)
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
         over = np.expand_dims(reading.u, -2)

@@ -90,13 +90,14 @@ def predict(points: SigmaPoints, x: Array, P: Array, f: Model, Q: Array) -> tupl
     f maps points (..., 2n+1, n) to points; Q is (n,) or (..., n, n).
     """
     propagated = f(sigma_points(points, x, P))
-    return *moments(points, propagated, Q), propagated
+    x, spread = moments(points, propagated)
+    return x, add(spread, Q), propagated
 
 
-def moments(points: SigmaPoints, propagated: Array, Q: Array) -> tuple[Array, Array]:
-    """Return x (..., n), P (..., n, n) of propagated points (..., 2n+1, n) and the process noise Q, (n,) or (..., n, n)."""
+def moments(points: SigmaPoints, propagated: Array) -> tuple[Array, Array]:
+    """Return mean (..., n) and covariance (..., n, n) of propagated points (..., 2n+1, n), without process noise."""
     of_state = _moments(points, propagated, propagated.shape[-1])
-    return of_state[0], add(symmetrise(_covariance(points, of_state, of_state)), Q)
+    return of_state[0], symmetrise(_covariance(points, of_state, of_state))
 
 
 def joint(points: SigmaPoints, x: Array, P: Array, h: Model, R: Array, propagated: Array | None = None) -> Joint:

@@ -171,10 +171,11 @@ def test_guard_moves_states_into_the_limits_and_reports_it() -> None:
 
 def test_a_plant_is_linear_where_constant_jacobians_explain_its_changes_and_no_state_has_limits() -> None:
     plant = chain(3)
-    assert plant.linear
-    assert not replace(plant, step=lambda t, x, u, dt: plant.step(t, x, u, dt) + 1e-3 * x**2).linear
-    assert not replace(plant, states=(replace(plant.states[0], low=-9.0), *plant.states[1:])).linear
-    assert not tanks().linear
+    assert plant.linear == (True, True)
+    assert replace(plant, step=lambda t, x, u, dt: plant.step(t, x, u, dt) + 1e-3 * x**2).linear == (False, True)
+    assert replace(plant, states=(replace(plant.states[0], low=-9.0), *plant.states[1:])).linear == (False, True)
+    assert tanks().linear == (False, False)
+    assert registry.plant("gas-pipeline").linear == (False, True)
 
 
 def test_steps_for_which_the_model_does_not_hold_are_refused() -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rounding import rounding
 from toy_plants import chain, readings
 
+from fusion_sfdia import registry
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Uncertainty
@@ -47,6 +48,26 @@ def schmidt(plant: Plant, y: Array) -> tuple[list[Array], list[Array]]:
         estimates.append(x)
         covariances.append(P)
     return estimates, covariances
+
+
+@pytest.mark.parametrize("estimator", [Unscented(redraw=True), Unscented(redraw=False), Ensemble()], ids=str)
+def test_readings_that_are_states_have_the_moments_of_their_points(estimator: Unscented | Ensemble) -> None:
+    """A plant with a nonlinear step: the same as where its output is not known to be linear."""
+    linear = registry.plant("gas-pipeline")
+    other = replace(linear, numerics=replace(linear.numerics, output_jacobian=None))
+    u = linear.input_at(0.0)[None]
+    found, expected = (
+        estimator.joint(plant, estimator.predict(plant, core, 0.0, u, plant.dt, np.random.default_rng(1)), plant.dt, u)
+        for plant in (linear, other)
+        for core in [estimator.start(plant, (1,), np.random.default_rng(0))]
+    )
+    assert linear.linear[1] and not other.linear[1]
+    size = np.sqrt(np.diagonal(expected.S, axis1=-2, axis2=-1))[0]
+    # offsets of points, alpha = 1e-3 of a standard deviation, are differences of numbers of the size of the readings
+    eps = np.finfo(float).eps * 1e3 * np.max(np.abs(expected.y) / size) * 127
+    for name, unit in (("x", size), ("y", size), ("P", np.outer(size, size)), ("S", np.outer(size, size))):
+        difference = (getattr(found, name) - getattr(expected, name)) / unit
+        np.testing.assert_allclose(difference, 0.0, rtol=0, atol=eps, err_msg=name)
 
 
 @pytest.mark.parametrize(
