@@ -183,6 +183,16 @@ def test_the_central_covariance_is_consistent_in_every_quantity() -> None:
     assert all(0.9 <= value <= 1.1 for value in found.values()), found
 
 
+@pytest.mark.slow
+def test_the_papers_banks_are_judged_before_their_process_noise_leaves_the_limits_of_the_gas_equations() -> None:
+    """Seed 16 has T_16 below 253 K after 630 s, the first of 50 seeds one after 490 s."""
+    one = scenario("pipeline/consistency")
+    chosen = [{**t, "seeds": [0, 16]} for t in one.tasks(dict(one.settings), 1) if not t["budget"]]
+    rows = one.summarise(one.settings, [(t, one.work(t)) for t in chosen]).rows
+    found = {r.detector for r in rows if r.metric == "nis" and np.isfinite(r.value)}
+    assert found == {t["detector"] for t in chosen} and len(found) == 3
+
+
 @pytest.mark.parametrize(
     ("name", "numbers"),
     [("loo-chi2", np.float64), ("loo-glr", np.float32), ("loo-glr", np.float64), ("kf-chi2", np.float64)],
