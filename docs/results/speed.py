@@ -30,7 +30,7 @@ ABOUT = """# Speed
 
 `fusion-sfdia bench`, on one thread. Each time is the least of many calls, which take turns with a reference: a ratio to it
 carries over to other machines better than a time does. In brackets 95 % intervals of the ratio from the spread between turns,
-of one run. The numbers are of one machine, shared with other work while they were measured: times of a free one are lower.
+of one run. The numbers are of one machine; `scaling`, `peers` and `workers` shared it with other work, and are older.
 """
 HISTORY = """## What has become slower
 
@@ -282,8 +282,8 @@ What bounds five of these, each counted or measured in one run beside what it is
   matrices of that size. 14 detectors there contain it. Of `robust-glr` on the network 0.9 ms of 1.7 are the products of its
   windows, 61 Mflop at 70 Gflop/s in a batch.
 - **Papers**, `--full`, all but network/scale, estimated from 5 to 67 % of the tasks: 40 min of processor time, of which 28 are
-  the pipeline's. It follows 3.6 million steps of a run; 95 % of the time are detectors. The unscented bank takes 0.6 ms a step, of
-  which 0.28 ms are the model at its 127 points and 0.05 ms would be its products at 58 Gflop/s; the ensemble 0.4 (0.08 and
+  the pipeline's. It follows 3.6 million steps of a run; 95 % of the time are detectors. The unscented bank takes 0.6 ms a step,
+  of which 0.28 ms are the model at its 127 points and 0.05 ms would be its products at 58 Gflop/s; the ensemble 0.4 (0.08 and
   0.03); `loo-glr` 0.5, of which 0.24 are its windows; the extended bank 0.25 (0.03 and 0.04).
 """
 MEMORY = """## Memory
