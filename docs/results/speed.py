@@ -30,7 +30,7 @@ ABOUT = """# Speed
 
 `fusion-sfdia bench`, on one thread. Each time is the least of many calls, which take turns with a reference: a ratio to it
 carries over to other machines better than a time does. In brackets 95 % intervals of the ratio from the spread between turns,
-of one run. The numbers are of one machine; `scaling`, `peers` and `workers` shared it with other work, and are older.
+of one run. The numbers are of one machine, idle; those of `peers` are older, when it had other work, too.
 """
 HISTORY = """## What has become slower
 
@@ -226,9 +226,8 @@ def workers(rows: Sequence[Row]) -> str:
     piece = time[many, "1 processes"] / float(many.split()[0])
     empty, moved = time["an empty piece", WORKERS], (sent["sent"] + sent["answered"]) / 1e3
     text = (
-        f"The {many} were done once in each way, on two cores that had other work to do, which hides what a second worker "
-        f"gains: the numbers bound it from below. An empty piece costs {seconds(empty)}, and one of two seeds moves "
-        f"{moved:.{DIGITS}g} kB."
+        f"The {many} were done once in each way, on two idle cores. An empty piece costs {seconds(empty)}, and one of "
+        f"two seeds moves {moved:.{DIGITS}g} kB."
     )
     shown = table(("workers", many, "speed over one process"), lines).rstrip()
     return "\n\n".join((shown, fill(text, WIDTH), hour(piece, empty, moved)))
@@ -307,8 +306,8 @@ SCALING = """## Scaling
 and update of an ensemble on the pipeline, where finer grids need shorter substeps. Areas: all diagnosers of a network on one
 core.*
 
-The exponent of a line through all points, and of the last two, where constant costs count least. It exceeds the 3 that are
-counted (see below) where the windows of 500 sensors, 30 MB and more, no longer fit into the caches:
+The exponent of a line through all points, and of the last two, where constant costs count least; 3 is what is counted for
+sensors (see below):
 """
 
 
