@@ -157,12 +157,10 @@ class Unscented(_Moments):
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         if all(plant.linear):
             prior = Extended().predict(plant, core, t_start, u, dt, rng)
+            if self.redraw:
+                return prior
             p = prior.core.P
-            return (
-                prior
-                if self.redraw
-                else prior._replace(propagated=repeated(gaussian.add(single(p), -plant.process_cov_over(dt)), p))
-            )
+            return prior._replace(propagated=repeated(gaussian.add(single(p), -plant.process_cov_over(dt)), p))
         start, moved = plant.guard(core.x)
         points = ukf.sigma_points(self.points, start, core.P)
         _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, points, u, dt)

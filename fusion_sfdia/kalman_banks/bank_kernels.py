@@ -169,10 +169,9 @@ def weighed(
 
     eta (B, L, n, q) is written, from the slots `places` (L,) of `old`. A (B, n, n), and its columns of the `leading` states;
     the others count only where they are not 0. FK (B, n, N); before (B, L): D of `old`. change (B, n, r): C, the first `once`
-    at the onset only. half (B, N, N): U', seen (B, rank, read): -U' H of the states
-    that are read, whose rows behind these are 0, scores (B, N): U' d, readings (B, L): D.
-    Each is of 1 run where it is the same for all; eta and b may be. One onset comes after the other, so that what belongs to it
-    stays near. Onsets that are the same have the same bits.
+    at the onset only. half (B, N, N): U', seen (B, rank, read): -U' H of the states that are read, whose other rows are 0,
+    scores (B, N): U' d, readings (B, L): D. Each is of 1 run where it is the same for all; eta and b may be. One onset comes
+    after the other, so that what belongs to it stays near. Onsets that are the same have the same bits.
     """  # fmt: skip
     E, L, n, q = eta.shape
     N, r, d, rank, read = half.shape[1], change.shape[2], leading.shape[2], seen.shape[1], seen.shape[2]

@@ -196,6 +196,7 @@ class FusingBank(BatchDetector):
             founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
             return founds, np.stack([posterior(j, f)[0] for j, f in zip(joints, founds, strict=True)], axis=-2)
         found = statistics(joints[0], y, used)
+        found = found._replace(known=found.inverse)  # read several times
         return [found], local_estimates(joints[0], found)[0]
 
     def _mix(self, joints: list[Joint], founds: list[LeaveOneOut], local: Array, y: Array) -> Mixed:

@@ -111,12 +111,12 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
 
     A downdate of the inverse by rank one: S^-1 <- S^-1 - s_w s_w' / s_ww, u <- u - s_w u_w / s_ww, with s_w the w-th column.
     """
-    index = worst[..., None]
-    column = np.take_along_axis(found.inverse, index[..., None], axis=-1)[..., 0]
+    index, before = worst[..., None], found.inverse
+    column = np.take_along_axis(before, index[..., None], axis=-1)[..., 0]
     pivot = np.where(where[..., None], np.take_along_axis(found.weight, index, axis=-1), np.inf)
     u_worst = np.take_along_axis(found.whitened, index, axis=-1)
     whitened = found.whitened - column * (u_worst / pivot)
-    s_inv = found.inverse - column[..., :, None] * (column / pivot)[..., None, :]
+    s_inv = before - column[..., :, None] * (column / pivot)[..., None, :]
     keep = ~(one_hot(worst, whitened.shape[-1]) & where[..., None])
     s_inv = s_inv * keep[..., :, None] * keep[..., None, :]
     weight = np.maximum(np.diagonal(s_inv, axis1=-2, axis2=-1), 0.0)

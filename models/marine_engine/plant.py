@@ -146,11 +146,13 @@ class _Compiled:
     law: bool
     substeps: int
 
+    def _parts(self, dt: float) -> int:
+        return self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
+
     def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        parts = self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
         batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         result: Array = equations.advance(
-            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), parts, self.parameters_at(t_start), self.law
+            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), self._parts(dt), self.parameters_at(t_start), self.law
         )
         return result.reshape(*batch, len(STATES))
 
@@ -161,10 +163,9 @@ class _Compiled:
         return both[:, PICKS].reshape(*batch, PICKS.size)
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        parts = self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
         batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
         result: Array = equations.advance_tangent(
-            rows(x, batch, float), rows(u, batch, float), float(dt), parts, self.parameters_at(t_start), self.law
+            rows(x, batch, float), rows(u, batch, float), float(dt), self._parts(dt), self.parameters_at(t_start), self.law
         )
         return result.reshape(*batch, *result.shape[1:])
 
@@ -176,11 +177,10 @@ class _Compiled:
         return both[:, PICKS].reshape(*batch, PICKS.size, len(STATES))
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        parts = self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
         batch, kind = np.broadcast_shapes(x.shape[:-1], u.shape[:-1], theta.shape[:-1]), np.result_type(x, u, theta)
         result: Array = equations.advance_each(
-            rows(x, batch, kind), rows(u, batch, kind), rows(theta, batch, kind), float(dt), parts, self.parameters_at(t_start),
-            self.law,
+            rows(x, batch, kind), rows(u, batch, kind), rows(theta, batch, kind), float(dt), self._parts(dt),
+            self.parameters_at(t_start), self.law,
         )  # fmt: skip
         return result.reshape(*batch, len(STATES))
 
