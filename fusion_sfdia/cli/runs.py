@@ -22,7 +22,7 @@ SETTINGS = {
     "settle": "0",
     "window": "30",
     "false_alarm": "0.001",
-    "calibration_error": "0.1667",
+    "calibration_error": "0",
     "mismatch_cases": "true",
     "process_faults": "true",
 }

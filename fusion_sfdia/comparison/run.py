@@ -80,7 +80,7 @@ def work(task: Task, plant: ComparedPlant, detector: ComparedDetector) -> Arrays
     bits for the same task. Of the deployed detector also the arrays of `example`.
     """
     cases = cases_of(plant)
-    settle, steps, runs = settle_of(task, cases), judged_steps(task, cases), calibration_runs(task, cases)
+    settle, steps, runs = settle_of(task, cases), judged_steps(task, cases), calibration_runs(task, cases, task["all_seeds"])
     try:
         calibration = calibrated(plant, detector, settle, steps, runs, task["false_alarm"])
     except NotApplicableError as problem:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion_sfdia.comparison.cell import ComparisonCell
 from fusion_sfdia.comparison.figures import Cells, of_plant
-from fusion_sfdia.comparison.protocol import length_name, sizes
+from fusion_sfdia.comparison.protocol import length_name, sizes, stated_error
 from fusion_sfdia.comparison.ranking import Standing
 from fusion_sfdia.comparison.recordings import stated_distance
 from fusion_sfdia.comparison.rows import (
@@ -186,8 +186,9 @@ def missed(settings: Settings, cells: Sequence[ComparisonCell]) -> list[str]:
 
 def remarks(settings: Settings, cells: Cells) -> list[str]:
     """How to read the numbers."""
-    rate, aim = settings["false_alarm"], settings["calibration_error"]
+    rate = settings["false_alarm"]
     counts = {cell.plant: cell["nominal_alarms"].size * int(cell["calibration_samples"]) for cell in cells.values()}
+    aims = span(stated_error(settings, samples) for samples in counts.values())
     matched = span(cell.matched.value for cell in cells.values())
     deployed = span(cell.deployed.value for cell in cells.values())
     chance = span(cell.chance for cell in cells.values())
@@ -197,9 +198,9 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
     which = "; ".join(f"{c.detector} on {c.plant} {span([c.matched.value])}" for c in above)
     return [
         f"Every detector's thresholds are multiplied by one number ({scales}) so that {rate:g} of healthy samples alarm: an "
-        f"order statistic of {span(counts.values())} healthy samples of other seeds, so many that the rate would be set to "
-        f"{aim:.0%} (standard error) if they were independent. They are not: by the differences between runs it is set to "
-        f"{errors}, as a share of the rate. Intervals of what depends on the threshold contain that.",
+        f"order statistic of {span(counts.values())} healthy samples of other seeds. Were they independent, the rate would be "
+        f"set to {aims} of it (standard error). They are not: by the differences between runs it is set to {errors} of it. "
+        "Intervals of what depends on the threshold contain that.",
         f"Audit on fresh seeds: on the healthy trunks {matched} of the samples alarm as long as nothing has been isolated; "
         f"{f'shown to exceed {rate:g}: {which}' if which else f'no cell is shown to exceed {rate:g}'}. As deployed, where some "
         f"alarms last, {deployed} have an alarm. Of healthy windows of {settings['window']} samples, as long as most faults, "

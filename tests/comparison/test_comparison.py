@@ -160,14 +160,24 @@ def test_all_sensors_take_turns_in_an_order_of_each_kind(plant: str) -> None:
 
 
 def test_so_many_healthy_samples_that_the_rate_is_set_to_its_error() -> None:
-    settings = dict(protocol.SETTINGS)
+    settings = protocol.SETTINGS | {"calibration_error": 1 / 6}
     for plant in PLANTS:
-        samples = protocol.calibration_runs(settings, cases(plant)) * protocol.judged_steps(settings, cases(plant))
+        samples = protocol.calibration_runs(settings, cases(plant), 8) * protocol.judged_steps(settings, cases(plant))
         exceeding = samples * settings["false_alarm"]
         assert 1 / np.sqrt(exceeding) <= settings["calibration_error"]  # of a Poisson number
         one_less = exceeding - protocol.judged_steps(settings, cases(plant)) * settings["false_alarm"]
         assert 1 / np.sqrt(one_less) > settings["calibration_error"]
-    assert protocol.calibration_runs(settings | {"calibration_error": 0.9}, cases("two-tanks")) == protocol.LEAST_RUNS
+        assert protocol.stated_error(settings, samples) == pytest.approx(1 / np.sqrt(exceeding))
+    assert protocol.calibration_runs(settings | {"calibration_error": 0.9}, cases("two-tanks"), 8) == protocol.LEAST_RUNS
+
+
+def test_without_a_set_error_each_seed_has_calibration_runs_of_its_own() -> None:
+    settings, of = dict(protocol.SETTINGS), cases("two-tanks")
+    assert [protocol.calibration_runs(settings, of, seeds) for seeds in (1, 8, 24)] == [protocol.LEAST_RUNS, 24, 72]
+    tasks = SCENARIO.tasks(settings, 30)  # in two blocks of seeds, with one threshold
+    assert {task["all_seeds"] for task in tasks} == {30}
+    with pytest.raises(ValueError, match=r"calibration_error is 1e-05; expected at least 0\.001, or 0"):
+        SCENARIO.tasks(settings | {"calibration_error": 1e-5}, 8)
 
 
 def test_the_sizes_of_a_kind_share_the_sensor_and_err_by_their_sigmas() -> None:
@@ -269,7 +279,7 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
     settings = tiny(detectors="limits,fusing-ekf")
     results(settings)
     assert used["judged"] == {0, 1, 2}
-    assert len(used["calibrated"]) == protocol.calibration_runs(settings, cases("two-tanks"))
+    assert len(used["calibrated"]) == protocol.calibration_runs(settings, cases("two-tanks"), 3)
     assert len(used["fitted"]) >= 20
     assert not used["judged"] & (used["fitted"] | used["calibrated"])
     assert not used["fitted"] & used["calibrated"]
