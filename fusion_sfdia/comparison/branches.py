@@ -20,13 +20,15 @@ from fusion_sfdia.comparison.subjects import ComparedPlant, plant_of
 from fusion_sfdia.core.alike import shared_again, single
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.silent import silent_score
+from fusion_sfdia.core.silent import SILENT, silent_score
 from fusion_sfdia.core.state import State, chosen_runs, joined_runs, leaves, mapped
 from fusion_sfdia.evaluation.cases import ProcessFaultCase
 from fusion_sfdia.evaluation.fault_effects import apply_faults
 from fusion_sfdia.evaluation.simulate import Recording
 
 Array = NDArray[Any]
+
+ROUNDING = 1e-9  # of a score: nearer to a threshold the detector itself decides
 
 
 class Run(NamedTuple):
@@ -49,9 +51,9 @@ class Branches(NamedTuple):
         """Rows (samples, members) of the first samples of some runs."""
         return np.asarray(self.rows[list(members)] + np.arange(samples)[:, None])
 
-    def some(self, members: Sequence[int]) -> Branches:
+    def some(self, members: Sequence[int] | Array) -> Branches:
         """Some of the runs, the readings of all."""
-        return self._replace(runs=tuple(self.runs[i] for i in members), rows=self.rows[list(members)])
+        return self._replace(runs=tuple(self.runs[i] for i in members), rows=self.rows[np.asarray(members, int)])
 
 
 def branches(plant: ComparedPlant, recording: Recording, runs: Sequence[Run], window: int) -> Branches:
@@ -129,21 +131,22 @@ def walk(
     *,
     first: int = 0,
     states: Mapping[int, State] | None = None,
-    trunk: bool = True,
+    trunk: Array | None = None,
 ) -> Iterator[WalkStep]:
     """Step a detector along a recording from its `first` sample on: the runs of the trunk, and the branches under way.
 
     states: those of another walk along the trunk, with which trunk and branches begin; None to begin anew, and branches with
-    the state of the walk itself, all in one batch, the trunk first. Without the trunk, samples at which no branch is under way
-    are left out. Of the runs that share arrays (`alike`) those are stepped apart that have alarmed or missed a reading.
+    the state of the walk itself, all in one batch, the trunk first. trunk: its runs that are followed, by their numbers, None
+    for all; samples at which no run is under way are left out. Of the runs that share arrays (`alike`) those are stepped
+    apart that have alarmed or missed a reading.
     """
     B, dt = recording.y.shape[1], detector.plant.dt
     onset, length, number = (np.array([getattr(run, what) for run in found.runs], int) for what in ("onset", "length", "b"))
     end = np.concatenate([np.full(B, recording.t.size), onset + length])
     together, apart = Batch(np.arange(0), None), Batch(np.arange(0), None)
-    if trunk:
+    if trunk is None or trunk.size:
         begin = detector.init((B,), float(recording.t[first]) - dt) if states is None else states[first]
-        together = Batch(np.arange(B), begin)
+        together = Batch(np.arange(B), begin) if trunk is None else Batch(trunk, chosen_runs(begin, trunk))
     for k in range(first, recording.t.size):
         if (new := np.flatnonzero(onset == k)).size:
             before = together.state if states is None else states[k]
@@ -176,37 +179,68 @@ def shares(state: State) -> bool:
 
 
 class Silent(NamedTuple):
-    """Of a silent detector the scores on its trunk (K, B), those by the rows of Branches, and states before some samples."""
+    """Of a silent detector the scores on its trunk (K, B), and by the rows of Branches scores (NaN where it was not run) and
+    decisions; states before some samples.
+    """
 
     trunk: Array
     runs: Array
+    seen: KeptDecisions
     states: dict[int, State]
 
+    def reaches(self, scale: float, found: Branches) -> Array:
+        """Whether its score exceeds a scale in each of some branches, or is not known."""
+        within = self.runs <= scale * (1 - ROUNDING)
+        return np.array(
+            [not within[row : row + run.length].all() for row, run in zip(found.rows, found.runs, strict=True)], bool
+        )
 
-def silent_walk(detector: Detector, recording: Recording, found: Branches, kept: Collection[int]) -> Silent:
-    """Walk with a silent detector; kept: the samples before which its states are expected."""
-    count = recording.y.shape[1]
-    seen = Silent(np.empty((recording.t.size, count)), np.full(len(found.readings.y), np.nan), {})
-    for k, state, trunk, _, rows, decision in walk(detector, recording, found):
-        if k in kept:
-            seen.states[k] = chosen_runs(state, np.arange(count))
+    def at(self, scale: float) -> KeptDecisions:
+        """Its decisions with thresholds of that scale, as long as no score exceeds them."""
+        return KeptDecisions(*map(np.copy, self.seen))._replace(scores=self.seen.scores * (SILENT / scale))
+
+
+def silent_walk(detector: Detector, recording: Recording, found: Branches, kept_states: Collection[int]) -> Silent:
+    """Walk with a silent detector; kept_states: the samples before which its states are expected."""
+    count, total = recording.y.shape[1], len(found.readings.y)
+    trunk, runs = np.empty((recording.t.size, count)), np.full(total, np.nan)
+    seen, states = no_decisions(total, len(detector.plant.sensors)), {}
+    for k, state, on_trunk, _, rows, decision in walk(detector, recording, found):
+        if k in kept_states:
+            states[k] = chosen_runs(state, np.arange(count))
         score = as_scores(silent_score(decision))
-        seen.trunk[k], seen.runs[rows] = score[trunk], score[~trunk]
-    return seen
+        trunk[k], runs[rows] = score[on_trunk], score[~on_trunk]
+        keep(seen, rows, kept(detector.plant, decision), ~on_trunk)
+    return Silent(trunk, runs, seen, states)
 
 
 def deployed_walk(
-    detector: Detector, recording: Recording, found: Branches, states: Mapping[int, State], first: int, *, trunk: bool = False
+    detector: Detector, scale: float, recording: Recording, found: Branches, quiet: Silent, first: int, *, trunk: bool = False
 ) -> tuple[Array, KeptDecisions]:
-    """Walk with a deployed detector: alarms on the trunk (K, B), and decisions by the rows of Branches."""
-    count, n = recording.y.shape[1] if trunk else 0, len(detector.plant.sensors)
-    total = len(found.readings.y)
-    alarms = np.zeros((recording.t.size, count), bool)
-    flags, numbers = np.zeros((2, total), bool), np.empty((3, total, n))
-    seen = KeptDecisions(flags[0], flags[1], np.zeros((total, n), bool), numbers[0], numbers[1], numbers[2])
-    for k, _, on_trunk, numbers, rows, decision in walk(detector, recording, found, first=first, states=states, trunk=trunk):
+    """Walk with a deployed detector: alarms on the trunk (K, B), and decisions by the rows of Branches.
+
+    scale: of its thresholds over those of the scores of `quiet`. Where these stay below it, the deployed detector never
+    alarms and is in the states of the silent one: its decisions are taken over.
+    """
+    alarms, seen = np.zeros(recording.y.shape[:2], bool), quiet.at(scale)
+    reached = np.flatnonzero((quiet.trunk[first:] > scale * (1 - ROUNDING)).any(axis=0)) if trunk else np.arange(0)
+    loud = found.some(np.flatnonzero(quiet.reaches(scale, found)))
+    for k, _, on_trunk, numbers, rows, decision in walk(
+        detector, recording, loud, first=first, states=quiet.states, trunk=reached
+    ):
         now = kept(detector.plant, decision)
         alarms[k, numbers] = now.alarm[on_trunk]
-        for all_of, of_now in zip(seen, now, strict=True):
-            all_of[rows] = of_now[~on_trunk]
+        keep(seen, rows, now, ~on_trunk)
     return alarms, seen
+
+
+def no_decisions(total: int, sensors: int) -> KeptDecisions:
+    """Room for the decisions of so many rows."""
+    flags, numbers = np.zeros((2, total), bool), np.empty((3, total, sensors))
+    return KeptDecisions(flags[0], flags[1], np.zeros((total, sensors), bool), numbers[0], numbers[1], numbers[2])
+
+
+def keep(seen: KeptDecisions, rows: Array, now: KeptDecisions, of: Array) -> None:
+    """Write some runs (M,) of the decisions of a sample at their rows."""
+    for all_of, of_now in zip(seen, now, strict=True):
+        all_of[rows] = of_now[of]

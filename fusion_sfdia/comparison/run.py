@@ -1,8 +1,8 @@
 """The work of a comparison: one detector on one plant, calibrated to the common rate of false alarms, under all conditions.
 
 Until the first alarm the deployed and the silent detector have the same state, so a branch of the deployed one begins with
-that of the silent trunk: as one that has not alarmed yet. What it does on healthy readings, where some alarms last, is
-reported separately.
+that of the silent trunk: as one that has not alarmed yet; one in which no silent score reaches the threshold is the silent
+detector's. What it does on healthy readings, where some alarms last, is reported separately.
 """
 
 from __future__ import annotations
@@ -94,12 +94,12 @@ def work(task: Task, plant: ComparedPlant, detector: ComparedDetector) -> Arrays
     kept = {settle, *(run.onset for run in found.runs)}
     quiet = silent_walk(silent(calibration.detector), recording, to_sweep, kept)
     seconds = (time.process_time() - start) / (quiet.trunk.size + int(np.isfinite(quiet.runs).sum()))
-    alarms, seen = deployed_walk(deployed(calibration), recording, found, quiet.states, settle, trunk=True)
+    alarms, seen = deployed_walk(deployed(calibration), calibration.scale, recording, found, quiet, settle, trunk=True)
     parts = [labelled(calibration.detector.plant, usual, labels, seen)]
     headline = [label for label in labels if is_headline(task, label.condition)]
     to_vary = found.some([i for label in headline for i in label.members])
     for sign, scale in zip((-1, 1), calibration.ends, strict=True):
-        _, varied = deployed_walk(deployed(calibration, scale), recording, to_vary, quiet.states, settle)
+        _, varied = deployed_walk(deployed(calibration, scale), scale, recording, to_vary, quiet, settle)
         parts += [labelled(calibration.detector.plant, usual, headline, varied, sign)] if headline else []
     if mismatch_cases(task, cases):
         parts.append(under_mismatch(calibration, mismatch_material(plant, key), settle))
@@ -176,7 +176,7 @@ def under_mismatch(calibration: Calibrated, material: Material, settle: int) -> 
     """What a detector does where its model does not hold."""
     recording, found, labels = material
     quiet = silent_walk(silent(calibration.detector), beginning(recording, settle + 1), found.some([]), {settle})
-    _, seen = deployed_walk(deployed(calibration), recording, found, quiet.states, settle)
+    _, seen = deployed_walk(deployed(calibration), calibration.scale, recording, found, quiet, settle)
     return labelled(calibration.detector.plant, material, labels, seen)
 
 

@@ -296,8 +296,10 @@ def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> No
     found_calibration = calibrated(TANKS, compared_detector(name), 20, 50, 10, 0.023)
     quiet, loud = silent(found_calibration.detector), deployed(found_calibration)
     seen = silent_walk(quiet, recording, found, {r.onset for r in found.runs} | {settle})
-    alarms, outcomes = deployed_walk(loud, recording, found, seen.states, settle, trunk=True)
+    alarms, outcomes = deployed_walk(loud, found_calibration.scale, recording, found, seen, settle, trunk=True)
     assert {r.length for r in found.runs} == {6, 9}  # several are under way at once
+    assert set(seen.reaches(found_calibration.scale, found)) == {True, False}  # some are those of the silent detector
+    np.testing.assert_array_equal(seen.reaches(np.inf, found), False)
     for r, first in zip(found.runs, found.rows, strict=True):
         state = quiet.init((1,), 0.0)
         for k in range(r.onset):
