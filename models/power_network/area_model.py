@@ -44,7 +44,7 @@ def area_model(model: NetworkModel, name: str) -> AreaModel:
     i = model.network.topology.index(name)
     sides = model.network.sides(i)
     slope = model.side_slope[sides]
-    local = equations.area_matrices(model.stiffness[i : i + 1], model.constants[i : i + 1])[0]
+    local = equations.area_matrices(model.stiffness[i : i + 1], model.constants[i : i + 1], np.empty(0, int))[0, 0]
     coupling = np.zeros((sides.size, 4, 4))
     coupling[:, :, 0] = slope[:, None] * local[:, 5]
     near = model.network.neighbours(name)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import COMPLEX_STEP
 from fusion_sfdia.core.linear import constant, picked
 from fusion_sfdia.core.local_areas import LocalAreas
 from fusion_sfdia.core.plant import Plant
@@ -122,7 +121,7 @@ class _Area:
 
     def step(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         side, constants = self.split(u, theta)
-        rows = _rows(np.sum(side, axis=-1), constants, self.dt)
+        rows = equations.rows_of(np.sum(side, axis=-1), constants, self.dt)[..., 0, :, :]
         return np.asarray((rows @ self.known(x, u, side)[..., None])[..., 0])
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
@@ -131,12 +130,9 @@ class _Area:
         side, constants = self.split(u, theta)
         stiffness = np.sum(side, axis=-1)
         v = self.known(x, u, side)
-        # complex steps of the stiffness and of the five constants at once
-        stiff, moved = np.repeat(stiffness[None], 6, 0).astype(complex), np.repeat(constants[None], 6, 0).astype(complex)
-        stiff[0] += 1j * COMPLEX_STEP
-        moved[1 + np.arange(5), ..., np.arange(5)] += 1j * COMPLEX_STEP
-        held = _rows(stiff, moved, self.dt)
-        rows, (by_stiffness, *by_constants) = held[0].real, (held.imag / COMPLEX_STEP @ v[..., None])[..., 0]
+        held = equations.rows_of(stiffness, constants, self.dt, range(6))
+        rows, slopes = held[..., 0, :, :], held[..., 1:, :, :]
+        by_stiffness, *by_constants = np.moveaxis((slopes @ v[..., None, :, None])[..., 0], -2, 0)
         by_side = by_stiffness[..., None, :] + rows[..., None, :, 5] * self.angles(u)[..., None]
         found = np.empty((*v.shape[:-1], 4, 14 + 3 * d))
         found[..., :5] = rows[..., :5]
@@ -160,10 +156,4 @@ class _Area:
 
     def usual_step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         side, constants = self.split(u, self.usual)
-        return _rows(np.sum(side, axis=-1), constants, self.dt)[..., :4]
-
-
-def _rows(stiffness: Array, constants: Array, dt: float) -> Array:
-    """[F, b, g] (..., 4, 6) of areas with stiffness (...) and constants (..., 5)."""
-    matrices = equations.area_matrices(stiffness.ravel(), constants.reshape(-1, 5))
-    return np.asarray(equations.hold(matrices, dt).reshape(*stiffness.shape, 4, 6))
+        return equations.rows_of(np.sum(side, axis=-1), constants, self.dt)[..., 0, :, :4]

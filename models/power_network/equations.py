@@ -14,17 +14,20 @@ opening a tie changes both at once. `external` is all that an area needs of its 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.dual import dual
 from fusion_sfdia.core.equation import compiled, equation
 
 Array = NDArray[Any]
 
 STATES = ("theta", "omega", "p_m", "p_v")
 THETA, OMEGA, P_M, P_V = range(4)
+LANES = 16  # areas whose exponentials are computed together
 TERMS = 18  # of the exponential's series: the last is 0.5^18 / 18! = 6e-22 of the first
 
 
@@ -73,72 +76,110 @@ def area_rates(
 
 
 @compiled
-def area_matrices(stiffness: Any, constants: Any) -> Any:
-    """(M, 4, 6): the columns of A_ii, of B_i for the reference and of the external power; the equations at unit vectors.
+def area_matrices(stiffness: Any, constants: Any, along: Any) -> Any:
+    """(M, 1 + D, 4, 6): the columns of A_ii, of B_i for the reference and of the external power; the equations at unit vectors.
 
-    stiffness (M,); constants (M, 5): inertia, droop, damping, turbine time, governor time; both of floats, or complex.
+    stiffness (M,); constants (M, 5): inertia, droop, damping, turbine time, governor time. along (D,): with respect to which of
+    the stiffness (0) and the constants (1 to 5) derivatives follow, one after the other.
     """
-    count = stiffness.size
-    result = np.zeros((count, 4, 6), constants.dtype)
-    unit = np.zeros(6)
-    for i in range(count):
-        H, R, D, T_t, T_g = constants[i]
-        for column in range(6):
-            unit[:] = 0.0
-            unit[column] = 1.0
-            result[i, 0, column], result[i, 1, column], result[i, 2, column], result[i, 3, column] = area_rates(
-                unit[0], unit[1], unit[2], unit[3], unit[4], unit[5], stiffness[i], H, R, D, T_t, T_g
-            )
+    result = np.zeros((stiffness.size, 1 + along.size, 4, 6))
+    unit, of = np.zeros(6), np.zeros(6)
+    for i in range(stiffness.size):
+        for lane in range(1 + along.size):
+            of[:] = 0.0
+            if lane > 0:
+                of[along[lane - 1]] = 1.0
+            for column in range(6):
+                unit[:] = 0.0
+                unit[column] = 1.0
+                rates = area_rates(
+                    dual(unit[0], 0.0), dual(unit[1], 0.0), dual(unit[2], 0.0), dual(unit[3], 0.0), unit[4], unit[5],
+                    dual(stiffness[i], of[0]), dual(constants[i, 0], of[1]), dual(constants[i, 1], of[2]),
+                    dual(constants[i, 2], of[3]), dual(constants[i, 3], of[4]), dual(constants[i, 4], of[5]),
+                )  # fmt: skip
+                for row, rate in enumerate(rates):
+                    result[i, lane, row, column] = rate.slope if lane > 0 else rate.value
     return result
+
+
+@equation
+def multiply(a: Any, b: Any, into: Any) -> None:
+    """Write [A B; 0 1] [F G; 0 1] and its derivatives to into, of such a and b, each (1 + D, 24 LANES); a lane is an area."""
+    for d in range(a.shape[0]):
+        for row in range(4):
+            left, change = a[0, 6 * row * LANES : 6 * (row + 1) * LANES], a[d, 6 * row * LANES : 6 * (row + 1) * LANES]
+            for column in range(6):
+                own, out = change[column * LANES :], into[d, (6 * row + column) * LANES :]
+                moved, right = b[d, column * LANES :], b[0, column * LANES :]
+                share = 1.0 if column > 3 else 0.0
+                for k in range(LANES):
+                    out[k] = (
+                        share * own[k] + left[k] * moved[k] + left[LANES + k] * moved[6 * LANES + k]
+                        + left[2 * LANES + k] * moved[12 * LANES + k] + left[3 * LANES + k] * moved[18 * LANES + k]
+                    )  # fmt: skip
+                if d > 0:
+                    for k in range(LANES):
+                        out[k] += (
+                            change[k] * right[k] + change[LANES + k] * right[6 * LANES + k]
+                            + change[2 * LANES + k] * right[12 * LANES + k] + change[3 * LANES + k] * right[18 * LANES + k]
+                        )  # fmt: skip
 
 
 @compiled
 def hold(matrices: Any, dt: Any) -> Any:
-    """(M, 4, 6): [F_i, b_i, g_i] of x+ = F x + b u + g e with u and e held over dt, of [A_i, B_i, G_i] (M, 4, 6).
+    """(M, 1 + D, 4, 6): [F_i, b_i, g_i] of x+ = F x + b u + g e with u and e held over dt, and its derivatives.
 
-    exp([A B; 0 0] dt) by scaling to a norm of at most 1/2, a Taylor series and squaring, each area by itself: its numbers do
-    not depend on which other areas are computed.
+    matrices: [A_i, B_i, G_i] and its derivatives. exp([A B; 0 0] dt) by scaling to a norm of at most 1/2, a Taylor series and
+    squaring, differentiated step by step; each area by itself: its numbers do not depend on which other areas are computed.
     """
     result = np.empty_like(matrices)
-    unit, scaled, now, following = (
-        np.eye(4, 6),
-        np.empty_like(matrices[0]),
-        np.empty_like(matrices[0]),
-        np.empty_like(matrices[0]),
-    )
-    for i in range(matrices.shape[0]):
-        norm = 1e-300  # elements one by one: numba takes seconds to compile the same by arrays
-        for row in range(4):
-            across = 0.0
-            for column in range(6):
-                scaled[row, column] = matrices[i, row, column] * dt
-                across += abs(scaled[row, column])
-            norm = max(norm, across)
-        squarings = max(0, int(np.ceil(np.log2(norm))) + 1)
-        for row in range(4):
-            for column in range(6):
-                scaled[row, column] /= 2.0**squarings
-                now[row, column] = unit[row, column]
-        for k in range(TERMS, 0, -1):  # S now / k + 1, with S = [A B; 0 0]
+    areas, many = matrices.shape[0], matrices.shape[1]
+    scaled, now, following = np.zeros((many, 24 * LANES)), np.zeros((many, 24 * LANES)), np.zeros((many, 24 * LANES))
+    squarings = np.zeros(LANES)
+    for begin in range(0, areas, LANES):
+        lanes = min(LANES, areas - begin)
+        for k in range(lanes):
+            norm = 1e-300  # elements one by one: numba takes seconds to compile the same by arrays
             for row in range(4):
+                across = 0.0
                 for column in range(6):
-                    total = scaled[row, column] if column > 3 else 0.0
-                    for inner in range(4):
-                        total += scaled[row, inner] * now[inner, column]
-                    following[row, column] = total / k + unit[row, column]
-            now, following = following, now
-        for _ in range(squarings):  # [F G; 0 1]^2
+                    across += abs(matrices[begin + k, 0, row, column] * dt)
+                norm = max(norm, across)
+            squarings[k] = max(0.0, np.ceil(np.log2(norm)) + 1.0)
+            for d in range(many):
+                for at in range(24):
+                    scaled[d, at * LANES + k] = matrices[begin + k, d, at // 6, at % 6] * dt / 2.0 ** squarings[k]
+        now[:] = 0.0
+        for term in range(TERMS, -1, -1):  # S now / k + 1, with S = [A B; 0 0]
+            if term < TERMS:
+                multiply(scaled, now, following)
+                for d in range(many):
+                    for j in range(24 * LANES):
+                        now[d, j] = following[d, j] / (term + 1.0)
             for row in range(4):
-                for column in range(6):
-                    total = now[row, column] if column > 3 else 0.0
-                    for inner in range(4):
-                        total += now[row, inner] * now[inner, column]
-                    following[row, column] = total
-            now, following = following, now
-        for row in range(4):
-            for column in range(6):
-                result[i, row, column] = now[row, column]
+                for k in range(LANES):
+                    now[0, 7 * row * LANES + k] += 1.0
+        for step in range(int(squarings.max())):  # [F G; 0 1]^2
+            multiply(now, now, following)
+            for d in range(many):
+                for at in range(24):
+                    for k in range(LANES):
+                        if step < squarings[k]:
+                            now[d, at * LANES + k] = following[d, at * LANES + k]
+        for k in range(lanes):
+            for d in range(many):
+                for at in range(24):
+                    result[begin + k, d, at // 6, at % 6] = now[d, at * LANES + k]
     return result
+
+
+def rows_of(stiffness: Array, constants: Array, dt: float, along: Sequence[int] = ()) -> Array:
+    """[F_i, b_i, g_i] of areas with stiffness (...) and constants (..., 5), and D derivatives: (..., 1 + D, 4, 6).
+
+    along, constants: as in `area_matrices`.
+    """
+    matrices = area_matrices(stiffness.ravel(), constants.reshape(-1, 5), np.array(along, int))
+    return np.asarray(hold(matrices, dt).reshape(*stiffness.shape, 1 + len(along), 4, 6))
 
 
 @compiled

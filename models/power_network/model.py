@@ -127,13 +127,13 @@ class NetworkModel:
         """(M, 4, 6) rows of `area`, from the constants and slopes of these areas (M,) alone."""
         sides, first = self.network.topology.sides(areas)
         stiff = np.add.reduceat(self.side_slope[sides], first) if areas.size else np.empty(0)
-        return np.asarray(equations.hold(equations.area_matrices(stiff, self.constants[areas]), self.dt))
+        return equations.rows_of(stiff, self.constants[areas], self.dt)[:, 0]
 
     @cached_property
     def continuous(self) -> tuple[Array, Array, Array]:
         """A (4N, 4N), B (4N, N), L (4N, N) of the whole network, dense; ValueError for more than 250 areas."""
         self.require_dense()
-        local = equations.area_matrices(self.stiffness, self.constants)
+        local = equations.area_matrices(self.stiffness, self.constants, np.empty(0, int))[:, 0]
         return self._assembled(local)
 
     @cached_property
@@ -195,7 +195,7 @@ def network_model(
         raise ValueError(f"dt is {dt} s; it must be positive and finite")
     network = Network.of(c.topology, unplugged)
     slope = np.where(network.closed, c.side_slope, 0.0)
-    local = equations.hold(equations.area_matrices(stiffness(network, slope), c.constants), float(dt))
+    local = equations.rows_of(stiffness(network, slope), c.constants, float(dt))[:, 0]
     model = NetworkModel(c, network, c.constants, float(dt), noise, discretisation, local, slope)
     if discretisation == "exact":
         model.require_dense()

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import COMPLEX_STEP
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone, secants
 from fusion_sfdia.models.power_network import equations
@@ -121,7 +120,7 @@ class _Areas:
     def step(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         model = self.condition(t_start).true
         side, stiffness, constants = self.split(model, theta)
-        after = (_rows(stiffness, constants, model.dt) @ self.known(side, x, u)[..., None])[..., 0]
+        after = (equations.rows_of(stiffness, constants, model.dt)[..., 0, :, :] @ self.known(side, x, u)[..., None])[..., 0]
         return np.asarray(after.reshape(*after.shape[:-2], -1))
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
@@ -130,14 +129,10 @@ class _Areas:
         at, every = self.c.topology, np.arange(n)
         side, stiffness, constants = self.split(model, theta)
         v = self.known(side, x, u)
-        rows = _rows(stiffness, constants, model.dt)
+        held = equations.rows_of(stiffness, constants, model.dt, (0, 1 + INERTIA, 1 + DROOP))
+        rows, slopes = held[..., 0, :, :], held[..., 1:, :, :]
         gain = rows[..., 5]  # of the power from outside
-        # complex steps of the stiffness, the inertia and the droop of all areas at once
-        stiff, moved = np.repeat(stiffness[None], 3, 0).astype(complex), np.repeat(constants[None], 3, 0).astype(complex)
-        for change in (stiff[0], moved[1, ..., INERTIA], moved[2, ..., DROOP]):
-            change += 1j * COMPLEX_STEP
-        slopes = _rows(stiff, moved, model.dt).imag / COMPLEX_STEP
-        by_stiffness, by_inertia, by_droop = (slopes @ v[..., None])[..., 0]
+        by_stiffness, by_inertia, by_droop = np.moveaxis((slopes @ v[..., None, :, None])[..., 0], -2, 0)
         by_side = by_stiffness[..., at.node, :] + gain[..., at.node, :] * x[..., 4 * at.neighbour, None]
         # columns: 4 n states, n references, n loads, e slopes, n inertias, n droops; each with the 4 states of its areas
         found = np.zeros((*v.shape[:-2], n, 8 * n + e, 4))
@@ -150,9 +145,3 @@ class _Areas:
         found[..., every, 6 * n + e + every, :] = by_inertia
         found[..., every, 7 * n + e + every, :] = by_droop
         return np.swapaxes(found, -1, -2).reshape(*v.shape[:-2], 4 * n, -1)
-
-
-def _rows(stiffness: Array, constants: Array, dt: float) -> Array:
-    """[F_i, b_i, g_i] (..., N, 4, 6) of areas with stiffness (..., N) and constants (..., N, 5)."""
-    matrices = equations.area_matrices(stiffness.ravel(), constants.reshape(-1, 5))
-    return np.asarray(equations.hold(matrices, dt).reshape(*stiffness.shape, 4, 6))

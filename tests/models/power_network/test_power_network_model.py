@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from network_loop import rates
-from scipy.linalg import expm
+from scipy.linalg import expm, expm_frechet
 
 from fusion_sfdia.models.power_network import equations
 from fusion_sfdia.models.power_network.area_model import area_model
@@ -27,12 +27,40 @@ NAMES = MODEL.names
 def test_the_hold_is_the_matrix_exponential(governor_time: float) -> None:
     constants = load_network().constants.copy()
     constants[:, 4] = governor_time
-    matrices = equations.area_matrices(MODEL.stiffness, constants)
+    matrices = equations.area_matrices(MODEL.stiffness, constants, np.empty(0, int))[:, 0]
     whole = np.zeros((15, 6, 6))
     whole[:, :4] = matrices
-    held = equations.hold(matrices, 1.0)
+    held = equations.hold(matrices[:, None], 1.0)[:, 0]
     # squaring s times multiplies rounding by 2^s, some norm of A dt
     assert np.abs(held - expm(whole)[:, :4]).max() < 20 * EPS * np.abs(matrices).sum(axis=2).max() * np.abs(held).max()
+
+
+@pytest.mark.parametrize("governor_time", [0.1, 1000.0, 1e-3])
+def test_the_derivatives_of_the_hold_are_those_of_the_matrix_exponential(governor_time: float) -> None:
+    constants = np.tile(load_network().constants, (2, 1))[:20]  # more areas than are computed together
+    constants[:, 4] = governor_time
+    stiffness = np.tile(MODEL.stiffness, 2)[:20]
+    held = equations.rows_of(stiffness, constants, 1.0, range(6))
+    assert np.array_equal(held[:, 0], equations.rows_of(stiffness, constants, 1.0)[:, 0])
+    whole = np.zeros((20, 7, 6, 6))
+    whole[:, :, :4] = equations.area_matrices(stiffness, constants, np.arange(6))
+    for i in (0, 7, 19):
+        assert np.array_equal(held[i], equations.rows_of(stiffness[i : i + 1], constants[i : i + 1], 1.0, range(6))[0])
+        for d in range(1, 7):
+            exact = expm_frechet(whole[i, 0], whole[i, d], compute_expm=False)[:4]
+            rounding = EPS * np.abs(whole[i, 0]).sum(axis=1).max() * np.abs(whole[i, d]).sum(axis=1).max()
+            assert np.abs(held[i, d] - exact).max() < 20 * rounding * np.abs(held[i, 0]).max() ** 2
+
+
+def test_the_derivatives_of_the_matrices_are_those_of_the_equations() -> None:
+    every = np.arange(6)
+    found = equations.area_matrices(MODEL.stiffness, MODEL.constants, every)
+    values = np.concatenate([MODEL.stiffness[:, None], MODEL.constants], axis=1)
+    for d in every:
+        step = np.where(every == d, 1e-6, 0.0) * values
+        above, below = (equations.area_matrices(v[:, 0], v[:, 1:], every[:0])[:, 0] for v in (values + step, values - step))
+        difference = (above - below) / (2 * step[:, d, None, None])
+        assert np.abs(found[:, 1 + d] - difference).max() < 1e-8 * max(1.0, np.abs(found[:, 1 + d]).max())
 
 
 def advanced(discretisation: str, parts: int) -> np.ndarray:
