@@ -20,6 +20,7 @@ Where the model has no solution (a negative pressure) real numbers give NaN.
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,6 +85,7 @@ class EngineParameters(NamedTuple):
 
 
 UNKNOWN = ("load", "heat", "turbine_area", "turbocharger_efficiency", "T_cooler")  # which may be given for each state
+_values = attrgetter(*UNKNOWN)
 
 
 @equation
@@ -98,6 +100,21 @@ def with_unknown(c: EngineParameters, theta: Any) -> EngineParameters:
         c.p_charge_nominal, c.T_charge_nominal, c.p_ambient, c.p_exhaust, c.T_ambient, theta[4], c.T_inlet,
         c.inlet_effectiveness,
     )  # fmt: skip
+
+
+def unknown_of(c: EngineParameters) -> Array:
+    """The parameters UNKNOWN (5,), read only."""
+    found = np.array(_values(c))
+    found.flags.writeable = False
+    return found
+
+
+def rows(a: Array, batch: tuple[int, ...], kind: Any) -> Array:
+    """The batch of a (..., n) as a contiguous matrix (B, n), read only: nothing is compiled for two types of arrays."""
+    whole = a if a.shape[:-1] == batch else np.broadcast_to(a, (*batch, a.shape[-1]))
+    found = np.ascontiguousarray(whole, dtype=kind).reshape(-1, a.shape[-1])
+    found.flags.writeable = False
+    return found
 
 
 @equation
@@ -471,131 +488,151 @@ def inflow_at(fuel: Any, torque: Any, p_receiver: Any, p_charge: Any, c: EngineP
 
 
 @compiled
-def advance(states: Any, inputs: Any, dt: float, substeps: int, c: EngineParameters, law: bool) -> Array:
-    """The exponential midpoint rule (discretise) in `substeps` of dt, for states (B, 3) with inputs (B, 1) held."""
+def advance(states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: EngineParameters, law: bool) -> Array:
+    """The exponential midpoint rule (discretise) in `substeps` of dt, for states (B, 3) with inputs (B, 1) held.
+
+    theta: the parameters UNKNOWN of all states (1, 5) or of each one (B, 5).
+    """
     result: Array = states.copy()
     tau = np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
     half, whole = -np.expm1(-dt / (2 * substeps) / tau), -np.expm1(-dt / substeps / tau)
     for b in range(states.shape[0]):
+        e = with_unknown(c, theta[min(b, theta.shape[0] - 1)])
         x1, x3, x4 = states[b, 0], states[b, 1], states[b, 2]
         level_1 = c.fuel_delay * fuel_inflow(inputs[b, 0], c)
         for _ in range(substeps):
-            h3, h4 = inflow_of(x1, x3, x4, c, law)
+            h3, h4 = inflow_of(x1, x3, x4, e, law)
             middle_1 = x1 + half[0] * (level_1 - x1)
             middle_3, middle_4 = x3 + half[1] * (tau[1] * h3 - x3), x4 + half[2] * (tau[2] * h4 - x4)
-            h3, h4 = inflow_of(middle_1, middle_3, middle_4, c, law)
+            h3, h4 = inflow_of(middle_1, middle_3, middle_4, e, law)
             x1 = x1 + whole[0] * (level_1 - x1)
             x3, x4 = x3 + whole[1] * (tau[1] * h3 - x3), x4 + whole[2] * (tau[2] * h4 - x4)
         result[b, 0], result[b, 1], result[b, 2] = x1, x3, x4
     return result
 
 
+# Derivatives are along the states and then the parameters UNKNOWN, of which the first `count` are asked: a direction each.
 @equation
-def torque_and_slopes(x: Any, c: EngineParameters) -> tuple[Any, Any, Any, Any]:
-    """The torque of the state x (3,) and its derivatives with respect to the states.
+def unknown_along(a: int, theta: Any, c: EngineParameters) -> EngineParameters:
+    """The parameters with slopes along the direction a."""
+    t0, t1, t2 = 1.0 if a == 3 else 0.0, 1.0 if a == 4 else 0.0, 1.0 if a == 5 else 0.0
+    t3, t4 = 1.0 if a == 6 else 0.0, 1.0 if a == 7 else 0.0
+    return with_unknown(c, (dual(theta[0], t0), dual(theta[1], t1), dual(theta[2], t2), dual(theta[3], t3), dual(theta[4], t4)))
+
+
+@equation
+def torque_and_slopes(x: Any, theta: Any, slopes: Any, c: EngineParameters) -> Any:
+    """The torque of the state x (3,); its derivatives are written to slopes (3 + count,).
 
     It is the fixed point of phi = swept_torque, so that they are those of phi over 1 - d phi / d torque.
     """
-    T_charge = charge_temperature(c)
-    torque, by_fuel, by_pressure, by_torque = solved_torque(x[0], x[2], T_charge, c), 0.0, 0.0, 0.0
-    for a in range(3):  # once in the compiled code
-        fuel, p_charge = dual(x[0], 1.0 if a == 0 else 0.0), dual(x[2], 1.0 if a == 1 else 0.0)
-        phi = swept_torque(fuel, dual(torque, 1.0 if a == 2 else 0.0), p_charge, T_charge, c)
-        by_fuel, by_pressure, by_torque = by_pressure, by_torque, phi.slope
-    return torque, by_fuel / (1.0 - by_torque), 0.0, by_pressure / (1.0 - by_torque)
+    own, left = with_unknown(c, theta), 1.0
+    torque = solved_torque(x[0], x[2], charge_temperature(own), own)
+    for a in range(-1, slopes.shape[0]):  # once in the compiled code; -1: along the torque
+        e = unknown_along(a, theta, c)
+        fuel, p_charge = dual(x[0], 1.0 if a == 0 else 0.0), dual(x[2], 1.0 if a == 2 else 0.0)
+        phi = swept_torque(fuel, dual(torque, 1.0 if a < 0 else 0.0), p_charge, charge_temperature(e), e)
+        if a < 0:
+            left = 1.0 - phi.slope
+        else:
+            slopes[a] = phi.slope / left
+    return torque
 
 
 @equation
-def along(a: int, x: Any, found: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any, Any]:
-    """Fuel, torque and both pressures of the state x (3,) with slopes along the state a; found: `torque_and_slopes`."""
-    slope = found[1] if a == 0 else found[2] if a == 1 else found[3]
-    p_receiver, p_charge = dual(x[1], 1.0 if a == 1 else 0.0), dual(x[2], 1.0 if a == 2 else 0.0)
-    return dual(x[0], 1.0 if a == 0 else 0.0), dual(found[0], slope), p_receiver, p_charge
+def states_along(a: int, x: Any) -> tuple[Any, Any, Any]:
+    """Fuel and both pressures of the state x (3,) with slopes along the direction a."""
+    of_fuel, of_receiver, of_charge = 1.0 if a == 0 else 0.0, 1.0 if a == 1 else 0.0, 1.0 if a == 2 else 0.0
+    return dual(x[0], of_fuel), dual(x[1], of_receiver), dual(x[2], of_charge)
 
 
 @compiled
-def advance_tangent(states: Any, inputs: Any, dt: float, substeps: int, c: EngineParameters, law: bool) -> Array:
-    """Derivatives (B, 3, 3) of `advance` with respect to the states, by the chain rule through its stages."""
-    result = np.empty((states.shape[0], 3, 3))
+def inflow_derivatives(x: Any, theta: Any, h: Any, J: Any, c: EngineParameters, law: bool) -> None:
+    """Write h(3) and h(4) of the state x (3,), Pa/s, to h (2,), and their derivatives to J (2, 3 + count)."""
+    slopes = np.empty(J.shape[1])
+    torque = torque_and_slopes(x, theta, slopes, c)
+    for a in range(slopes.shape[0]):
+        fuel, p_receiver, p_charge = states_along(a, x)
+        h3, h4 = inflow_at(fuel, dual(torque, slopes[a]), p_receiver, p_charge, unknown_along(a, theta, c), law)
+        h[0], h[1], J[0, a], J[1, a] = h3.value, h4.value, h3.slope, h4.slope
+
+
+@compiled
+def advance_tangent(
+    states: Any, inputs: Any, theta: Any, count: int, dt: float, substeps: int, c: EngineParameters, law: bool
+) -> Array:
+    """Derivatives (B, 3, 4 + count) of `advance` with respect to states, input and parameters, by the chain rule through its
+    stages.
+    """
+    columns = 4 + count
+    result = np.empty((states.shape[0], 3, columns))
     tau = np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
     stages = -np.expm1(-dt / (2 * substeps) / tau), -np.expm1(-dt / substeps / tau)
-    x, at, J = np.empty(3), np.empty(3), np.zeros((3, 3))
-    aims, dx, dat, ahead = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    x, at, aims, h, of_h = np.empty(3), np.empty(3), np.empty(3), np.empty(2), np.empty((2, 3 + count))
+    J, direct = np.zeros((3, 3)), np.zeros((3, columns))
+    dx, dat, ahead = np.empty((3, columns)), np.empty((3, columns)), np.empty((3, columns))
     for b in range(states.shape[0]):
-        aims[0] = c.fuel_delay * fuel_inflow(inputs[b, 0], c)
-        for i in range(3):
+        own = theta[min(b, theta.shape[0] - 1)]
+        level = fuel_inflow(dual(inputs[b, 0], 1.0), c)
+        aims[0], direct[0, 3] = c.fuel_delay * level.value, c.fuel_delay * level.slope
+        for i in range(3):  # elements one by one: numba takes seconds to compile the same by arrays
             x[i] = states[b, i]
-            for j in range(3):
+            for j in range(columns):
                 dx[i, j] = 1.0 if i == j else 0.0
         for _ in range(substeps):
-            at[:], dat[:] = x, dx
+            for i in range(3):
+                at[i] = x[i]
+                for j in range(columns):
+                    dat[i, j] = dx[i, j]
             for share in stages:
-                found = torque_and_slopes(at, c)
-                for a in range(3):
-                    fuel, torque, p_receiver, p_charge = along(a, at, found)
-                    h3, h4 = inflow_at(fuel, torque, p_receiver, p_charge, c, law)
-                    aims[1], aims[2] = tau[1] * h3.value, tau[2] * h4.value
-                    J[1, a], J[2, a] = tau[1] * h3.slope, tau[2] * h4.slope
+                inflow_derivatives(at, own, h, of_h, c, law)
+                for i in range(1, 3):
+                    aims[i] = tau[i] * h[i - 1]
+                    for a in range(3 + count):
+                        if a < 3:
+                            J[i, a] = tau[i] * of_h[i - 1, a]
+                        else:
+                            direct[i, 1 + a] = tau[i] * of_h[i - 1, a]
                 for i in range(3):
                     at[i] = x[i] + share[i] * (aims[i] - x[i])
-                    for j in range(3):
-                        moved = J[i, 0] * dat[0, j] + J[i, 1] * dat[1, j] + J[i, 2] * dat[2, j]
+                    for j in range(columns):
+                        moved = J[i, 0] * dat[0, j] + J[i, 1] * dat[1, j] + J[i, 2] * dat[2, j] + direct[i, j]
                         ahead[i, j] = dx[i, j] + share[i] * (moved - dx[i, j])
-                dat[:] = ahead
-            x[:], dx[:] = at, dat
-        result[b] = dx
+                dat, ahead = ahead, dat
+            x, at, dx, dat = at, x, dat, dx
+        for i in range(3):
+            for j in range(columns):
+                result[b, i, j] = dx[i, j]
     return result
 
 
 @compiled
-def inflows(states: Any, c: EngineParameters, law: bool) -> Array:
-    """h(3) and h(4), Pa/s (B, 2), of states (B, 3)."""
-    result = np.empty((states.shape[0], 2), states.dtype)
-    for b in range(states.shape[0]):
-        result[b, 0], result[b, 1] = inflow_of(states[b, 0], states[b, 1], states[b, 2], c, law)
-    return result
-
-
-@compiled
-def algebraic(states: Any, c: EngineParameters, law: bool) -> Array:
-    """The algebraic variables (B, 7) of states (B, 3), in the order of ALGEBRAIC."""
+def algebraic(states: Any, theta: Any, c: EngineParameters, law: bool) -> Array:
+    """The algebraic variables (B, 7) of states (B, 3), in the order of ALGEBRAIC; theta as of `advance`."""
     result = np.empty((states.shape[0], 7), states.dtype)
     for b in range(states.shape[0]):
-        z = variables(states[b, 0], states[b, 1], states[b, 2], c, law)
+        e = with_unknown(c, theta[min(b, theta.shape[0] - 1)])
+        z = variables(states[b, 0], states[b, 1], states[b, 2], e, law)
         result[b, 0], result[b, 1], result[b, 2] = z[0], z[1], z[2]
         result[b, 3], result[b, 4], result[b, 5], result[b, 6] = z[3], z[4], z[5], z[6]
     return result
 
 
 @compiled
-def algebraic_tangent(states: Any, c: EngineParameters, law: bool) -> Array:
-    """Derivatives (B, 7, 3) of `algebraic` with respect to the states; the charge temperature is constant."""
-    result = np.zeros((states.shape[0], 7, 3))
+def variables_tangent(states: Any, theta: Any, count: int, c: EngineParameters, law: bool) -> Array:
+    """Derivatives (B, 10, 4 + count) of states and algebraic variables with respect to states, input and parameters."""
+    result = np.zeros((states.shape[0], 10, 4 + count))
+    slopes = np.empty(3 + count)
     for b in range(states.shape[0]):
-        found = torque_and_slopes(states[b], c)
-        for a in range(3):
-            fuel, torque, p_receiver, p_charge = along(a, states[b], found)
-            z = variables_at(fuel, torque, p_receiver, p_charge, c, law)
-            result[b, 0, a], result[b, 1, a], result[b, 2, a] = z[0].slope, z[1].slope, z[2].slope
-            result[b, 3, a], result[b, 4, a], result[b, 6, a] = z[3].slope, z[4].slope, z[6].slope
-    return result
-
-
-@compiled
-def advance_each(states: Any, inputs: Any, theta: Any, dt: float, substeps: int, c: EngineParameters, law: bool) -> Array:
-    """`advance` with the parameters theta (B, 5) of each state."""
-    result: Array = states.copy()
-    for b in range(states.shape[0]):
-        result[b] = advance(states[b : b + 1], inputs[b : b + 1], dt, substeps, with_unknown(c, theta[b]), law)[0]
-    return result
-
-
-@compiled
-def algebraic_each(states: Any, theta: Any, c: EngineParameters, law: bool) -> Array:
-    """`algebraic` with the parameters theta (B, 5) of each state."""
-    result = np.empty((states.shape[0], 7), states.dtype)
-    for b in range(states.shape[0]):
-        result[b] = algebraic(states[b : b + 1], with_unknown(c, theta[b]), law)[0]
+        own = theta[min(b, theta.shape[0] - 1)]
+        torque = torque_and_slopes(states[b], own, slopes, c)
+        for a in range(3 + count):
+            fuel, p_receiver, p_charge = states_along(a, states[b])
+            z = variables_at(fuel, dual(torque, slopes[a]), p_receiver, p_charge, unknown_along(a, own, c), law)
+            for i in range(7):
+                result[b, 3 + i, a if a < 3 else 1 + a] = z[i].slope
+            if a < 3:
+                result[b, a, a] = 1.0
     return result
 
 

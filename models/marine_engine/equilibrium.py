@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import complex_step_jacobian
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 
@@ -30,7 +29,7 @@ def engine_variables(x: Array, c: EngineParameters, slip: str = "law") -> dict[s
     for i, name in enumerate(STATES):
         if not np.all(np.isfinite(x[..., i]) & (x[..., i] > 0)):
             raise ValueError(f"{name} is {np.min(x[..., i]):g}; fuel and pressures must be positive and finite")
-    z = equations.algebraic(np.ascontiguousarray(x).reshape(-1, len(STATES)), c, follows_law(slip))
+    z = equations.algebraic(equations.rows(x, x.shape[:-1], float), equations.unknown_of(c)[None], c, follows_law(slip))
     z = z.reshape(*x.shape[:-1], len(ALGEBRAIC))
     bad = [name for i, name in enumerate(ALGEBRAIC) if not np.all(z[..., i] > 0)]
     if bad:
@@ -69,19 +68,16 @@ def equilibrium(load: float, c: EngineParameters, slip: str = "law") -> Array:
 def _settle(load: float, logs: Array, c: EngineParameters, law: bool) -> Array:
     fuel = c.full_injection * load
 
-    def residual(q: Array) -> Array:
-        p = np.exp(q).reshape(-1, 2)
-        x = np.concatenate([np.full((p.shape[0], 1), fuel, p.dtype), p], axis=-1)
-        h = equations.inflows(x, c, law).reshape(*q.shape[:-1], 2)
-        found: Array = np.log(h * np.array([c.receiver_delay, c.charge_delay])) - q
-        return found
-
+    tau, theta = np.array([c.receiver_delay, c.charge_delay]), equations.unknown_of(c)
+    h, J = np.empty(2), np.empty((2, len(STATES)))
     with np.errstate(all="ignore"):
         for _ in range(ITERATIONS):
-            r = residual(logs)
+            p = np.exp(logs)
+            equations.inflow_derivatives(np.array([fuel, *p]), theta, h, J, c, law)
+            r = np.log(h * tau) - logs
             if np.max(np.abs(r)) < TOLERANCE:
                 return logs
-            slope = complex_step_jacobian(residual, logs)
+            slope = J[:, 1:] * p / h[:, None] - np.eye(2)
             if not (np.all(np.isfinite(r)) and np.all(np.isfinite(slope)) and np.linalg.cond(slope) < 1e12):
                 break
             step = np.linalg.solve(slope, r)

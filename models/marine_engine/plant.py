@@ -150,45 +150,47 @@ class _Compiled:
         return self.substeps * max(1, int(np.ceil(dt / LONGEST_STEP - 1e-9)))
 
     def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        result: Array = equations.advance(
-            rows(x, batch, u.dtype), rows(u, batch, x.dtype), float(dt), self._parts(dt), self.parameters_at(t_start), self.law
-        )
-        return result.reshape(*batch, len(STATES))
+        return self.step_at(t_start, x, u, dt, self._nominal(t_start))
 
     def output(self, t: float, x: Array, u: Array) -> Array:
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        flat = rows(x, batch, u.dtype)
-        both = np.concatenate([flat, equations.algebraic(flat, self.parameters_at(t), self.law)], axis=-1)
-        return both[:, PICKS].reshape(*batch, PICKS.size)
+        return self.output_at(t, x, u, self._nominal(t))
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        result: Array = equations.advance_tangent(
-            rows(x, batch, float), rows(u, batch, float), float(dt), self._parts(dt), self.parameters_at(t_start), self.law
-        )
-        return result.reshape(*batch, *result.shape[1:])
+        return self._step_tangent(t_start, x, u, dt, self._nominal(t_start), 0)[..., : len(STATES)]
 
     def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
-        batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
-        of_algebraic = equations.algebraic_tangent(rows(x, batch, float), self.parameters_at(t), self.law)
-        of_states = np.broadcast_to(np.eye(len(STATES)), (len(of_algebraic), len(STATES), len(STATES)))
-        both = np.concatenate([of_states, of_algebraic], axis=1)
-        return both[:, PICKS].reshape(*batch, PICKS.size, len(STATES))
+        return self._output_tangent(t, x, u, self._nominal(t), 0)[..., : len(STATES)]
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        batch, kind = np.broadcast_shapes(x.shape[:-1], u.shape[:-1], theta.shape[:-1]), np.result_type(x, u, theta)
-        result: Array = equations.advance_each(
-            rows(x, batch, kind), rows(u, batch, kind), rows(theta, batch, kind), float(dt), self._parts(dt),
-            self.parameters_at(t_start), self.law,
-        )  # fmt: skip
+        batch, states, inputs, parameters = _rows(x, u, theta, np.result_type(x, u, theta))
+        c = self.parameters_at(t_start)
+        result: Array = equations.advance(states, inputs, parameters, float(dt), self._parts(dt), c, self.law)
         return result.reshape(*batch, len(STATES))
 
     def output_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
-        batch, kind = np.broadcast_shapes(x.shape[:-1], u.shape[:-1], theta.shape[:-1]), np.result_type(x, u, theta)
-        flat = rows(x, batch, kind)
-        z = equations.algebraic_each(flat, rows(theta, batch, kind), self.parameters_at(t), self.law)
-        return np.concatenate([flat, z], axis=-1)[:, PICKS].reshape(*batch, PICKS.size)
+        batch, states, _, parameters = _rows(x, u, theta, np.result_type(x, u, theta))
+        z = equations.algebraic(states, parameters, self.parameters_at(t), self.law)
+        return np.concatenate([states, z], axis=-1)[:, PICKS].reshape(*batch, PICKS.size)
+
+    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        return self._step_tangent(t_start, x, u, dt, theta, theta.shape[-1])
+
+    def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
+        return self._output_tangent(t, x, u, theta, theta.shape[-1])
+
+    def _step_tangent(self, t_start: float, x: Array, u: Array, dt: float, theta: Array, count: int) -> Array:
+        batch, states, inputs, parameters = _rows(x, u, theta, float)
+        c = self.parameters_at(t_start)
+        result: Array = equations.advance_tangent(states, inputs, parameters, count, float(dt), self._parts(dt), c, self.law)
+        return result.reshape(*batch, *result.shape[1:])
+
+    def _output_tangent(self, t: float, x: Array, u: Array, theta: Array, count: int) -> Array:
+        batch, states, _, parameters = _rows(x, u, theta, float)
+        result: Array = equations.variables_tangent(states, parameters, count, self.parameters_at(t), self.law)
+        return result[:, PICKS].reshape(*batch, PICKS.size, result.shape[-1])
+
+    def _nominal(self, t: float) -> Array:
+        return equations.unknown_of(self.parameters_at(t))
 
 
 def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
@@ -198,11 +200,16 @@ def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
     and turbine area have the correlation -0.96, of the heat of the fuel and the error of its setting -0.80.
     """
     parameters = [SPREAD[name].parameter(name, float(getattr(c, name))) for name in equations.UNKNOWN]
-    return Uncertainty(tuple(parameters), model.step_at, model.output_at, inputs={"fuel_setting": FUEL_SETTING}, at_rest=True)
+    return Uncertainty(
+        tuple(parameters), model.step_at, model.output_at, model.step_jacobian_at, model.output_jacobian_at,
+        inputs={"fuel_setting": FUEL_SETTING}, at_rest=True,
+    )  # fmt: skip
 
 
-def rows(a: Array, batch: tuple[int, ...], other: Any) -> Array:
-    """Return a (..., n), broadcast to the batch, as a contiguous matrix (B, n) of floats or complex numbers."""
-    kind = np.result_type(a, other, float)
-    whole = a if a.shape[:-1] == batch else np.broadcast_to(a, (*batch, a.shape[-1]))
-    return np.ascontiguousarray(whole, dtype=kind).reshape(-1, a.shape[-1])
+def _rows(x: Array, u: Array, theta: Array, kind: Any) -> tuple[Any, ...]:
+    """The batch, then states, inputs and parameters of that type (B, ...); of parameters for all (1, 5)."""
+    batch = x.shape[:-1]
+    if u.shape[:-1] != batch or theta.ndim > 1:
+        batch = np.broadcast_shapes(batch, u.shape[:-1], theta.shape[:-1])
+    of_parameters = equations.rows(theta, batch if theta.ndim > 1 else (), kind)
+    return batch, equations.rows(x, batch, kind), equations.rows(u, batch, kind), of_parameters

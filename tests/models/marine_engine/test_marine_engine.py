@@ -11,7 +11,7 @@ from rounding import rounding
 from scipy.integrate import solve_ivp
 
 from fusion_sfdia.core.discretise import discretise
-from fusion_sfdia.core.equation import difference_jacobian
+from fusion_sfdia.core.equation import complex_step_jacobian, difference_jacobian
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.models.marine_engine import equations
@@ -53,7 +53,7 @@ def test_a_load_step_agrees_with_an_implicit_integrator(method: str) -> None:
     physics = engine_physics(C, "law", PLANT.x0, 1.0)
 
     def slope(s: float, x: Array) -> Array:
-        return physics.f(s, x, equations.algebraic(x[None], C, True)[0], low, C)
+        return physics.f(s, x, equations.algebraic(x[None], equations.unknown_of(C)[None], C, True)[0], low, C)
 
     # rtol 1e-8 leaves the oracle a thousand times more exact than what is asked
     oracle = solve_ivp(slope, (0.0, 20.0), PLANT.x0, method, t_eval=t, rtol=1e-8, atol=1e-10 * PLANT.x0).y.T
@@ -131,6 +131,28 @@ def test_jacobians_are_those_of_differences_and_of_the_settled_loop(slip: str) -
         # and the generic solver, which sweeps until the imaginary parts have settled, to 1e-13
         np.testing.assert_allclose(step_jacobian * scaled, arrays.step_jacobian_at(0.0, x, FULL, 0.01) * scaled, atol=1e-11)
         np.testing.assert_allclose(output_jacobian * per_cent, arrays.output_jacobian_at(0.0, x, FULL) * per_cent, atol=1e-11)
+
+
+@pytest.mark.parametrize("slip", ["law", "constant"])
+def test_derivatives_with_respect_to_input_and_parameters_are_those_of_the_complex_step(slip: str) -> None:
+    known = marine_engine(slip=slip).uncertainty
+    assert known.step and known.output and known.step_jacobian and known.output_jacobian
+    x, u = around((4,), 0.1), np.linspace(0.5, 1.0, 4)[:, None]
+    theta = known.nominal * np.random.default_rng(2).uniform(0.97, 1.03, (4, 5))
+    joint = np.concatenate([x, u, theta], axis=-1)
+    of_step, of_output = (
+        complex_step_jacobian(lambda v: known.step(0.0, v[..., :3], v[..., 3:4], 0.013, v[..., 4:]), joint),
+        complex_step_jacobian(lambda v: known.output(0.0, v[..., :3], v[..., 3:4], v[..., 4:]), joint),
+    )
+    by_step, by_output = known.step_jacobian(0.0, x, u, 0.013, theta), known.output_jacobian(0.0, x, u, theta)
+    # the chord method of the torque leaves 1e-13 of the derivatives
+    scaled = joint[:, None] / known.step(0.0, x, u, 0.013, theta)[..., None]
+    np.testing.assert_allclose(by_step * scaled, of_step * scaled, atol=1e-11)
+    per_cent = joint[:, None] / known.output(0.0, x, u, theta)[..., None]
+    np.testing.assert_allclose(by_output * per_cent, of_output * per_cent, atol=1e-11)
+    one = known.step_jacobian(0.0, x, u, 0.013, theta[0]), known.output_jacobian(0.0, x, u, theta[0])
+    np.testing.assert_array_equal(one[0][0], by_step[0])
+    np.testing.assert_array_equal(one[1][0], by_output[0])
 
 
 def test_subsystems_and_sensors_are_those_of_the_paper() -> None:

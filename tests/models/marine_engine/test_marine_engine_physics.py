@@ -19,13 +19,14 @@ Array = NDArray[Any]
 C = engine_parameters()
 X0 = equilibrium(1.0, C)
 FULL = np.ones(1)
+NOMINAL = equations.unknown_of(C)[None]
 
 
 def test_the_linearised_engine_is_stable_with_three_time_scales() -> None:
     physics = engine_physics(C, "law", X0, 1.0)
 
     def slope(x: Array) -> Array:
-        z = equations.algebraic(np.ascontiguousarray(x).reshape(-1, 3), C, True).reshape(*x.shape[:-1], 7)
+        z = equations.algebraic(np.ascontiguousarray(x).reshape(-1, 3), NOMINAL, C, True).reshape(*x.shape[:-1], 7)
         return physics.f(0.0, x, z, FULL, C)
 
     eigenvalues = np.sort(np.linalg.eigvals(complex_step_jacobian(slope, X0)).real)
@@ -36,7 +37,7 @@ def test_the_linearised_engine_is_stable_with_three_time_scales() -> None:
 
 def test_the_physics_is_at_rest_in_equilibrium() -> None:
     physics = engine_physics(C, "law", X0, 1.0)
-    z = equations.algebraic(X0[None], C, True)[0]
+    z = equations.algebraic(X0[None], NOMINAL, C, True)[0]
     # the equilibrium is found to 1e-12 of each state, so a rate is 1e-12 of the state over its time constant
     assert np.all(np.abs(physics.f(0.0, X0, z, FULL, C)) <= 2e-12 * decay_rates(C) * X0)
 
