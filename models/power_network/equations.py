@@ -135,7 +135,7 @@ def hold(matrices: Any, dt: Any) -> Any:
     result = np.empty_like(matrices)
     areas, many = matrices.shape[0], matrices.shape[1]
     scaled, now, following = np.zeros((many, 24 * LANES)), np.zeros((many, 24 * LANES)), np.zeros((many, 24 * LANES))
-    squarings = np.zeros(LANES)
+    squarings = np.zeros(LANES, np.int64)
     for begin in range(0, areas, LANES):
         lanes = min(LANES, areas - begin)
         for k in range(lanes):
@@ -145,7 +145,7 @@ def hold(matrices: Any, dt: Any) -> Any:
                 for column in range(6):
                     across += abs(matrices[begin + k, 0, row, column] * dt)
                 norm = max(norm, across)
-            squarings[k] = max(0.0, np.ceil(np.log2(norm)) + 1.0)
+            squarings[k] = max(0, int(np.ceil(np.log2(norm))) + 1)
             for d in range(many):
                 for at in range(24):
                     scaled[d, at * LANES + k] = matrices[begin + k, d, at // 6, at % 6] * dt / 2.0 ** squarings[k]
@@ -159,7 +159,7 @@ def hold(matrices: Any, dt: Any) -> Any:
             for row in range(4):
                 for k in range(LANES):
                     now[0, 7 * row * LANES + k] += 1.0
-        for step in range(int(squarings.max())):  # [F G; 0 1]^2
+        for step in range(squarings.max()):  # [F G; 0 1]^2
             multiply(now, now, following)
             for d in range(many):
                 for at in range(24):

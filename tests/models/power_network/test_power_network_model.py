@@ -52,6 +52,14 @@ def test_the_derivatives_of_the_hold_are_those_of_the_matrix_exponential(governo
             assert np.abs(held[i, d] - exact).max() < 20 * rounding * np.abs(held[i, 0]).max() ** 2
 
 
+def test_an_area_whose_exponential_overflows_leaves_the_others_as_they_are() -> None:
+    constants = MODEL.constants.copy()
+    constants[3, 0] = np.finfo(float).tiny
+    held, usual = (equations.rows_of(MODEL.stiffness, c, 1.0, (0, 1)) for c in (constants, MODEL.constants))
+    assert not np.all(np.isfinite(held[3, 0]))
+    np.testing.assert_array_equal(np.delete(held, 3, axis=0), np.delete(usual, 3, axis=0))
+
+
 def test_the_derivatives_of_the_matrices_are_those_of_the_equations() -> None:
     every = np.arange(6)
     found = equations.area_matrices(MODEL.stiffness, MODEL.constants, every)
