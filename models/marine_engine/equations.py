@@ -622,12 +622,14 @@ def algebraic(states: Any, theta: Any, c: EngineParameters, law: bool) -> Array:
 def variables_tangent(states: Any, theta: Any, count: int, c: EngineParameters, law: bool) -> Array:
     """Derivatives (B, 10, 4 + count) of states and algebraic variables with respect to states, input and parameters."""
     result = np.zeros((states.shape[0], 10, 4 + count))
-    slopes = np.empty(3 + count)
+    x, slopes = np.empty(3), np.empty(3 + count)
     for b in range(states.shape[0]):
         own = theta[min(b, theta.shape[0] - 1)]
-        torque = torque_and_slopes(states[b], own, slopes, c)
+        for i in range(3):
+            x[i] = states[b, i]
+        torque = torque_and_slopes(x, own, slopes, c)
         for a in range(3 + count):
-            fuel, p_receiver, p_charge = states_along(a, states[b])
+            fuel, p_receiver, p_charge = states_along(a, x)
             z = variables_at(fuel, dual(torque, slopes[a]), p_receiver, p_charge, unknown_along(a, own, c), law)
             for i in range(7):
                 result[b, 3 + i, a if a < 3 else 1 + a] = z[i].slope
