@@ -9,6 +9,7 @@ rounding.
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,7 +88,7 @@ def half_inverse(A: Array, used: Array | None = None) -> Array:
         np.einsum("...ii->...i", masked)[...] += ~used
         return np.where(used[..., :, None], half_inverse(masked), 0.0)
     if A.ndim == 2 or A.shape[-1] >= ONE_BY_ONE:
-        return _one_by_one(_half_inverse, A)
+        return _half_inverses(A)
     variances = np.diagonal(A, axis1=-2, axis2=-1)
     scale = 1.0 / np.sqrt(np.where(variances > 0, variances, np.nan))
     with np.errstate(invalid="ignore"):  # an element with an infinity is not positive definite either
@@ -142,12 +143,16 @@ def _square_root(a: Array) -> Array:
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _half_inverse(a: Array) -> Array:
-    """From A = V'V, V upper triangular: U = V^-1."""
-    V, failed = dpotrf(a.T, lower=0, clean=1)
-    if failed or not np.isfinite(V.trace()):
-        return np.full(a.shape, np.nan)
-    return np.asarray(dtrtri(V, lower=0, overwrite_c=1)[0])
+def _half_inverses(A: Array) -> Array:
+    """From A = V'V, V upper triangular: U = V^-1, each in place and in the order of LAPACK."""
+    out = np.array(A, dtype=float, order="C")  # A is symmetric
+    for index in np.ndindex(A.shape[:-2]):
+        V, failed = dpotrf(out[index].T, lower=0, clean=1, overwrite_a=1)
+        if failed or not isfinite(V.trace()):
+            V[...] = np.nan
+        else:
+            dtrtri(V, lower=0, overwrite_c=1)
+    return np.swapaxes(out, -1, -2)
 
 
 class Joint(NamedTuple):
@@ -170,7 +175,11 @@ class Joint(NamedTuple):
 
 def gain(joint: Joint, inverse: Array) -> Array:
     """K = C S^-1 (..., n, N) with S^-1 over the readings used; rows of considered states are 0."""
-    K = single(joint.C) @ single(inverse)
+    return unmoved(joint, single(joint.C) @ single(inverse))
+
+
+def unmoved(joint: Joint, K: Array) -> Array:
+    """The gain K (..., n, N) of the joint Gaussian with rows of 0 for considered states, which is written to."""
     if joint.considered is not None:
         K[..., joint.considered, :] = 0.0
     return repeated(K, joint.C)

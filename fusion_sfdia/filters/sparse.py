@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.equation import compiled
 
 Array = NDArray[Any]
@@ -21,6 +22,15 @@ def congruence(A: Array, P: Array) -> tuple[Array, Array]:
         rows = np.broadcast_to(A, (*batch, m, n)).reshape(-1, m, n)
     both, one = _congruence(_plain(rows), _plain(P.reshape(-1, n, n)))
     return both.reshape(*batch, m, m), one.reshape(*batch, m, n)
+
+
+def variances(A: Array, P: Array) -> Array:
+    """Return the diagonal (..., m) of A P A', of A (m, n) or (..., m, n) and symmetric P (..., n, n)."""
+    one = single(P) if A.ndim == 2 else P
+    n, m = P.shape[-1], A.shape[-2]
+    rows = A if A.ndim == 2 else np.broadcast_to(A, (*P.shape[:-2], m, n))
+    found = _variances(_plain(rows.reshape(-1, m, n)), _plain(one.reshape(-1, n, n)))
+    return repeated(found.reshape(*one.shape[:-2], m), P)
 
 
 def _plain(a: Array) -> Array:
@@ -64,3 +74,21 @@ def _congruence(A: Array, P: Array) -> tuple[Array, Array]:
             for j in range(i):
                 both[k, j, i] = into[j]
     return both, one
+
+
+@compiled
+def _variances(A: Array, P: Array) -> Array:
+    B, n = P.shape[:2]
+    m = A.shape[1]
+    found, column = np.zeros((B, m)), np.empty(n, np.int64)
+    for k in range(B):
+        for i in range(m):
+            row, few = A[k % A.shape[0], i], 0
+            for s in range(n):
+                if row[s] != 0:
+                    column[few] = s
+                    few += 1
+            for f in range(few):
+                for g in range(few):
+                    found[k, i] += row[column[f]] * P[k, column[f], column[g]] * row[column[g]]
+    return found

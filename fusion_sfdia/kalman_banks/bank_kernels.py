@@ -15,6 +15,8 @@ from fusion_sfdia.core.equation import compiled
 
 Array = NDArray[Any]
 
+SPARSE = 1 / 8  # share of entries up to which a product by those that are not 0 takes less time
+
 
 def runs(a: Array, batch: tuple[int, ...]) -> Array:
     """An array (*batch, ..) as (B, ..), contiguous and writeable, so that one type of arguments is compiled."""
@@ -106,24 +108,57 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 
 @compiled
-def transition(
-    F: Array, K: Array, before: Array, H: Array, half: Array, sizes: tuple[int, int, int], numbers: Array
-) -> tuple[Array, Array, Array, Array, Array]:
-    """A = F - F K H, its columns of the `leading` states, F K, U', and -U' H of the states that are `read`, its first rows.
+def entries(H: Array, row: Array, column: Array, value: Array) -> int:
+    """Write the entries of H (N, d) that are not 0 to room for as many as it has, and return how many they are."""
+    few = 0
+    for i in range(H.shape[0]):
+        for j in range(H.shape[1]):
+            if H[i, j] != 0:
+                row[few], column[few], value[few] = i, j, H[i, j]
+                few += 1
+    return few
 
-    sizes: leading, read, and how many rows. F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), half: U
-    (B, N, N), each of 1 run where it is the same for all. They are rounded to the type of `numbers` first.
+
+@compiled
+def subtract_product(A: Array, B: Array, H: Array, into: Array) -> None:
+    """A <- A - B H, the first columns of A (n, ..), with H (N, d); `into` (n, d) is workspace.
+
+    Where most entries of H are 0, as of sensors that each read one state, only the others are taken.
     """
-    B = max(F.shape[0], K.shape[0], before.shape[0], H.shape[0], half.shape[0])
+    N, d = H.shape
+    row, column, value = np.empty(N * d, np.int64), np.empty(N * d, np.int64), np.empty(N * d, H.dtype)
+    few = entries(H, row, column, value)
+    if few > SPARSE * N * d:
+        np.dot(B, H, into)
+        for i in range(A.shape[0]):
+            for j in range(d):
+                A[i, j] -= into[i, j]
+    else:
+        for i in range(A.shape[0]):
+            of, to = B[i], A[i]
+            for f in range(few):
+                to[column[f]] -= of[row[f]] * value[f]
+
+
+@compiled
+def transition(
+    F: Array, K: Array, before: Array, H: Array, turned: Array, sizes: tuple[int, int, int]
+) -> tuple[Array, Array, Array, Array]:
+    """A = F - F K H, its columns of the `leading` states, F K, and -U' H of the states that are `read`, its first rows.
+
+    sizes: leading, read, and how many rows. F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), each of 1 run
+    where it is the same for all, are rounded to the type of `turned` first: U' (B, N, N).
+    """
+    B = max(F.shape[0], K.shape[0], before.shape[0], H.shape[0], turned.shape[0])
     n, N = K.shape[1:]
     leading, read, rank = sizes
-    kind = numbers.dtype
+    kind = turned.dtype
     A, columns, FK = np.empty((B, n, n), kind), np.empty((B, n, leading), kind), np.empty((B, n, N), kind)
-    turned, seen = np.empty((B, N, N), kind), np.empty((B, rank, read), kind)
-    gain, taken = np.empty((n, N), kind), np.empty((n, read), kind)
+    seen = np.zeros((B, rank, read), kind)
+    gain, taken, room = np.empty((n, N), kind), np.empty((n, read), kind), np.empty((rank, read), kind)
     was, now = np.empty((N, read), kind), np.empty((N, read), kind)
     for k in range(B):
-        f, g, h, m, u = k % F.shape[0], k % K.shape[0], k % before.shape[0], k % H.shape[0], k % half.shape[0]
+        f, g, h, m, u = k % F.shape[0], k % K.shape[0], k % before.shape[0], k % H.shape[0], k % turned.shape[0]
         for i in range(n):
             for j in range(n):
                 A[k, i, j] = F[f, i, j]
@@ -132,18 +167,14 @@ def transition(
         for i in range(N):
             for j in range(read):
                 was[i, j] = before[h, i, j]
-                now[i, j] = -H[m, i, j]
-            for j in range(N):
-                turned[k, j, i] = half[u, i, j]
+                now[i, j] = H[m, i, j]
         np.dot(A[k], gain, FK[k])
-        np.dot(FK[k], was, taken)
-        np.dot(turned[k][:rank], now, seen[k])
+        subtract_product(A[k], FK[k], was, taken)
+        subtract_product(seen[k], turned[u, :rank], now, room)
         for i in range(n):
-            for j in range(read):
-                A[k, i, j] -= taken[i, j]
             for j in range(leading):
                 columns[k, i, j] = A[k, i, j]
-    return A, columns, FK, turned, seen
+    return A, columns, FK, seen
 
 
 @compiled
@@ -186,7 +217,7 @@ def weighed(
                 if A[own, i, s] != 0:
                     row[few], column[few], factor[few] = i, s, A[own, i, s]
                     few += 1
-        c, now = k % change.shape[0], k % seen.shape[0]
+        c, now, turn = k % change.shape[0], k % seen.shape[0], k % half.shape[0]
         for l in range(L):  # noqa: E741
             into = eta[k, l]
             if places[l] < 0:
@@ -214,7 +245,7 @@ def weighed(
             for j in range(q):
                 squares[j] = zero
             for i in range(N):
-                to, of = M[i], half[now, i]
+                to, of = M[i], half[turn, i]
                 for j in range(N):
                     to[j] += by * of[j]
                 for j in range(q):

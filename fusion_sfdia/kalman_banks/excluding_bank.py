@@ -17,6 +17,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import most_faults, redundancy, require_max_faults
 from fusion_sfdia.filters.estimators import Estimator, Prior, require_consistent, step_stream
 from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.filters.sparse import variances
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared
 
 Array = NDArray[Any]
@@ -112,7 +113,7 @@ class ExcludingBank(BatchDetector):
             return exclusion, decision
         expected = plant.output(now.t, x, u)
         h = plant.output_jacobian_at(now.t, x, u)
-        variance = np.sum((h @ p) * h, axis=-1) + plant.sensor_cov
+        variance = (variances(h, p) if plant.sparse[1] else np.sum((h @ p) * h, axis=-1)) + plant.sensor_cov
         error = y - expected  # used for excluded sensors, which do not enter `expected`
         if self.accommodate:
             exclusion = readmit(exclusion, error, variance, tested.limit, -np.log(self.false_alarm / y.shape[-1]))

@@ -25,6 +25,7 @@ from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.detector import ProcessHypothesis
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import equation_of
+from fusion_sfdia.kalman_banks.bank_kernels import SPARSE
 from fusion_sfdia.kalman_banks.likelihood_window import Effect
 
 Array = NDArray[Any]
@@ -35,7 +36,6 @@ PARAMETER_SIZE = 10.0  # of a jump or drift, over the prior standard deviation: 
 EQUATION_SIZE = 10.0  # of an error of an equation, over the standard deviation of its process noise
 UNNAMED = 6.0  # evidence that an error of an equation needs beyond that of a cause with a name: odds of 1 to 20
 NODES = 16  # of the quadrature of phi_1
-SPARSE = 1 / 8  # share of entries up to which a product by those that are not 0 takes less time
 
 
 def phi_1(F: Array) -> Array:

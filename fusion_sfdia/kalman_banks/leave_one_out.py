@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, on_diagonal
+from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, on_diagonal, unmoved
 from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
 from fusion_sfdia.kalman_banks import bank_kernels
 
@@ -129,10 +129,26 @@ def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     As `gaussian.condition`, with W = C U, and with considered states as there. Four times the rounding of P - W W' is added to
     its diagonal, so that it stays positive definite.
     """
+    return _posterior(joint, found, single(joint.C) @ _half(joint, found))
+
+
+def posterior_and_gain(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]:
+    """Return `posterior`, and the gain K = C S^-1 = W U' (..., n, N), see `gaussian.gain`."""
+    half = _half(joint, found)
+    w = single(joint.C) @ half
+    return *_posterior(joint, found, w), unmoved(joint, w @ np.swapaxes(half, -1, -2))
+
+
+def _half(joint: Joint, found: LeaveOneOut) -> Array:
+    """U, without columns for which C U is 0."""
+    return half_inverse(joint.S, found.used) if found.half is None else single(found.half)[..., : found.rank]
+
+
+def _posterior(joint: Joint, found: LeaveOneOut, w: Array) -> tuple[Array, Array]:
     C, P = single(joint.C), single(joint.P)
     x = joint.x + (C @ found.whitened[..., None])[..., 0]
-    w = C @ (half_inverse(joint.S, found.used) if found.half is None else single(found.half)[..., : found.rank])
-    p = P - w @ np.swapaxes(w, -1, -2)
+    p = w @ np.swapaxes(w, -1, -2)
+    p = np.subtract(P, p, out=p if p.shape == P.shape else None)
     floor = 4 * np.finfo(float).eps * sum(C.shape[-2:])
     on_diagonal(p)[...] += floor * P.diagonal(axis1=-2, axis2=-1)
     return consider(joint, x, repeated(p, joint.P))

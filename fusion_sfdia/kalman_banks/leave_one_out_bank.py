@@ -28,9 +28,15 @@ from fusion_sfdia.core.batch_detector import TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
-from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out import (
+    LeaveOneOut,
+    eliminate,
+    one_hot,
+    posterior,
+    posterior_and_gain,
+    statistics,
+)
 from fusion_sfdia.kalman_banks.likelihood_window import (
     Best,
     Effect,
@@ -141,11 +147,12 @@ class LeaveOneOutBank(ExcludingBank):
                 isolated = isolated | chosen
         if not self.accommodate:
             found = everything
-        x, p = posterior(joint, found)
         if self.window > 1:
+            x, p, gain = posterior_and_gain(joint, found)
             restart = np.any(isolated, axis=-1) & self.accommodate
-            window, last = updated(onsets, restart), last_update(step, gain(joint, found.inverse), restart)
-
+            window, last = updated(onsets, restart), last_update(step, gain, restart)
+        else:
+            x, p = posterior(joint, found)
         update = Update(x, p, prior, joint, found)
         tested = SensorTests(usable, isolated, residual, threshold, size, capped, one_limit)
         exclusion, decision = self._conclude(now, y, u, exclusion, update, tested)

@@ -30,7 +30,6 @@ from fusion_sfdia.core.detector import Decision, ProcessHypothesis
 from fusion_sfdia.core.exclusion import restored
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended, GaussianState, Prior, step_stream
-from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks.competition import (
     Accepted,
     Evidence,
@@ -48,7 +47,7 @@ from fusion_sfdia.kalman_banks.competition import (
 from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, with_alternatives
 from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
-from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior_and_gain, statistics
 from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, best_onset, shifted, updated, weigh
 from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
 from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, faded, leaves_unexplained, nothing_known
@@ -189,9 +188,9 @@ class RobustBank(ExcludingBank):
         leaves = isolated.any(axis=-1)
         if self.accommodate and (changed | leaves).any():
             found = statistics(joint, y, usable & ~isolated)
-        x, p = posterior(joint, found)
+        x, p, gain = posterior_and_gain(joint, found)
         restart = (leaves | process | reopened) & self.accommodate
-        last = last_update(step, gain(joint, found.inverse), restart)
+        last = last_update(step, gain, restart)
         recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
         pairs = paired(pairs, y, self.plant.sensor_sigma)

@@ -68,9 +68,10 @@ def window_step(
     d = n if leading is None else leading
     read = n if d < n and (output_jacobian[..., d:].any() or last.readout[..., d:].any()) else d
     F, H = (common(v, batch, 2) for v in (tangent, output_jacobian))
-    K, before, half = (runs(single(v), batch) for v in (*last, found.half))
-    rank = half.shape[-1] if found.rank is None else found.rank
-    A, columns, FK, turned, seen = transition(F, K, before, H, half, (d, read, rank), np.empty(0, kind))
+    K, before = (runs(single(v), batch) for v in last)
+    turned = runs(np.swapaxes(single(found.half), -1, -2).astype(kind, order="C"), batch)
+    rank = turned.shape[-1] if found.rank is None else found.rank
+    A, columns, FK, seen = transition(F, K, before, H, turned, (d, read, rank))
     return WindowStep(A, columns, FK, H, turned, seen, runs(found.scores.astype(kind, copy=False), batch))
 
 
