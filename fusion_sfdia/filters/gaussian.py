@@ -83,12 +83,12 @@ def half_inverse(A: Array, used: Array | None = None) -> Array:
 
     used (..., n): rows and columns of A to leave out as if they did not exist; U and U U' are zero there.
     """
+    if A.shape[-1] >= ONE_BY_ONE or (A.ndim == 2 and used is None):
+        return _half_inverses(A, used)
     if used is not None:
         masked = np.where(used[..., :, None] & used[..., None, :], A, 0.0)
         np.einsum("...ii->...i", masked)[...] += ~used
         return np.where(used[..., :, None], half_inverse(masked), 0.0)
-    if A.ndim == 2 or A.shape[-1] >= ONE_BY_ONE:
-        return _half_inverses(A)
     variances = np.diagonal(A, axis1=-2, axis2=-1)
     scale = 1.0 / np.sqrt(np.where(variances > 0, variances, np.nan))
     with np.errstate(invalid="ignore"):  # an element with an infinity is not positive definite either
@@ -143,15 +143,23 @@ def _square_root(a: Array) -> Array:
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _half_inverses(A: Array) -> Array:
+def _half_inverses(A: Array, used: Array | None) -> Array:
     """From A = V'V, V upper triangular: U = V^-1, each in place and in the order of LAPACK."""
-    out = np.array(A, dtype=float, order="C")  # A is symmetric
-    for index in np.ndindex(A.shape[:-2]):
-        V, failed = dpotrf(out[index].T, lower=0, clean=1, overwrite_a=1)
+    whole = A.shape if used is None else np.broadcast_shapes(A.shape, (*used.shape, used.shape[-1]))
+    out = np.array(np.broadcast_to(A, whole), dtype=float, order="C")  # A is symmetric
+    left_out = None if used is None else np.broadcast_to(~used, whole[:-1])
+    for index in np.ndindex(whole[:-2]):
+        a, gone = out[index], () if left_out is None else np.flatnonzero(left_out[index])
+        if len(gone):
+            a[gone] = a[:, gone] = 0.0
+            a[gone, gone] = 1.0
+        V, failed = dpotrf(a.T, lower=0, clean=1, overwrite_a=1)
         if failed or not isfinite(V.trace()):
-            V[...] = np.nan
+            a[...] = np.nan
         else:
             dtrtri(V, lower=0, overwrite_c=1)
+        if len(gone):
+            a[:, gone] = 0.0  # rows of U
     return np.swapaxes(out, -1, -2)
 
 

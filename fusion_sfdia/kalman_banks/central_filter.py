@@ -13,7 +13,8 @@ from fusion_sfdia.core.arguments import probability
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.health import broken
-from fusion_sfdia.filters.estimators import Core, Estimator, Extended, Reading, require_filter, step_stream
+from fusion_sfdia.filters.estimators import Core, Estimator, Extended, Reading, Unscented, require_filter, step_stream
+from fusion_sfdia.kalman_banks.excluding_bank import UNUSED
 from fusion_sfdia.kalman_banks.leave_one_out import normalised_innovation_squared, posterior, statistics
 
 Array = NDArray[Any]
@@ -45,11 +46,14 @@ class CentralFilter(BatchDetector):
 
     def _judge(self, memory: Core, now: TimeStep, y: Array, u: Array) -> tuple[Core, Decision]:
         plant, est = self.plant, self.estimator
-        prior = est.predict(plant, memory, now.t_start, u, now.dt, step_stream(now.seed, now.k))
+        drawn = [UNUSED] * 2
+        if not isinstance(est, Extended | Unscented):
+            drawn = [step_stream(now.seed, now.k + offset) for offset in (0, 2**32)]
+        prior = est.predict(plant, memory, now.t_start, u, now.dt, drawn[0])
         joint = est.joint(plant, prior, now.t, u)
         found = statistics(joint, y, np.isfinite(y))
         x, p = posterior(joint, found)
-        after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, step_stream(now.seed, now.k + 2**32))
+        after = est.assimilate(plant, prior, Reading(now.t, y, u), x, p, drawn[1])
         expected = plant.output(now.t, x, u)
         residual = y - joint.y
         alpha = -ndtri(self.false_alarm / y.shape[-1] / 2) * self.threshold_scale

@@ -41,6 +41,7 @@ from fusion_sfdia.filters.estimators import (
     require_none_considered,
     step_stream,
 )
+from fusion_sfdia.kalman_banks.excluding_bank import UNUSED
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, normalised_innovation_squared, posterior, statistics
 
 Array = NDArray[Any]
@@ -89,7 +90,7 @@ class MultipleModel(BatchDetector):
 
     def _judge(self, memory: MultipleModelMemory, now: TimeStep, y: Array, u: Array) -> tuple[MultipleModelMemory, Decision]:
         plant, est = self.plant, self.estimator
-        prior = est.predict(plant, memory.estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, memory.estimate, now.t_start, u, now.dt, UNUSED)
         joint = est.joint(plant, prior, now.t, u)
         found = statistics(joint, y, np.isfinite(y))
         mode, gain = self._weigh(self._predicted(memory.log_probability), found)

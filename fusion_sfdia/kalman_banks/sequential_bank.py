@@ -31,7 +31,7 @@ from fusion_sfdia.core.detector import Decision
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import Estimator, Extended, GaussianState, Prior, step_stream
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.kalman_banks.excluding_bank import ExcludingBank, SensorTests, Update
+from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, SensorTests, Update
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, posterior, statistics
 from fusion_sfdia.kalman_banks.sequential_rules import SequentialRule, Shewhart
 
@@ -92,7 +92,7 @@ class SequentialBank(ExcludingBank):
         estimate, exclusion, of_rules = memory
         plant, est, count = self.plant, self.estimator, y.shape[-1]
         usable = np.isfinite(y) & ~exclusion.out
-        prior = est.predict(plant, estimate, now.t_start, u, now.dt, step_stream(0, 0))  # these filters draw nothing
+        prior = est.predict(plant, estimate, now.t_start, u, now.dt, UNUSED)
         joint = self._joint(now, estimate.x, prior, u, usable)
         everything = statistics(joint, y, usable)
         innovations = self._test(joint, everything, y, of_rules)
