@@ -9,7 +9,7 @@ from rounding import rounding
 
 from fusion_sfdia import registry
 from fusion_sfdia.filters import ekf
-from fusion_sfdia.filters.sparse import congruence
+from fusion_sfdia.filters.sparse import congruence, variances
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(0)
@@ -43,6 +43,15 @@ def test_the_products_are_those_of_dense_matrices(A: Array, P: Array) -> None:
     allowed = rounding(float((largest @ np.abs(A).swapaxes(-1, -2)).max()), 2 * N)
     np.testing.assert_allclose(both, expected, rtol=0, atol=allowed)
     np.testing.assert_array_equal(both, both.swapaxes(-1, -2))
+    np.testing.assert_allclose(variances(A, P), np.diagonal(expected, axis1=-2, axis2=-1), rtol=0, atol=allowed)
+
+
+def test_variances_of_runs_with_one_covariance_are_computed_once() -> None:
+    A, P = few(M, N), covariance(1)
+    shared = np.broadcast_to(P, (RUNS, N, N))
+    found = variances(A, shared)
+    assert found.shape == (RUNS, M) and found.strides[0] == 0
+    np.testing.assert_array_equal(found[:1], variances(A, P))
 
 
 def test_a_run_has_the_bits_that_it_has_alone() -> None:

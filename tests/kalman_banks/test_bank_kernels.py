@@ -13,6 +13,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks import leave_one_out
+from fusion_sfdia.kalman_banks.bank_kernels import subtract_product
 from fusion_sfdia.kalman_banks.leave_one_out import statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.robust_bank import RobustBank
@@ -52,6 +53,18 @@ def test_statistics_are_those_of_the_inverse(library: pytest.MonkeyPatch) -> Non
     product = found.half @ found.half.swapaxes(-1, -2)
     np.testing.assert_allclose(product[whole], found.inverse[whole], rtol=1e-12, atol=0)
     assert not found.weight[whole][~used[whole]].any() and np.isnan(found.weight[2, 1][used[2, 1]]).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 1.0])
+def test_a_product_by_entries_is_that_of_the_library(share: float) -> None:
+    rng = np.random.default_rng(0)
+    A, B = rng.standard_normal((6, 12)), rng.standard_normal((6, 9))
+    H = rng.standard_normal((9, 10)) * (rng.random((9, 10)) < share)
+    expected = A.copy()
+    expected[:, :10] -= B @ H
+    largest = float((np.abs(A[:, :10]) + np.abs(B) @ np.abs(H)).max())
+    subtract_product(A, B, H, np.empty((6, 10)))
+    np.testing.assert_allclose(A, expected, rtol=0, atol=20 * EPS * largest)
 
 
 def _faulty(plant: Plant) -> tuple[Array, Array, Array]:

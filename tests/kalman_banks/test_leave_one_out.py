@@ -8,12 +8,13 @@ from joints import of_update, random_joint
 from toy_plants import chain, tanks
 
 from fusion_sfdia.filters import ekf
-from fusion_sfdia.filters.gaussian import Joint
+from fusion_sfdia.filters.gaussian import Joint, gain
 from fusion_sfdia.kalman_banks.leave_one_out import (
     eliminate,
     local_estimates,
     normalised_innovation_squared,
     posterior,
+    posterior_and_gain,
     statistics,
 )
 
@@ -41,6 +42,22 @@ def test_every_local_filter_equals_the_one_that_deletes_its_sensor(n: int, count
         keep = np.delete(np.arange(count), i)
         conditional = joint.y[i] + joint.S[i, keep] @ np.linalg.solve(joint.S[np.ix_(keep, keep)], (y - joint.y)[keep])
         assert found.innovation[i] == pytest.approx(y[i] - conditional, rel=0, abs=tolerance)
+
+
+@pytest.mark.parametrize("count", [5, 20])
+def test_the_gain_is_that_of_the_inverse_with_and_without_all_readings(count: int) -> None:
+    rng = np.random.default_rng(count)
+    joint, _ = random_joint(rng, 4, count)
+    joint = joint._replace(considered=np.array([1]))
+    y = joint.y + rng.normal(size=count) * 3
+    tolerance = of_update(joint, y)
+    for used in (np.ones(count, bool), np.arange(count) != 2):
+        found = statistics(joint, y, used)
+        x, p, K = posterior_and_gain(joint, found)
+        for same, expected in zip((x, p), posterior(joint, found), strict=True):
+            np.testing.assert_array_equal(same, expected)
+        np.testing.assert_allclose(K, gain(joint, found.inverse), rtol=0, atol=tolerance)
+        assert not K[1].any() and not K[:, ~used].any()
 
 
 @pytest.mark.parametrize("n", [1, 4, 12])
