@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dtrtri, dtrtrs
+from scipy.linalg.blas import dtrsm
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.covariance import dense as dense
@@ -69,7 +70,7 @@ def square_root(A: Array) -> Array:
 def sample(cov: Array, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
     """Draws (*shape, n) of N(0, cov), cov (n,) or (n, n), semi-definite allowed; n numbers are drawn for each in any case."""
     z = rng.standard_normal((*shape, cov.shape[-1]))
-    return z * np.sqrt(cov) if cov.ndim == 1 else z @ square_root(cov).T
+    return np.multiply(z, np.sqrt(cov), out=z) if cov.ndim == 1 else z @ square_root(cov).T
 
 
 def inverse(A: Array) -> Array:
@@ -99,9 +100,9 @@ def half_inverse(A: Array, used: Array | None = None) -> Array:
 
 def solve_lower(L: Array, B: Array) -> Array:
     """L^-1 B (..., n, k) of lower triangular L (..., n, n) without a zero on its diagonal."""
-    out = np.empty(B.shape)
+    out = np.array(B, dtype=float, order="C")
     for index in np.ndindex(B.shape[:-2]):
-        out[index] = dtrtrs(L[index].T, B[index], lower=0, trans=1)[0]  # of the transpose, in the order of LAPACK
+        dtrsm(1.0, L[index].T, out[index].T, side=1, overwrite_b=1)  # X' L' = B', in the order of LAPACK
     return out
 
 
@@ -144,23 +145,23 @@ def _square_root(a: Array) -> Array:
 
 
 def _half_inverses(A: Array, used: Array | None) -> Array:
-    """From A = V'V, V upper triangular: U = V^-1, each in place and in the order of LAPACK."""
+    """From A = L L': U = L^-T, in place in a copy whose transposes have the order of LAPACK."""
     whole = A.shape if used is None else np.broadcast_shapes(A.shape, (*used.shape, used.shape[-1]))
-    out = np.array(np.broadcast_to(A, whole), dtype=float, order="C")  # A is symmetric
+    out = np.array(np.broadcast_to(A, whole), dtype=float, order="C")
     left_out = None if used is None else np.broadcast_to(~used, whole[:-1])
     for index in np.ndindex(whole[:-2]):
-        a, gone = out[index], () if left_out is None else np.flatnonzero(left_out[index])
+        U, gone = out[index], () if left_out is None else np.flatnonzero(left_out[index])
         if len(gone):
-            a[gone] = a[:, gone] = 0.0
-            a[gone, gone] = 1.0
-        V, failed = dpotrf(a.T, lower=0, clean=1, overwrite_a=1)
-        if failed or not isfinite(V.trace()):
-            a[...] = np.nan
+            U[gone] = U[:, gone] = 0.0
+            U[gone, gone] = 1.0
+        _, failed = dpotrf(U.T, lower=1, clean=1, overwrite_a=1)
+        if failed or not isfinite(U.trace()):
+            U[...] = np.nan
         else:
-            dtrtri(V, lower=0, overwrite_c=1)
+            dtrtri(U.T, lower=1, overwrite_c=1)
         if len(gone):
-            a[:, gone] = 0.0  # rows of U
-    return np.swapaxes(out, -1, -2)
+            U[gone] = 0.0
+    return out
 
 
 class Joint(NamedTuple):
