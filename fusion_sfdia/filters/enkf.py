@@ -59,7 +59,8 @@ class EnKFSettings:
 
 def predict(E: Array, f: Model, Q: Array, rng: np.random.Generator) -> Array:
     """Return the members E (..., Ne, n) after a step: f(E) + w, w drawn from N(0, Q) for each; Q (n,) or (n, n)."""
-    return f(E) + sample(Q, rng, E.shape[:-1])
+    noise = sample(Q, rng, E.shape[:-1])
+    return np.add(f(E), noise, out=noise)
 
 
 def moments(E: Array) -> tuple[Array, Array]:
@@ -93,16 +94,19 @@ def update(settings: EnKFSettings, E: Array, h: Model, y: Array, R: Array, rng: 
     shift = innovation[..., None, :]
     if settings.method == "stochastic":
         noise = sample(R, rng, HE.shape[:-1])
-        shift = shift - (Y + noise - np.mean(noise, axis=-2, keepdims=True))
+        mean = np.mean(noise, axis=-2, keepdims=True)
+        noise += Y
+        noise -= mean
+        shift = np.subtract(shift, noise, out=noise)
     if settings.localisation is not None:
         new_x, new_A = _localised(settings, A, Y, shift, R, used)
     else:
         new_x, new_A = _in_member_space(settings, A, Y, shift, R, used)
     if settings.rotate:
         new_A = rotation(size, rng, E.shape[:-2]) @ new_A
-    gain = np.where(np.any(used, axis=-1), settings.inflation, 1.0)[..., None, None]
-    members: Array = (x + new_x)[..., None, :] + gain * new_A
-    return members
+    new_A *= np.where(np.any(used, axis=-1), settings.inflation, 1.0)[..., None, None]
+    new_A += (x + new_x)[..., None, :]
+    return new_A
 
 
 def _anomalies(E: Array, HE: Array) -> tuple[Array, Array, Array, Array]:
@@ -129,7 +133,9 @@ def _in_member_space(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R
     if settings.method == "deterministic":  # A - K Y / 2, and Y R^-1 Y' M^-1 = I - (Ne - 1) M^-1
         return change[..., 0, :], 0.5 * A + (0.5 * over) * (M_inv @ A)
     mean = np.mean(change, axis=-2)
-    return mean, A + change - mean[..., None, :]
+    change += A
+    change -= mean[..., None, :]
+    return mean, change
 
 
 def _localised(settings: EnKFSettings, A: Array, Y: Array, shift: Array, R: Array, used: Array) -> tuple[Array, Array]:

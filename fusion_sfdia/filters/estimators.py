@@ -214,8 +214,10 @@ class Ensemble:
             plant.sensor_cov * reading.noise_gain,
             rng,
         )
-        spread = members - members.mean(axis=-2, keepdims=True)
-        return EnsembleState(x[..., None, :] + np.sqrt(reading.cov_gain) * spread)
+        members -= members.mean(axis=-2, keepdims=True)
+        members *= np.sqrt(reading.cov_gain)
+        members += x[..., None, :]
+        return EnsembleState(members)
 
 
 def step_stream(seed: Array | int, step: Array | int) -> np.random.Generator:

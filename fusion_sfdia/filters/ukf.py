@@ -73,15 +73,17 @@ def _around(points: SigmaPoints, x: Array, L: Array) -> Array:
 def _moments(points: SigmaPoints, X: Array, n: int) -> tuple[Array, Array, Array]:
     """Return mean (..., k), m (..., k) and the offsets sqrt(W_j) D_j (..., 2n, k) of points X (..., 2n+1, k)."""
     root = np.sqrt(0.5 / points.spread(n))
-    offsets = (X[..., 1:, :] - X[..., :1, :]) * root
+    offsets = X[..., 1:, :] - X[..., :1, :]
+    offsets *= root
     m = root * np.sum(offsets, axis=-2)
     return X[..., 0, :] + m, m, offsets
 
 
 def _covariance(points: SigmaPoints, a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> Array:
     """sum_{j >= 1} W_j D_j^a D_j^b' + (beta - alpha^2) m^a m^b'."""
-    curvature = (points.beta - points.alpha**2) * a[1][..., :, None] * b[1][..., None, :]
-    return np.swapaxes(a[2], -1, -2) @ b[2] + curvature
+    total = np.swapaxes(a[2], -1, -2) @ b[2]
+    total += ((points.beta - points.alpha**2) * a[1])[..., :, None] * b[1][..., None, :]
+    return total
 
 
 def predict(points: SigmaPoints, x: Array, P: Array, f: Model, Q: Array) -> tuple[Array, Array, Array]:
