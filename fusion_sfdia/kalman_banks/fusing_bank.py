@@ -33,6 +33,7 @@ from fusion_sfdia.filters.estimators import (
 )
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks import mixing
+from fusion_sfdia.kalman_banks.disagreement import disagreement
 from fusion_sfdia.kalman_banks.leave_one_out import (
     LeaveOneOut,
     eliminate,
@@ -46,11 +47,14 @@ Array = NDArray[Any]
 
 
 class Mixed(NamedTuple):
-    """Mean x (..., n) and covariance p (..., n, n) of the mixture, and the NIS (...)."""
+    """Mean x (..., n) and covariance p (..., n, n) of the mixture, the NIS (...), and the statistics of a central filter behind
+    the mixture, where there is one.
+    """
 
     x: Array
     p: Array
     nis: Array
+    central: LeaveOneOut | None = None
 
 
 @dataclass(frozen=True)
@@ -153,17 +157,16 @@ class FusingBank(BatchDetector):
         founds, local = self._update(joints, y, used)
         mixed = self._mix(joints, founds, local, y)
         seen = plant.output(now.t, local, u[..., None, :])
-        state_variance = np.mean((seen - np.mean(seen, axis=-2, keepdims=True)) ** 2, axis=-2)  # (19)
-        residual = np.where(used, np.sqrt(state_variance), np.nan)
+        variance, distance = disagreement(local, seen, mixed.x, scale)
+        residual = np.where(used, np.sqrt(variance), np.nan)
         limits = np.inf if self.thresholds is None else self.threshold_scale * np.asarray(self.thresholds)
         threshold = np.broadcast_to(limits, y.shape)
-        distance = np.linalg.norm((local - mixed.x[..., None, :]) / scale, axis=-1)  # (20)
         alarm = np.any(residual > threshold, axis=-1)
         suspect = np.argmax(np.where(used, distance, -1.0), axis=-1)
         isolated = alarm[..., None] & used & (np.arange(y.shape[-1]) == suspect[..., None])
         kept = used & ~isolated if self.accommodate else used
         if np.any(kept != used):
-            mixed = self._without(mixed, joints, founds[0], local, y, kept, suspect)
+            mixed = self._without(mixed, joints, founds[0], y, kept, suspect)
         core = self._fed_back(prior, mixed, now, np.where(kept, y, np.nan), u)
         without = np.diagonal(seen, axis1=-2, axis2=-1)  # expected y_i of filter i, which does not use y_i
         expected = plant.output(now.t, mixed.x, u)
@@ -201,30 +204,34 @@ class FusingBank(BatchDetector):
 
     def _mix(self, joints: list[Joint], founds: list[LeaveOneOut], local: Array, y: Array) -> Mixed:
         """Step 3: mixture."""
-        plant = self.plant
+        plant, central = self.plant, None
         if self.runs_literally:
             p = np.stack([posterior(j, f)[1] for j, f in zip(joints, founds, strict=True)], axis=-3)
             # LAPACK's eigenvalues fail for the whole batch if one run is not finite; its local estimates are not finite either
             sound = np.all(np.isfinite(p), axis=(-3, -2, -1), keepdims=True)
             x, p = mixing.mix(local, np.where(sound, p, np.diag(plant.state_scale**2)), plant.state_scale)
         elif self.estimator.consistent:
-            x, p = mixing.mixture(joints[0], y, founds[0].used, plant.sensor_cov)
+            x, p, central = mixing.mixture(joints[0], y, founds[0].used, plant.sensor_cov)
         else:
             x, p = mixing.mixture_of_any_joint(joints[0], founds[0])
-        return Mixed(x, p, normalised_innovation_squared(joints[0], founds[0], y))
+        return Mixed(x, p, normalised_innovation_squared(joints[0], founds[0], y), central)
 
-    def _without(
-        self, mixed: Mixed, joints: list[Joint], found: LeaveOneOut, local: Array, y: Array, kept: Array, suspect: Array
-    ) -> Mixed:
+    def _without(self, mixed: Mixed, joints: list[Joint], found: LeaveOneOut, y: Array, kept: Array, suspect: Array) -> Mixed:
         """The mixture of the readings `kept` (..., N): again where the suspect (...) is not among them, as it was elsewhere."""
         if self.runs_literally:
             return self._mix(joints, *self._update(joints, y, kept), y)
         at = np.any(found.used & ~kept, axis=-1)
         x, P, expected, S, C = (a[at] for a in joints[0][:5])
+        joint = Joint(x, P, expected, S, C)
         few = LeaveOneOut(found.whitened[at], found.weight[at], found.inverse[at], found.used[at], None, None)
         few = eliminate(few, suspect[at], np.ones(len(x), bool))
-        again = self._mix([Joint(x, P, expected, S, C)], [few], local[at], y[at])
-        return Mixed(*(_with(a, at, b) for a, b in zip(mixed, again, strict=True)))
+        if (central := mixed.central) is None:
+            x, p = mixing.mixture_of_any_joint(joint, few)
+        else:
+            one = central._replace(**{name: getattr(central, name)[at] for name in ("whitened", "weight", "half")})
+            x, p = mixing.mixture_without(suspect[at], mixed.x[at], mixed.p[at], one, C)
+        nis = normalised_innovation_squared(joint, few, y[at])
+        return Mixed(_with(mixed.x, at, x), _with(mixed.p, at, p), _with(mixed.nis, at, nis))
 
     def _fed_back(self, priors: list[Prior], mixed: Mixed, now: TimeStep, y: Array, u: Array) -> Core:
         """Step 4: the core of each local filter, or their common one, of the mixture and the readings y in use."""

@@ -157,8 +157,10 @@ def _posterior(joint: Joint, found: LeaveOneOut, w: Array) -> tuple[Array, Array
 def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     """Return x_i (..., N, n) of every local filter, and the columns K_i of the gain as rows (..., N, n)."""
     x = joint.x + (single(joint.C) @ found.whitened[..., None])[..., 0]
-    gains = np.swapaxes(single(joint.C) @ single(found.inverse), -1, -2)
-    return x[..., None, :] - gains * found.innovation[..., None], repeated(gains, x)
+    gains = single(found.inverse) @ np.swapaxes(single(joint.C), -1, -2)
+    local = gains * -found.innovation[..., None]
+    local += x[..., None, :]
+    return local, repeated(gains, x)
 
 
 def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:

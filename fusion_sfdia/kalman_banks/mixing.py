@@ -34,8 +34,9 @@ def mix(x: Array, p: Array, scale: Array) -> tuple[Array, Array]:
     return middle + scale * (p_m @ pull)[..., 0], p_m * unit
 
 
-def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Array, Array]:
-    """Return x_m, P_m of the N leave-one-out filters with a common prior, N = number of sensors, in closed form.
+def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Array, Array, LeaveOneOut]:
+    """Return x_m, P_m of the N leave-one-out filters with a common prior, N = number of sensors, in closed form, and the
+    statistics of the central filter behind it.
 
     Each reading in use enters N - 1 of the N filters, so sum_i P_i^-1 = N P^-1 + (N - 1) H' R^-1 H: one central filter with
     R N / (N - 1), its covariance divided by N. A missing reading leaves N unchanged: its filter runs on the other readings.
@@ -45,8 +46,21 @@ def mixture(joint: Joint, y: Array, used: Array, sensor_cov: Array) -> tuple[Arr
     S = repeated(single(joint.S) + np.diag(sensor_cov / (count - 1)), joint.S)
     alike = joint.repeated and joint.repeated._replace(noise=joint.repeated.noise + sensor_cov / (count - 1))
     spread = joint._replace(S=S, repeated=alike)
-    x, p = posterior(spread, statistics(spread, y, used))
-    return x, repeated(single(p) / count, p)
+    found = statistics(spread, y, used)
+    x, p = posterior(spread, found)
+    return x, repeated(single(p) / count, p), found
+
+
+def mixture_without(sensor: Array, x: Array, p: Array, found: LeaveOneOut, C: Array) -> tuple[Array, Array]:
+    """Return x_m, P_m without a sensor (B,) each, of what `mixture` returned for (B, ..) and C of its joint Gaussian.
+
+    That of a central filter, so by the identity of `leave_one_out`: x - K_i u_i / w_i, P + K_i K_i' / w_i.
+    """
+    assert found.half is not None
+    at, count = (np.arange(len(x)), sensor), found.weight.shape[-1]
+    K = (C @ (found.half @ found.half[at][..., None]))[..., 0]
+    step = K / found.weight[at][..., None]
+    return x - step * found.whitened[at][..., None], p + step[..., :, None] * (K / count)[..., None, :]
 
 
 def mixture_of_any_joint(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:

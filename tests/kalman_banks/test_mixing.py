@@ -27,7 +27,7 @@ def test_mixture_in_closed_form_equals_the_printed_sum_of_inverses(missing: tupl
         found = statistics(joint, y, used & (np.arange(6) != i))
         parts.append(posterior(joint, found))
     x, p = mixing.mix(np.stack([a for a, _ in parts]), np.stack([b for _, b in parts]), np.ones(5))
-    close = mixing.mixture(joint, y, used, r)
+    close = mixing.mixture(joint, y, used, r)[:2]
     general = mixing.mixture_of_any_joint(joint, statistics(joint, y, used))
     tolerance = np.linalg.cond(p) * of_update(joint, y)  # both invert the mixture's covariance
     np.testing.assert_array_equal(general[1], general[1].T)
@@ -57,7 +57,7 @@ def test_federated_factors_make_the_mixture_the_central_filter() -> None:
     y = joint.y + rng.normal(size=6)
     h = np.linalg.solve(joint.P, joint.C).T
     wide = ekf.joint(joint.x, 6 * joint.P, lambda s: joint.y, h, 5 * r)
-    x, p = mixing.mixture(wide, y, np.ones(6, bool), 5 * r)
+    x, p = mixing.mixture(wide, y, np.ones(6, bool), 5 * r)[:2]
     central_x, central_p = posterior(joint, statistics(joint, y, np.ones(6, bool)))
     tolerance = np.linalg.cond(joint.P) * of_update(joint, y)  # H was solved for with P
     np.testing.assert_allclose(x, central_x, rtol=0, atol=tolerance)
@@ -74,7 +74,7 @@ def test_mixture_of_singular_covariances_stays_on_their_range() -> None:
     joint = Joint(np.zeros(9), p, np.zeros(9), p + np.diag(r), p)
     y = rng.normal(size=9)
     used = np.ones(9, bool)
-    x, p_m = mixing.mixture(joint, y, used, r)
+    x, p_m = mixing.mixture(joint, y, used, r)[:2]
     parts = [posterior(joint, statistics(joint, y, np.arange(9) != i)) for i in range(9)]
     literal_x, literal_p = mixing.mix(np.stack([a for a, _ in parts]), np.stack([b for _, b in parts]), np.ones(9))
     assert np.linalg.matrix_rank(p_m, rtol=1e-9, hermitian=True) == 3
@@ -93,3 +93,20 @@ def test_the_mixture_does_not_depend_on_the_units_of_the_states() -> None:
     found_x, found_p = mixing.mix(x * size, p * np.outer(size, size), size)
     np.testing.assert_allclose(found_x / size, expected @ np.einsum("ijk,ik->j", information, x), rtol=1e-12)
     np.testing.assert_allclose(found_p / np.outer(size, size), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("sensors", [4, 20])
+def test_the_mixture_without_a_sensor_is_that_of_the_other_readings(sensors: int) -> None:
+    rng = np.random.default_rng(sensors)
+    n, batch = 3, 5
+    root, H, r = rng.normal(size=(batch, n, n)), rng.normal(size=(batch, sensors, n)), rng.uniform(0.5, 2.0, sensors)
+    P = root @ np.swapaxes(root, -1, -2)
+    C = P @ np.swapaxes(H, -1, -2)
+    x, y = rng.normal(size=(batch, n)), rng.normal(size=(batch, sensors))
+    joint = Joint(x, P, (H @ x[..., None])[..., 0], H @ C + np.diag(r), C)
+    used, sensor = np.ones((batch, sensors), bool), rng.integers(sensors, size=batch)
+    used[:, 1] = sensor == 1  # a missing reading
+    got = mixing.mixture_without(sensor, *mixing.mixture(joint, y, used, r), C)
+    others = used & (np.arange(sensors) != sensor[:, None])
+    for a, b in zip(got, mixing.mixture(joint, y, others, r)[:2], strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-13)
