@@ -43,6 +43,17 @@ def test_factorisations_multiply_back(n: int, batch: tuple[int, ...]) -> None:
     np.testing.assert_allclose(gaussian.inverse(A) @ A, np.broadcast_to(np.eye(n), A.shape), rtol=0, atol=tolerance)
 
 
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_solutions_of_triangular_systems_multiply_back_in_any_order_of_memory(batch: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(5)
+    L, B = np.tril(rng.normal(size=(*batch, 6, 6))) + 3 * np.eye(6), rng.normal(size=(*batch, 4, 6))
+    tolerance = rounding(np.linalg.cond(L).max() * np.abs(B).max(), 2 * 6)  # the solution, the product
+    for right in (np.swapaxes(B, -1, -2), np.ascontiguousarray(np.swapaxes(B, -1, -2))):
+        kept = right.copy()
+        np.testing.assert_allclose(L @ gaussian.solve_lower(L, right), right, rtol=0, atol=tolerance)
+        np.testing.assert_array_equal(right, kept)
+
+
 @pytest.mark.parametrize("n", SIZES)
 def test_a_bad_element_is_nan_alone(n: int) -> None:
     A = covariances(np.random.default_rng(n), 5, n)
