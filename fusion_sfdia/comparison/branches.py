@@ -235,8 +235,8 @@ def deployed_walk(
 
 
 def no_decisions(total: int, sensors: int) -> KeptDecisions:
-    """Room for the decisions of so many rows."""
-    flags, numbers = np.zeros((2, total), bool), np.empty((3, total, sensors))
+    """Room for the decisions of so many rows: no alarm, nothing isolated, no numbers."""
+    flags, numbers = np.zeros((2, total), bool), np.full((3, total, sensors), np.nan)
     return KeptDecisions(flags[0], flags[1], np.zeros((total, sensors), bool), numbers[0], numbers[1], numbers[2])
 
 

@@ -81,6 +81,7 @@ def test_a_plant_and_a_detector_of_ones_own_with_any_number_of_workers(tmp_path:
     page = two.report(tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Six tanks in a row" in page and "more of what moves them" in page and "A filter that alarms rarely" in page
     one = compare([my_chain], [Cautious, "limits"], workers=1, cases={"chain": CASES}, **TINY)
+    assert not one.failures, one.failures
     assert numbers(one.rows) == numbers(two.rows)
 
 
