@@ -214,11 +214,11 @@ def _batch_step(model: Plant, steps: _Steps, s: Array, core: GaussianState, foun
         x, P = np.where(fresh[:, None], start.x, x), np.where(fresh[:, None, None], start.P, P)
     lengths = steps.even[s]
     ahead = GaussianState(np.empty_like(x), np.empty_like(P))
-    for dt in np.unique(lengths):
-        same = lengths == dt
-        here = s[same]
-        part = GaussianState(x[same], P[same])
-        seen = _seen(model, part, ANY_TIME, ANY_TIME, float(dt), track.y[here], track.u[here], steps.use[here])
+    of_one = [slice(None)] if (lengths == lengths[0]).all() else [lengths == dt for dt in np.unique(lengths)]
+    for same in of_one:
+        here, part = s[same], GaussianState(x[same], P[same])
+        dt = float(lengths[same][0])
+        seen = _seen(model, part, ANY_TIME, ANY_TIME, dt, track.y[here], track.u[here], steps.use[here])
         if not seen.sound.all():
             return None
         ahead.x[same], ahead.P[same] = seen.core
