@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.dual import dual
-from fusion_sfdia.core.equation import compiled, equation
+from fusion_sfdia.core.equation import COMPLEX_STEP, compiled, equation
 
 Array = NDArray[Any]
 
@@ -80,25 +79,25 @@ def area_matrices(stiffness: Any, constants: Any, along: Any) -> Any:
     """(M, 1 + D, 4, 6): the columns of A_ii, of B_i for the reference and of the external power; the equations at unit vectors.
 
     stiffness (M,); constants (M, 5): inertia, droop, damping, turbine time, governor time. along (D,): with respect to which of
-    the stiffness (0) and the constants (1 to 5) derivatives follow, one after the other.
+    the stiffness (0) and the constants (1 to 5) derivatives follow, by the complex step, one after the other.
     """
     result = np.zeros((stiffness.size, 1 + along.size, 4, 6))
-    unit, of = np.zeros(6), np.zeros(6)
+    unit, of = np.zeros(6, np.complex128), np.zeros(6)
     for i in range(stiffness.size):
         for lane in range(1 + along.size):
             of[:] = 0.0
             if lane > 0:
-                of[along[lane - 1]] = 1.0
+                of[along[lane - 1]] = COMPLEX_STEP
             for column in range(6):
                 unit[:] = 0.0
                 unit[column] = 1.0
                 rates = area_rates(
-                    dual(unit[0], 0.0), dual(unit[1], 0.0), dual(unit[2], 0.0), dual(unit[3], 0.0), unit[4], unit[5],
-                    dual(stiffness[i], of[0]), dual(constants[i, 0], of[1]), dual(constants[i, 1], of[2]),
-                    dual(constants[i, 2], of[3]), dual(constants[i, 3], of[4]), dual(constants[i, 4], of[5]),
+                    unit[0], unit[1], unit[2], unit[3], unit[4], unit[5],
+                    complex(stiffness[i], of[0]), complex(constants[i, 0], of[1]), complex(constants[i, 1], of[2]),
+                    complex(constants[i, 2], of[3]), complex(constants[i, 3], of[4]), complex(constants[i, 4], of[5]),
                 )  # fmt: skip
                 for row, rate in enumerate(rates):
-                    result[i, lane, row, column] = rate.slope if lane > 0 else rate.value
+                    result[i, lane, row, column] = rate.imag / COMPLEX_STEP if lane > 0 else rate.real
     return result
 
 
