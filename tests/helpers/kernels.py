@@ -2,7 +2,7 @@
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
 gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL`: a new file takes part unless it is named
-there. What this machine cannot run is left out and reported.
+there. What this machine cannot run is left out and reported, and so is the kernel that all tests run with here anyway.
 """
 
 from __future__ import annotations
@@ -37,9 +37,11 @@ NOT_NUMERICAL = (
 def settings() -> dict[str, dict[str, str]]:
     """Environment variables by name of the kernel, for the kernels that this machine can run."""
     found: dict[str, dict[str, str]] = {}
-    if any(library["internal_api"] == "openblas" for library in threadpool_info()):
+    if own := {library["architecture"] for library in threadpool_info() if library["internal_api"] == "openblas"}:
         for kernel, needs in KERNELS.items():
-            if any(features.get(name) for name in needs):
+            if own == {kernel}:
+                print(f"left out: OpenBLAS {kernel}; it is what all tests run with here anyway")
+            elif any(features.get(name) for name in needs):
                 found[f"OpenBLAS {kernel}"] = {"OPENBLAS_CORETYPE": kernel}
             else:
                 print(f"left out: OpenBLAS {kernel} needs a processor with {' or '.join(needs)}")
