@@ -198,8 +198,8 @@ def remarks(settings: Settings, cells: Cells) -> list[str]:
     which = "; ".join(f"{c.detector} on {c.plant} {span([c.matched.value])}" for c in above)
     return [
         f"Every detector's thresholds are multiplied by one number ({scales}) so that {rate:g} of healthy samples alarm: an "
-        f"order statistic of {span(counts.values())} healthy samples of other seeds. Were they independent, the rate would be "
-        f"set to {aims} of it (standard error). They are not: by the differences between runs it is set to {errors} of it. "
+        f"order statistic of {span(counts.values())} healthy samples of other seeds. Were they independent, the standard error "
+        f"of the rate would be {aims} of it. They are not: by the differences between runs it is {errors} of it. "
         "Intervals of what depends on the threshold contain that.",
         f"Audit on fresh seeds: on the healthy trunks {matched} of the samples alarm as long as nothing has been isolated; "
         f"{f'shown to exceed {rate:g}: {which}' if which else f'no cell is shown to exceed {rate:g}'}. As deployed, where some "
