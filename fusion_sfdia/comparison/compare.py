@@ -37,7 +37,7 @@ from fusion_sfdia.registry import require_known
 from fusion_sfdia.report.content import Summary
 
 CHUNK = 25  # seeds in one task, which is set up once
-LEAST_ERROR = 1e-3  # of a rate of false alarms that is set: less takes a million samples and more
+LEAST_CALIBRATION_ERROR = 1e-3  # of a rate of false alarms that is set: less takes a million samples and more
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,10 @@ class Comparison:
         """
         for name in settings["faults"]:
             require_known("fault", name, KINDS)
-        if 0 < (error := settings["calibration_error"]) < LEAST_ERROR:
-            raise ValueError(f"calibration_error is {error:g}; expected at least {LEAST_ERROR:g}, or 0: by the number of seeds")
+        if 0 < (error := settings["calibration_error"]) < LEAST_CALIBRATION_ERROR:
+            raise ValueError(
+                f"calibration_error is {error:g}; expected at least {LEAST_CALIBRATION_ERROR:g}, or 0: by the number of seeds"
+            )
         plants = [self.subjects.plant(name) for name in settings["plants"]]
         detectors = [self.subjects.detector(name) for name in settings["detectors"]]
         common = {k: list(v) if isinstance(v, tuple) else v for k, v in settings.items() if k not in ("plants", "detectors")}

@@ -108,11 +108,11 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 
 @compiled
-def entries(H: Array, row: Array, column: Array, value: Array) -> int:
-    """Write the entries of H (N, d) that are not 0 to room for as many as it has, and return how many they are."""
+def entries(H: Array, first: int, row: Array, column: Array, value: Array) -> int:
+    """Write the entries of H (N, d) from column `first` on that are not 0 to room for all, and return how many they are."""
     few = 0
     for i in range(H.shape[0]):
-        for j in range(H.shape[1]):
+        for j in range(first, H.shape[1]):
             if H[i, j] != 0:
                 row[few], column[few], value[few] = i, j, H[i, j]
                 few += 1
@@ -127,7 +127,7 @@ def subtract_product(A: Array, B: Array, H: Array, into: Array) -> None:
     """
     N, d = H.shape
     row, column, value = np.empty(N * d, np.int64), np.empty(N * d, np.int64), np.empty(N * d, H.dtype)
-    few = entries(H, row, column, value)
+    few = entries(H, 0, row, column, value)
     if few > SPARSE * N * d:
         np.dot(B, H, into)
         for i in range(A.shape[0]):
@@ -211,12 +211,8 @@ def weighed(
     M, sums, squares = np.empty((N, q), eta.dtype), np.empty(q, eta.dtype), np.empty(q, eta.dtype)
     row, column, factor = np.empty(n * n, np.int64), np.empty(n * n, np.int64), np.empty(n * n, eta.dtype)
     for k in range(E):
-        own, few = k % A.shape[0], 0
-        for i in range(n):
-            for s in range(d, n):
-                if A[own, i, s] != 0:
-                    row[few], column[few], factor[few] = i, s, A[own, i, s]
-                    few += 1
+        own = k % A.shape[0]
+        few = entries(A[own], d, row, column, factor)
         c, now, turn = k % change.shape[0], k % seen.shape[0], k % half.shape[0]
         for l in range(L):  # noqa: E741
             into = eta[k, l]
