@@ -2,7 +2,8 @@
 
 OpenBLAS and NumPy choose their code by processor, and sums taken in another order round otherwise. Each kernel of `KERNELS`
 gives a run of the quick tests, all but the folders and files of `NOT_NUMERICAL`: a new file takes part unless it is named
-there. What this machine cannot run is left out and reported, and so is the kernel that all tests run with here anyway.
+there; the oldest is run with NumPy's baseline, as on a processor of its time. What this machine cannot run is left out and
+reported, and so is the kernel that all tests run with here anyway.
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ def settings() -> dict[str, dict[str, str]]:
     # of those that NumPy chooses at run time, the ones this machine has: it warns of any other
     chosen = np.show_config("dicts")["SIMD Extensions"].get("found", [])
     if chosen:
-        found["NumPy's baseline"] = {"NPY_DISABLE_CPU_FEATURES": " ".join(chosen)}
+        oldest = next(iter(found), None)
+        name, kernel = (f"{oldest}, NumPy's baseline", found.pop(oldest)) if oldest else ("NumPy's baseline", {})
+        found[name] = kernel | {"NPY_DISABLE_CPU_FEATURES": " ".join(chosen)}
     else:
         print("left out: NumPy's baseline; it is what NumPy runs here anyway")
     return found
