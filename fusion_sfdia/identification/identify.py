@@ -85,13 +85,14 @@ def _left_out(y: Array, u: Array, order: int, folds: int, ridge: float, iteratio
 
     The readings of a stretch are missing where its model is identified.
     """
-    log_likelihood, chi_square, readings = np.zeros(3)
     judged = np.arange(len(y)) >= WARM_UP
-    for stretch in np.array_split(np.flatnonzero(judged), folds):
-        without = y.copy()
-        without[stretch] = np.nan
-        found = filtered(fitted(without, u, order, ridge, iterations), y, u)
-        log_likelihood += found.log_likelihood[stretch].sum()
-        chi_square += found.chi_square[stretch].sum()
-        readings += np.isfinite(y[stretch]).sum()
-    return float(log_likelihood / judged.sum()), float(chi_square / readings)
+    stretches = np.array_split(np.flatnonzero(judged), folds)
+    without = np.stack([y] * folds)
+    for fold, stretch in zip(without, stretches, strict=True):
+        fold[stretch] = np.nan
+    found = filtered(fitted(without, u, order, ridge, iterations), np.stack([y] * folds), u)
+    log_likelihood, chi_square = (
+        sum(values[fold, stretch].sum() for fold, stretch in enumerate(stretches))
+        for values in (found.log_likelihood, found.chi_square)
+    )
+    return float(log_likelihood / judged.sum()), float(chi_square / np.isfinite(y[judged]).sum())

@@ -52,8 +52,12 @@ def canonical_variates(y: Array, u: Array, order: int, lags: int) -> LinearGauss
 
 
 def fitted(y: Array, u: Array, order: int, ridge: float, iterations: int) -> LinearGaussian:
-    """The model of that order after expectation maximisation, see `identify`."""
-    model = canonical_variates(y, u, order, LAGS + order // y.shape[1])
+    """The model of that order after expectation maximisation, see `identify`; of y (F, K, N) a model for each recording."""
+    lags = LAGS + order // y.shape[-1]
+    if y.ndim == 2:
+        model = canonical_variates(y, u, order, lags)
+    else:
+        model = LinearGaussian(*map(np.stack, zip(*(canonical_variates(one, u, order, lags) for one in y), strict=True)))
     for _ in range(iterations):
         model = maximised(model, smoothed(model, y, u), y, u, ridge)
     return model

@@ -110,7 +110,7 @@ def pairs() -> Iterator[object]:
             yield pytest.param((plant, name), id=f"{plant}/{name}", marks=marks)
 
 
-every_pair = pytest.mark.parametrize("pair", list(pairs()))
+every_pair = pytest.mark.parametrize("pair", list(pairs()), scope="module")  # one pair after the other: one process builds it
 
 
 @cache
