@@ -50,7 +50,7 @@ class Calibrated(NamedTuple):
     claim: float  # NaN for none
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=64)  # the detectors of a plant, whose blocks of seeds follow each other
 def calibrated(
     plant: ComparedPlant, by: ComparedDetector, settle: int, steps: int, runs: int, false_alarm: float
 ) -> Calibrated:

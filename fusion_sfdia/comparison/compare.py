@@ -66,8 +66,8 @@ class Comparison:
             | common
             | {"seeds": block, "all_seeds": seeds}
             for plant in plants
-            for detector in detectors
             for block in seed_blocks(seeds, CHUNK)
+            for detector in detectors  # one after the other: a process keeps what it has simulated for them
         ]
 
     def work(self, task: Task) -> Arrays:

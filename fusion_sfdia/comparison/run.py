@@ -85,7 +85,7 @@ def work(task: Task, plant: ComparedPlant, detector: ComparedDetector) -> Arrays
         calibration = calibrated(plant, detector, settle, steps, runs, task["false_alarm"])
     except NotApplicableError as problem:
         return {"reason": np.array(str(problem))}
-    key = json.dumps({k: v for k, v in task.items() if k != "detector"}, sort_keys=True)
+    key = of_all_detectors(task)
     usual = usual_material(plant, key)
     recording, found, labels = usual
     swept = [label for label in labels if is_swept(task, label.condition)]
@@ -131,9 +131,14 @@ def is_headline(task: Task, condition: FaultCondition) -> bool:
     return condition.kind in GRADED and condition.sigmas in sizes(task)
 
 
+def of_all_detectors(task: Task) -> str:
+    """What a task has in common with those of other detectors, as JSON; a ComparedPlant has the digest of its own sources."""
+    return json.dumps({k: v for k, v in task.items() if k not in ("detector", "sources")}, sort_keys=True)
+
+
 @lru_cache(maxsize=1)
 def usual_material(of: ComparedPlant, key: str) -> Material:
-    """The usual recording and all conditions, for a task (JSON) without its detector."""
+    """The usual recording and all conditions, for what is `of_all_detectors` in a task."""
     task, cases = json.loads(key), cases_of(of)
     seeds = tuple(task["seeds"])
     recording = healthy(of, trunk_steps(task, cases), seeds)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -285,13 +284,25 @@ def test_what_sets_thresholds_what_is_learnt_from_and_what_is_judged_share_no_se
     assert not used["fitted"] & used["calibrated"]
 
 
+def test_readings_are_simulated_once_for_all_detectors(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated: list[Any] = []
+    simulate = comparison_recordings.simulate
+    monkeypatch.setattr(comparison_recordings, "simulate", lambda *a, **k: simulated.append(k) or simulate(*a, **k))
+    for cached in (healthy, comparison_run.usual_material, comparison_run.mismatch_material):
+        cached.cache_clear()
+    counts = []
+    for name in ("limits", "loo-chi2", "loo-glr"):
+        results(tiny(detectors=name))
+        counts.append(len(simulated))
+    assert counts[0] == counts[1] == counts[2] > 0
+
+
 @pytest.mark.parametrize("name", ["loo-glr", "adaptive-threshold"])
 def test_branches_in_one_pass_are_those_run_one_after_the_other(name: str) -> None:
     """Oracle: each run alone, along the healthy trunk as silent, then over its own readings as deployed."""
     settings = tiny(detectors=name, false_alarm="0.023")
     (task,) = SCENARIO.tasks(settings, 2)
-    key = json.dumps({k: v for k, v in task.items() if k != "detector"}, sort_keys=True)
-    recording, found, labels = comparison_run.usual_material(TANKS, key)
+    recording, found, labels = comparison_run.usual_material(TANKS, comparison_run.of_all_detectors(task))
     plant, settle = plant_of(TANKS), protocol.settle_of(settings, cases("two-tanks"))
     found_calibration = calibrated(TANKS, compared_detector(name), 20, 50, 10, 0.023)
     quiet, loud = silent(found_calibration.detector), deployed(found_calibration)
