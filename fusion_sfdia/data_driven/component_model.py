@@ -16,6 +16,8 @@ from fusion_sfdia.data_driven.healthy_limits import healthy_readings, per_sensor
 
 Array = NDArray[Any]
 
+PATTERNS = 64  # of missing readings, for which what follows from them is kept
+
 
 class Reconstruction(NamedTuple):
     """Results of windows of readings (B, N, L + 1).
@@ -143,21 +145,35 @@ class ComponentModel:
         # one pattern where nothing is missing, the usual case
         patterns, which = (flat[:1], np.zeros(len(x))) if known.all() else np.unique(flat, axis=0, return_inverse=True)
         for i, pattern in enumerate(patterns):
-            rows = which.ravel() == i
-            m = self.precision[~pattern]
-            solved = np.linalg.solve(m[:, ~pattern], m)
-            x[np.ix_(rows, ~pattern)] = -x[rows] @ solved.T
+            rows, (missing, covariances) = which.ravel() == i, self._given(pattern)
+            x[np.ix_(rows, ~pattern)] = -x[rows] @ missing.T
             gradient[rows] = x[rows] @ self.precision
-            # of the inverse covariance of what is known, the blocks of each sensor
-            marginal = self._blocks - np.einsum("mia,mib->iab", m.reshape(-1, n, w), solved.reshape(-1, n, w))
-            of_sensor = pattern.reshape(n, w)
-            marginal = np.where(of_sensor[:, :, None] & of_sensor[:, None, :], marginal, np.eye(w))
-            g = np.where(of_sensor, gradient[rows].reshape(-1, n, w), 0.0)
-            misfit = np.einsum("iab,kib->kia", np.linalg.inv(marginal), g)
+            g = np.where(pattern.reshape(n, w), gradient[rows].reshape(-1, n, w), 0.0)
+            misfit = np.einsum("iab,kib->kia", covariances, g)
             error[rows] = misfit[..., 0]
             contribution[rows] = np.sqrt(np.maximum(np.sum(g * misfit, axis=-1), 0.0))
         now = known[..., 0]
         return Reconstruction(x, np.where(now, error, 0.0), np.where(now, contribution, 0.0))
+
+    def _given(self, pattern: Array) -> tuple[Array, Array]:
+        """For a pattern of what is known (D,): M_mm^-1 M_m. of what is missing (m, D), and of each sensor the inverse of its
+        block of the inverse covariance of what is known (N, L + 1, L + 1). The latest patterns are kept.
+        """
+        if (found := self._patterns.get(key := pattern.tobytes())) is None:
+            n, w = len(self.centre), self.lags + 1
+            m = self.precision[~pattern]
+            missing = np.linalg.solve(m[:, ~pattern], m)
+            blocks = self._blocks - np.einsum("mia,mib->iab", m.reshape(-1, n, w), missing.reshape(-1, n, w))
+            of_sensor = pattern.reshape(n, w)
+            blocks = np.where(of_sensor[:, :, None] & of_sensor[:, None, :], blocks, np.eye(w))
+            if len(self._patterns) >= PATTERNS:
+                self._patterns.clear()
+            found = self._patterns[key] = missing, np.linalg.inv(blocks)
+        return found
+
+    @cached_property
+    def _patterns(self) -> dict[bytes, tuple[Array, Array]]:
+        return {}
 
     def present(self, x: Array) -> Array:
         """The present readings (B, N) in sensor units of standardised windows x (B, D)."""
