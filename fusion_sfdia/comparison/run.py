@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.comparison.branches import Branches, Run, branches, deployed_walk, silent_walk
+from fusion_sfdia.comparison.branches import Branches, Run, branches
 from fusion_sfdia.comparison.calibration import Calibrated, calibrated, deployed
 from fusion_sfdia.comparison.example import example
 from fusion_sfdia.comparison.protocol import (
@@ -40,6 +40,7 @@ from fusion_sfdia.comparison.protocol import (
 from fusion_sfdia.comparison.recordings import healthy, mismatched
 from fusion_sfdia.comparison.records import BranchReadings, KeptDecisions, join, record
 from fusion_sfdia.comparison.subjects import ComparedDetector, ComparedPlant, cases_of, plant_of
+from fusion_sfdia.comparison.walks import deployed_walk, silent_walk
 from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import silent

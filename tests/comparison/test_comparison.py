@@ -17,7 +17,7 @@ from fusion_sfdia.comparison import calibration as comparison_calibration
 from fusion_sfdia.comparison import protocol
 from fusion_sfdia.comparison import recordings as comparison_recordings
 from fusion_sfdia.comparison import run as comparison_run
-from fusion_sfdia.comparison.branches import Branches, deployed_walk, shares, silent_walk, walk
+from fusion_sfdia.comparison.branches import Branches
 from fusion_sfdia.comparison.calibration import (
     as_scores,
     calibrated,
@@ -41,6 +41,7 @@ from fusion_sfdia.comparison.subjects import (
 )
 from fusion_sfdia.comparison.summary import gather
 from fusion_sfdia.comparison.text import broken_claims, distinct
+from fusion_sfdia.comparison.walks import deployed_walk, shares, silent_walk, walk
 from fusion_sfdia.core.detector import Detector, NotApplicableError, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import silent, silent_score, silent_scores
