@@ -72,7 +72,7 @@ def walk(
     states: those of another walk along the trunk, with which trunk and branches begin; None to begin anew, and branches with
     the state of the walk itself, all in one batch, the trunk first. trunk: of its runs that are followed, by their numbers, the
     samples with which they begin, None for all from the first one on; samples at which no run is under way are left out. Of
-    the runs that share arrays (`alike`) those are stepped apart that have alarmed or missed a reading.
+    the runs that share most of their state (`alike`) those are stepped apart that have alarmed or missed a reading.
     """
     B, dt, never = recording.y.shape[1], detector.plant.dt, recording.t.size
     onset, length, number = (np.array([getattr(run, what) for run in found.runs], int) for what in ("onset", "length", "b"))
@@ -110,8 +110,9 @@ def walk(
 
 
 def shares(state: State) -> bool:
-    """Whether the runs of a state have arrays in common."""
-    return any(single(a) is not a for a in leaves(state))
+    """Whether most of what a state of several runs holds is the same for all, such as covariances."""
+    arrays = [a for a in leaves(state) if a.ndim]
+    return 2 * sum(int(a.size) for a in arrays if single(a) is not a) > sum(int(a.size) for a in arrays)
 
 
 class Silent(NamedTuple):
