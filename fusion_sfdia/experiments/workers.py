@@ -10,6 +10,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -53,6 +54,8 @@ def work_off(pieces: Sequence[Piece], workers: int) -> Iterator[Done]:
 
 def in_processes(function: Callable[[T], R], of: Sequence[T], workers: int) -> Iterator[R]:
     """The function of each in at most `workers` processes, as they are done, in any order; RuntimeError where one is killed."""
+    # one that has grown by 300 MB, of which much is kept for the next piece, is replaced between two pieces: nothing is lost
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
     parallel = Parallel(n_jobs=min(workers, max(len(of), 1)), return_as="generator_unordered", batch_size=1, max_nbytes=None)
     try:
         yield from parallel(delayed(_followed)(function, one, os.getpid()) for one in of)

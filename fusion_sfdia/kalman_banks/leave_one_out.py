@@ -111,16 +111,18 @@ def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
 
     A downdate of the inverse by rank one: S^-1 <- S^-1 - s_w s_w' / s_ww, u <- u - s_w u_w / s_ww, with s_w the w-th column.
     """
-    index, before = worst[..., None], found.inverse
-    column = np.take_along_axis(before, index[..., None], axis=-1)[..., 0]
-    pivot = np.where(where[..., None], np.take_along_axis(found.weight, index, axis=-1), np.inf)
-    u_worst = np.take_along_axis(found.whitened, index, axis=-1)
-    whitened = found.whitened - column * (u_worst / pivot)
-    s_inv = before - column[..., :, None] * (column / pivot)[..., None, :]
-    keep = ~(one_hot(worst, whitened.shape[-1]) & where[..., None])
-    s_inv = s_inv * keep[..., :, None] * keep[..., None, :]
-    weight = np.maximum(np.diagonal(s_inv, axis1=-2, axis2=-1), 0.0)
-    return LeaveOneOut(whitened * keep, weight, s_inv, found.used & keep, None, None)
+    given = found.inverse, found.whitened, found.weight, found.used
+    s_inv, whitened, weight, used = (np.array(values, order="C") for values in given)
+    N, runs = used.shape[-1], np.flatnonzero(where)
+    S, u, w = s_inv.reshape(-1, N, N), whitened.reshape(-1, N), weight.reshape(-1, N)  # views
+    one = runs, worst.ravel()[runs]
+    column, pivot = S.swapaxes(-1, -2)[one], w[one][:, None]
+    left = S[runs] - column[:, :, None] * (column / pivot)[:, None, :]
+    S[runs], w[runs] = left, np.maximum(np.diagonal(left, axis1=-2, axis2=-1), 0.0)
+    u[runs] -= column * (u[one][:, None] / pivot)
+    for values in (S, S.swapaxes(-1, -2), u, w, used.reshape(-1, N)):
+        values[one] = 0
+    return LeaveOneOut(whitened, weight, s_inv, used, None, None)
 
 
 def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
