@@ -274,18 +274,21 @@ What bounds five of these, each counted or measured in one run beside what it is
 - **First diagnosis** of the pipeline, 8.2 s on two idle cores, later 2.1 s: 5.5 s are the compilation of its step and of its
   derivatives, one after the other, while a second process compiles the detector. Two fifths of it are LLVM's; typing and
   lowering, which numba does in Python, have the rest, whatever the level of optimisation.
-- **Comparison**, 8 seeds: 9.0 min on two idle cores of a slower machine, on which the same code of Python takes 1.6 times as
-  long as for the other numbers, 1 035 s of processor time. A detector takes 36 000 to 60 000 steps of a run on a plant, a
-  third of them on the healthy runs that set its threshold; all 108 pairs that apply take 4.8 million. With 71 to 75 healthy
-  runs in place of 24, and every branch run deployed too, it was nine million, and 7 detectors on the 4 plants took 1.5 times
-  as long in the same hour. In the numbers of the table above, on the pipeline a central filter takes 125 us a step in a
-  batch: 26 us are the model and its Jacobian, 65 us the products and factors of 63 states and 63 readings, at the 41 Gflop/s
-  that NumPy reaches with matrices of that size. 14 detectors there contain it. Of `robust-glr` on the network 0.9 ms of 1.7
-  are the products of its windows, 61 Mflop at 70 Gflop/s in a batch.
-- **Papers**, `--full`, all but network/scale, estimated from 5 to 67 % of the tasks: 40 min of processor time, of which 28 are
-  the pipeline's. It follows 3.6 million steps of a run; 95 % of the time are detectors. The unscented bank takes 0.6 ms a step,
-  of which 0.28 ms are the model at its 127 points and 0.05 ms would be its products at 58 Gflop/s; the ensemble 0.4 (0.08 and
-  0.03); `loo-glr` 0.5, of which 0.24 are its windows; the extended bank 0.25 (0.03 and 0.04).
+- **Comparison**, on two cores of a slower machine, on which the same code of Python takes 1.6 times as long as for the other
+  numbers: 8 seeds in 8.8 min, 1 019 s of processor time, 24 seeds in 18.7 min, 2 197 s. A detector takes 36 000 to 60 000 steps
+  of a run on a plant, all 108 pairs that apply 4.8 million. By samples of the program, beside other work, a fifth of the time are
+  the healthy runs that set thresholds, a fifth the silent detectors on trunks and branches, a third the deployed ones, whose
+  runs no longer share covariances after an alarm, a twelfth wrong models, a seventeenth figures. An eighth was simulating
+  readings again for each detector, until they were kept: six detectors on the pipeline and the network take 0.85 of the time
+  since. In the numbers of the table above, on the pipeline a central filter takes 125 us a step in a batch: 26 us are the
+  model and its Jacobian, 65 us the products and factors of 63 states and 63 readings, at the 41 Gflop/s that NumPy reaches with
+  matrices of that size. 14 detectors there contain it. Of `robust-glr` on the network 0.9 ms of 1.7 are the products of its
+  windows, 61 Mflop at 70 Gflop/s in a batch.
+- **Papers**, `--full`, all but network/scale and the chemical plant, on the slower machine and beside other work: 61 min of
+  processor time, 35 min on two cores; 0.71 of it are the pipeline, 0.19 the engine, 0.06 the network, 0.02 figures. The pipeline
+  follows 3.6 million steps of a run. In the numbers of the table above the unscented bank takes 0.6 ms a step, of which 0.28 ms
+  are the model at its 127 points and 0.05 ms would be its products at 58 Gflop/s; the ensemble 0.4 (0.08 and 0.03); `loo-glr`
+  0.5, of which 0.24 are its windows; the extended bank 0.25 (0.03 and 0.04).
 """
 MEMORY = """## Memory
 
