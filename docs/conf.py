@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import nbclient
+from jupyter_cache import get_cache
 from jupyter_cache.executors import utils
 from sphinx.application import Sphinx
 from sphinx.util.logging import getLogger
@@ -46,6 +47,7 @@ myst_heading_anchors = 4
 # each page in its own kernel and an empty folder; what ran before and has not changed comes from the cache
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(HERE / "_build" / "cache")
+get_cache(nb_execution_cache_path).get_cache_limit()  # makes its tables, before two processes would at once
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # s a cell, also on a busy machine
