@@ -112,7 +112,7 @@ def walk(
 def shares(state: State) -> bool:
     """Whether most of what a state of several runs holds is the same for all, such as covariances."""
     arrays = [a for a in leaves(state) if a.ndim]
-    return 2 * sum(int(a.size) for a in arrays if single(a) is not a) > sum(int(a.size) for a in arrays)
+    return bool(2 * sum(a.size for a in arrays if single(a) is not a) > sum(a.size for a in arrays))
 
 
 class Silent(NamedTuple):

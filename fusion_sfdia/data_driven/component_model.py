@@ -157,7 +157,7 @@ class ComponentModel:
 
     def _given(self, pattern: Array) -> tuple[Array, Array]:
         """For a pattern of what is known (D,): M_mm^-1 M_m. of what is missing (m, D), and of each sensor the inverse of its
-        block of the inverse covariance of what is known (N, L + 1, L + 1). The latest patterns are kept.
+        block of the inverse covariance of what is known (N, L + 1, L + 1). Up to PATTERNS of them are kept.
         """
         if (found := self._patterns.get(key := pattern.tobytes())) is None:
             n, w = len(self.centre), self.lags + 1

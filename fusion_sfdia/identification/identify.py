@@ -90,7 +90,7 @@ def _left_out(y: Array, u: Array, order: int, folds: int, ridge: float, iteratio
     without = np.stack([y] * folds)
     for fold, stretch in zip(without, stretches, strict=True):
         fold[stretch] = np.nan
-    found = filtered(fitted(without, u, order, ridge, iterations), np.stack([y] * folds), u)
+    found = filtered(fitted(without, u, order, ridge, iterations), y, u)
     log_likelihood, chi_square = (
         sum(values[fold, stretch].sum() for fold, stretch in enumerate(stretches))
         for values in (found.log_likelihood, found.chi_square)

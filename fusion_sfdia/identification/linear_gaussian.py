@@ -59,12 +59,13 @@ class Smoothed(NamedTuple):
 
 
 def filtered(model: LinearGaussian, y: Array, u: Array) -> Filtered:
-    """The Kalman filter on y (..., K, N), NaN where missing, and u (K, m), in its information form:
+    """The Kalman filter on y (..., K, N) or (K, N) for all models, NaN where missing, and u (K, m), in its information form:
 
     J = C' R^-1 C over the readings present,    P <- (I + P J)^-1 P,    x <- x + P (C' R^-1 y - J x)
     """
     A, B, C, Q, r, x, P = model
-    (*batch, steps, count), n = y.shape, A.shape[-1]
+    *batch, n, _ = A.shape
+    steps, count = y.shape[-2:]
     known = np.isfinite(y)
     weight = known / r[..., None, :]
     value = np.where(known, y, 0.0)
