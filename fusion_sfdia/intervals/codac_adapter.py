@@ -1,7 +1,8 @@
 """Set inversion by codac (C++; the optional extra `codac`), with the arguments and the result of `sivia`.
 
 An independent implementation, for comparison or as an alternative. It has no budget and takes one problem at a time. codac sets
-the processor to round upward when it is imported; `rounding_to_nearest` restores the mode after each use.
+the processor to round upward when it is imported, and its x87 unit, with which BLAS takes norms, to double precision;
+`rounding_to_nearest` restores both after each use.
 """
 
 from __future__ import annotations
@@ -24,11 +25,18 @@ Array = NDArray[Any]
 
 @contextmanager
 def rounding_to_nearest() -> Iterator[None]:
-    """Restore rounding to nearest at the end of the block: C's fesetround, whose FE_TONEAREST is 0 on x86 and ARM."""
+    """Restore the floating-point environment of before, and rounding to nearest, at the end of the block.
+
+    By C's fegetenv, fesetenv and fesetround, whose FE_TONEAREST is 0 on x86 and ARM.
+    """
+    c = ctypes.CDLL(ctypes.util.find_library("m") or ctypes.util.find_msvcrt())  # type: ignore[attr-defined]
+    before = ctypes.create_string_buffer(256)  # more than any fenv_t has, 32 on x86-64
+    c.fegetenv(before)
     try:
         yield
     finally:
-        ctypes.CDLL(ctypes.util.find_library("m") or ctypes.util.find_msvcrt()).fesetround(0)  # type: ignore[attr-defined]
+        c.fesetenv(before)
+        c.fesetround(0)
 
 
 @rounding_to_nearest()

@@ -1,4 +1,4 @@
-"""Set inversion agrees with codac's, and codac's rounding mode does not leak."""
+"""Set inversion agrees with codac's, and codac's rounding mode and precision do not leak."""
 
 from __future__ import annotations
 
@@ -50,6 +50,19 @@ def test_rounding_is_to_nearest_after_codac() -> None:
     assert tenth + 2 * tenth == 0.30000000000000004
     assert -tenth - 2 * tenth == -0.30000000000000004
     assert (Interval(1.0) + 1.0).contains(2.0)
+
+
+@needs_codac
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant != 63, reason="needs the x87 unit's extended precision, of x86")
+def test_extended_precision_is_that_of_before() -> None:
+    """In a process of its own: once codac has left double precision, norms and what is made of them round otherwise."""
+    script = (
+        "import numpy as np\nfrom fusion_sfdia.intervals.codac_adapter import Interval, codac_sivia\n"
+        "codac_sivia(np.exp, Interval(0.0, 1.0), Interval([0.0], [0.5]), 0.1)\n"
+        "print(np.longdouble(1) + np.longdouble(2) ** -60 != 1)"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert ended.stdout == "True\n", ended.stderr
 
 
 @needs_codac
