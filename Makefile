@@ -41,7 +41,7 @@ demo: $(RUN)
 	$(BIN)/fusion-sfdia compare --out '$(DEMO_OUT)' --force $(DEMO_ARGS)
 
 test: $(DEV)
-	$(BIN)/python -m pytest -n $(WORKERS) -m 'not long'
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not long'
 
 # what takes long and decides little: the notebooks' outputs
 test-long: $(DEV)
