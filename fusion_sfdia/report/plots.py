@@ -108,6 +108,7 @@ def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = N
         figure = draw()
         figure.savefig(svg, format="svg", metadata={"Date": None})
         if png is not None:
+            figure.set_layout_engine("none")  # as the SVG is laid out, which takes as long as drawing
             figure.savefig(png, format="png", dpi=160)
     return svg.getvalue().decode()
 
