@@ -275,15 +275,17 @@ What bounds five of these, each counted or measured in one run beside what it is
   derivatives, one after the other, while a second process compiles the detector. Two fifths of it are LLVM's; typing and
   lowering, which numba does in Python, have the rest, whatever the level of optimisation.
 - **Comparison**, on two cores of a slower machine, on which the same code of Python takes 1.6 times as long as for the other
-  numbers: 8 seeds in 8.8 min, 1 019 s of processor time, 24 seeds in 18.7 min, 2 197 s. A detector takes 36 000 to 60 000 steps
-  of a run on a plant, all 108 pairs that apply 4.8 million. An eighth of the time was simulating readings again for each
-  detector, until they were kept: six detectors on the pipeline and the network take 0.85 of the time since. Of all before, by
-  samples of the program beside other work, a fifth were the healthy runs that set thresholds, a fifth the silent detectors on
-  trunks and branches, a third the deployed ones, whose runs no longer share covariances after an alarm, a twelfth wrong models,
-  a seventeenth figures. In the numbers of the table above, on the pipeline a central filter takes 125 us a step in a batch:
-  26 us are the model and its Jacobian, 65 us the products and factors of 63 states and 63 readings, at the 41 Gflop/s that
-  NumPy reaches with matrices of that size. 14 detectors there contain it. Of `robust-glr` on the network 0.9 ms of 1.7 are the
-  products of its windows, 61 Mflop at 70 Gflop/s in a batch.
+  numbers: 8 seeds in 6.8 min, 794 s of processor time; 24 seeds in 18.7 min, 2 197 s, a little earlier. A detector takes 36 000
+  to 60 000 steps of a run on a plant, all 108 pairs that apply 4.8 million. By samples of the program, plant by plant, 0.45 of
+  970 s are inside compiled models, products and factors of matrices (0.61 on the pipeline, 0.46 on the network, 0.26 on the
+  engine, 0.13 on the tanks): with nothing else these alone would take 3.6 min of two cores. The largest are the pipe's model
+  (0.10), the windows of `robust-glr` (0.07) and triangular factors (0.05); no other has more than 0.02. Figures take 0.07 and
+  imports 0.03, the rest is spread over some thousand lines of NumPy and Python. By what it is for: 0.27 are the healthy runs
+  that set thresholds, 0.16 the silent detectors on trunks and branches, 0.32 the deployed ones, whose runs no longer share
+  covariances after an alarm, 0.09 wrong models. In the numbers of the table above, on the pipeline a central filter takes 125
+  us a step in a batch: 26 us are the model and its Jacobian, 65 us the products and factors of 63 states and 63 readings, at
+  the 41 Gflop/s that NumPy reaches with matrices of that size. 14 detectors there contain it. Of `robust-glr` on the network
+  0.9 ms of 1.7 are the products of its windows, 61 Mflop at 70 Gflop/s in a batch.
 - **Papers**, `--full`, all but network/scale and the chemical plant, on the slower machine and beside other work: 61 min of
   processor time, 35 min on two cores; 0.71 of it are the pipeline, 0.19 the engine, 0.06 the network. The pipeline
   follows 3.6 million steps of a run. In the numbers of the table above the unscented bank takes 0.6 ms a step, of which 0.28 ms
