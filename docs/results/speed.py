@@ -275,7 +275,7 @@ What bounds five of these, each counted or measured in one run beside what it is
   derivatives, one after the other, while a second process compiles the detector. Two fifths of it are LLVM's; typing and
   lowering, which numba does in Python, have the rest, whatever the level of optimisation.
 - **Comparison**, on two cores of a slower machine, on which the same code of Python takes 1.6 times as long as for the other
-  numbers: 8 seeds in 6.8 min, 794 s of processor time; 24 seeds in 18.7 min, 2 197 s, a little earlier. A detector takes 36 000
+  numbers: 8 seeds in 6.8 min, 794 s of processor time; 24 seeds in 17.1 min, 2 007 s. A detector takes 36 000
   to 60 000 steps of a run on a plant, all 108 pairs that apply 4.8 million. By samples of the program, plant by plant, 0.45 of
   970 s are inside compiled models, products and factors of matrices (0.61 on the pipeline, 0.46 on the network, 0.26 on the
   engine, 0.13 on the tanks): with nothing else these alone would take 3.6 min of two cores. The largest are the pipe's model
