@@ -277,8 +277,8 @@ What bounds five of these, each counted or measured in one run beside what it is
 - **Comparison**, on two cores of a slower machine, on which the same code of Python takes 1.6 times as long as for the other
   numbers: 8 seeds in 6.8 min, 794 s of processor time; 24 seeds in 17.1 min, 2 007 s. A detector takes 36 000
   to 60 000 steps of a run on a plant, all 108 pairs that apply 4.8 million. By samples of the program, plant by plant, 0.45 of
-  970 s are inside compiled models, products and factors of matrices (0.61 on the pipeline, 0.46 on the network, 0.26 on the
-  engine, 0.13 on the tanks): with nothing else these alone would take 3.6 min of two cores. The largest are the pipe's model
+  the time is inside compiled models, products and factors of matrices (0.61 on the pipeline, 0.46 on the network, 0.26 on the
+  engine, 0.13 on the tanks): with nothing else these alone would take 3.0 min of two cores. The largest are the pipe's model
   (0.10), the windows of `robust-glr` (0.07) and triangular factors (0.05); no other has more than 0.02. Figures take 0.07 and
   imports 0.03, the rest is spread over some thousand lines of NumPy and Python. By what it is for: 0.27 are the healthy runs
   that set thresholds, 0.16 the silent detectors on trunks and branches, 0.32 the deployed ones, whose runs no longer share
