@@ -275,8 +275,8 @@ What bounds five of these, each counted or measured in one run beside what it is
   derivatives, one after the other, while a second process compiles the detector. Two fifths of it are LLVM's; typing and
   lowering, which numba does in Python, have the rest, whatever the level of optimisation.
 - **Comparison**, on two cores of a slower machine, on which the same code of Python takes 1.6 times as long as for the other
-  numbers: 8 seeds in 6.8 min, 794 s of processor time; 24 seeds in 17.1 min, 2 007 s. A detector takes 36 000
-  to 60 000 steps of a run on a plant, all 108 pairs that apply 4.8 million. By samples of the program, plant by plant, 0.45 of
+  numbers: 8 seeds in 6.8 min, 794 s of processor time; 24 seeds in 17.1 min, 2 007 s. A detector takes 36 000 to 60 000 steps
+  of a run on a plant, all 108 pairs that apply 4.8 million. By samples of the program shortly before, plant by plant, 0.45 of
   the time is inside compiled models, products and factors of matrices (0.61 on the pipeline, 0.46 on the network, 0.26 on the
   engine, 0.13 on the tanks): with nothing else these alone would take 3.0 min of two cores. The largest are the pipe's model
   (0.10), the windows of `robust-glr` (0.07) and triangular factors (0.05); no other has more than 0.02. Figures take 0.07 and

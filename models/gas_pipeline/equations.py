@@ -160,9 +160,9 @@ def friction_from(m: Any, inside: Any, logarithm: Any, c: PipelineParameters) ->
     if c.friction > 0.0:
         return c.friction + 0.0 * logarithm
     b = 2.51 * np.pi * c.diameter * c.viscosity / (4.0 * m)
-    root = 10.0 + 0.0 * b
-    change = friction_change(root, b / inside, logarithm)
-    y = b / inside * change  # the change of `inside` over it
+    root, slope = 10.0 + 0.0 * b, b / inside
+    change = friction_change(root, slope, logarithm)
+    y = slope * change  # the change of `inside` over it
     s = y / (2.0 + y)
     artanh = 0.0 * s
     for k in range(10):

@@ -158,7 +158,7 @@ def test_colebrook_white(m: float, roughness: float) -> None:
     root = brentq(defect, 1.0, 100.0, xtol=1e-14, rtol=1e-14)
     f = equations.friction_factor(m, c)
     assert f == pytest.approx(root**-2, rel=4e-14)  # brentq: the root to 1e-14 + 1e-14 root
-    # d root / d m from the equation itself, against the complex step through the steps
+    # d root / d m from the equation itself, against the complex step through its solution
     inside = roughness / (3.7 * c.diameter) + 2.51 / reynolds * root
     by_root, by_m = 1 + 2 / np.log(10) * 2.51 / reynolds / inside, -2 / np.log(10) * 2.51 / reynolds * root / m / inside
     slope = equations.friction_factor(m + 1j * COMPLEX_STEP, c).imag / COMPLEX_STEP
