@@ -22,7 +22,7 @@ from fusion_sfdia.core.log import Log, as_log
 from fusion_sfdia.core.order_statistics import order_statistic
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.silent import silent, silent_scores
-from fusion_sfdia.core.state import State, leaves, mapped
+from fusion_sfdia.core.state import State, as_batch, as_single, leaves
 
 
 class TimeStep(NamedTuple):
@@ -142,7 +142,7 @@ class BatchDetector(ABC):
         y, u, absurd, absurd_input = (a[None] for a in taken) if single else taken
         diverged, memory = state.diverged, state.memory
         if single:
-            diverged, memory = diverged[None], mapped(_as_batch, memory)
+            diverged, memory = diverged[None], as_batch(memory)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             after, decision = self._judge(memory, now, y, u)
         capped = decision.capped
@@ -154,7 +154,7 @@ class BatchDetector(ABC):
             after = keep_broken_out(diverged, after, self._start(diverged.shape, now.seed))
             found = vars(without_broken(Decision(**found), diverged))
         if single:
-            diverged, after = diverged[0, ...], mapped(_as_single, after)
+            diverged, after = diverged[0, ...], as_single(after)
             found = {name: None if a is None else a[0, ...] for name, a in found.items()}
         return State(state.seed, np.array(now.k), np.array(now.t), diverged, after), Decision(**found)
 
@@ -204,12 +204,3 @@ class BatchDetector(ABC):
             f"this is no state of {type(self).__name__} on plant {self.plant.name!r} with these settings; take it from "
             "its init, its last step or load_state"
         )
-
-
-def _as_batch(a: Array) -> Array:
-    return a[None]
-
-
-def _as_single(a: Array) -> Array:
-    first: Array = a[0, ...]  # an array even of a single number
-    return first

@@ -91,12 +91,12 @@ class Decision:
     @property
     def score(self) -> Array:
         """The largest of `scores` (...)."""
-        return np.asarray(np.max(self.scores, axis=-1))
+        return np.asarray(self.scores.max(axis=-1))
 
     @property
     def alarm(self) -> Array:
         """Whether a residual exceeds its threshold or a hypothesis is isolated (...)."""
-        return np.asarray((self.score > 1) | np.any(self.isolated, axis=-1))
+        return np.asarray((self.score > 1) | self.isolated.any(axis=-1))
 
 
 @runtime_checkable

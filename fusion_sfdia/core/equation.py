@@ -46,6 +46,11 @@ def compiled(function: F) -> F:
         return njit(error_model="numpy")(function)  # type: ignore[no-any-return]
 
 
+def plain(a: Array) -> Array:
+    """An array as compiled loops take it, contiguous floats: one type of arguments, so that nothing is compiled twice."""
+    return a if a.flags.carray and a.dtype == np.float64 else np.array(a, dtype=float, order="C")
+
+
 def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:
     """Return the argument names of an equation: the variables it depends on, that is its row of the structure."""
     return tuple(inspect.signature(function).parameters)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import single
 from fusion_sfdia.core.detector import Decision
+from fusion_sfdia.core.equation import compiled, plain
 from fusion_sfdia.core.state import mapped
 
 Array = NDArray[Any]
@@ -17,10 +18,25 @@ Array = NDArray[Any]
 
 def broken(x: Array, p: Array) -> Array:
     """Return (...) whether the estimate x (..., n) or covariance p (..., n, n) is no longer finite and non-negative."""
-    p = single(p)
-    variances = np.diagonal(p, axis1=-2, axis2=-1)
-    sound = np.all(np.isfinite(x), axis=-1) & np.all(np.isfinite(p), axis=(-2, -1)) & np.all(variances >= 0, axis=-1)
-    return np.asarray(~sound)
+    n = x.shape[-1]
+    found: Array = _broken(plain(x.reshape(-1, n)), plain(single(p).reshape(-1, n, n)))
+    return found.reshape(x.shape[:-1])
+
+
+@compiled
+def _broken(x: Array, p: Array) -> Array:
+    """The same of estimates (B, n); p (B, n, n) or (1, n, n)."""
+    found, lost = np.zeros(x.shape[0], np.bool_), np.zeros(p.shape[0], np.bool_)
+    for k in range(p.shape[0]):
+        for i in range(p.shape[1]):
+            lost[k] |= not p[k, i, i] >= 0
+            for j in range(p.shape[2]):
+                lost[k] |= not np.isfinite(p[k, i, j])
+    for r in range(x.shape[0]):
+        found[r] = lost[r % p.shape[0]]
+        for i in range(x.shape[1]):
+            found[r] |= not np.isfinite(x[r, i])
+    return found
 
 
 def keep_broken_out(diverged: Array, memory: Any, fresh: Any) -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core import straight_line_kernels
 from fusion_sfdia.core.any_time import ANY_TIME
-from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.core.equation import complex_step_jacobian, plain
 from fusion_sfdia.core.physics import Physics
 from fusion_sfdia.core.straight_line import Program, record, uses
 from fusion_sfdia.core.straight_line_kernels import ALGEBRAIC_TOLERANCE, MAX_SWEEPS
@@ -247,9 +247,7 @@ def _as_rows(x: Array, u: Array, theta: Array) -> tuple[tuple[int, ...], Array, 
 def _rows(a: Array, batch: tuple[int, ...]) -> Array:
     if a.shape[:-1] not in ((), batch):
         a = np.broadcast_to(a, (*batch, a.shape[-1]))
-    rows = a.reshape(1 if a.ndim == 1 else math.prod(batch), a.shape[-1])
-    ready = rows.flags.c_contiguous and rows.flags.writeable and rows.dtype == np.float64
-    return rows if ready else np.array(rows, dtype=float)  # one type of arguments, so that nothing is compiled twice
+    return plain(a if a.ndim == 2 else a.reshape(1 if a.ndim == 1 else math.prod(batch), a.shape[-1]))
 
 
 def _of_batch(x: Array, theta: Array) -> Array:

@@ -294,7 +294,7 @@ class Plant:
         """Return x (..., n) moved into the limits of the states, and whether any state was moved (...)."""
         low, high = self.state_limits
         inside = np.minimum(np.maximum(x, low), high)
-        return inside, np.any(inside != x, axis=-1)
+        return inside, (inside != x).any(axis=-1)
 
     def in_units(self, units: Mapping[str, tuple[str, float]]) -> Plant:
         """Return the same plant with some sensors read in another unit: {sensor: (unit, readings per present unit)}."""

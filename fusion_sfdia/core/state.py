@@ -51,7 +51,7 @@ def rebuilt(like: Any, arrays: Iterable[Any]) -> Any:
 
 def _rebuilt(like: Any, remaining: Iterator[Any]) -> Any:
     parts = [_rebuilt(value, remaining) if isinstance(value, tuple) else next(remaining) for value in like]
-    return like._make(parts) if hasattr(like, "_make") else tuple(parts)
+    return tuple.__new__(type(like), parts)
 
 
 def mapped(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
@@ -61,8 +61,17 @@ def mapped(function: Callable[..., Any], tree: Any, *others: Any) -> Any:
     """
     if others:
         return rebuilt(tree, [function(*each) for each in zip(leaves(tree), *map(leaves, others), strict=True)])
-    parts = [mapped(function, value) if isinstance(value, tuple) else function(value) for value in tree]  # twice in each step
-    return tree._make(parts) if hasattr(tree, "_make") else tuple(parts)
+    return tuple.__new__(type(tree), [mapped(function, v) if isinstance(v, tuple) else function(v) for v in tree])
+
+
+def as_batch(tree: Any) -> Any:
+    """The arrays of a single run as those of a batch of one."""
+    return tuple.__new__(type(tree), [as_batch(v) if isinstance(v, tuple) else v[None] for v in tree])
+
+
+def as_single(tree: Any) -> Any:
+    """The arrays of a batch of one as those of a single run, arrays even of a single number."""
+    return tuple.__new__(type(tree), [as_single(v) if isinstance(v, tuple) else v[0, ...] for v in tree])
 
 
 def names(tree: Any, prefix: str = "") -> list[str]:

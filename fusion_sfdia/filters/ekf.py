@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.equation import complex_step_jacobian
+from fusion_sfdia.filters import small
 from fusion_sfdia.filters.gaussian import Joint, add, symmetrise
 from fusion_sfdia.filters.sparse import congruence
 
@@ -25,6 +26,8 @@ def predict(x: Array, P: Array, f: Model, F: Array | None, Q: Array, sparse: boo
     """
     F = complex_step_jacobian(f, x) if F is None else F
     one = single(P) if F.ndim == 2 else P
+    if small.is_small(F):
+        return f(x), repeated(small.congruence(F, one, Q)[0], P)
     ahead = congruence(F, one)[0] if sparse else symmetrise(F @ one @ np.swapaxes(F, -1, -2))
     return f(x), repeated(add(ahead, Q), P)
 
@@ -37,11 +40,12 @@ def joint(x: Array, P: Array, h: Model, H: Array | None, R: Array, sparse: bool 
     """
     H = complex_step_jacobian(h, x) if H is None else H
     one = single(P) if H.ndim == 2 else P
-    if sparse:
+    if small.is_small(H):
+        S, C = small.congruence(H, one, R)
+    elif sparse:
         HPH, HP = congruence(H, one)
-        C = np.swapaxes(HP, -1, -2)
+        S, C = add(HPH, R), np.swapaxes(HP, -1, -2)
     else:
         C = one @ np.swapaxes(H, -1, -2)
-        HPH = symmetrise(H @ C)
-    S = add(HPH, R)
+        S = add(symmetrise(H @ C), R)
     return Joint(x, P, h(x), S if P.ndim == 2 else repeated(S, P), repeated(C, P), H=H)

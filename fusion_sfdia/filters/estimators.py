@@ -125,7 +125,7 @@ class Extended(_Moments):
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
         start, ahead, moved, stuck, lost = guarded_step(plant, t_start, core.x, u, dt)
         jacobian = plant.step_jacobian_at(t_start, start, u, dt)
-        if np.any(beyond := moved | stuck):  # outside its limits the model has no usable Jacobian
+        if (beyond := moved | stuck).any():  # outside its limits the model has no usable Jacobian
             jacobian = np.where(beyond[..., None, None], np.eye(start.shape[-1]), jacobian)
         x, p = ekf.predict(start, core.P, lambda s: ahead, jacobian, plant.process_cov_over(dt), plant.sparse[0])
         return Prior(GaussianState(x, p), beyond, lost, tangent=jacobian)

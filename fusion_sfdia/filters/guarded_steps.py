@@ -42,8 +42,8 @@ def guarded_step(plant: Plant, t_start: float, x: Array, u: Array, dt: float) ->
             f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; expected the same: "
             "a batch is leading axes"
         )
-    stuck = ~np.all(np.isfinite(ahead), axis=-1)
-    if not np.any(stuck):
+    stuck = ~np.isfinite(ahead).all(axis=-1)
+    if not stuck.any():
         return Stepped(start, ahead, moved, stuck, stuck)
     return Stepped(start, np.where(stuck[..., None], start, ahead), moved, stuck, stuck & ~_holds(plant, t_start, u, dt))
 
@@ -61,7 +61,7 @@ def guarded_points(plant: Plant, t_start: float, x: Array, u: Array, dt: float) 
     steps; at rest, it would enlarge their covariance by the distance that they have moved.
     """
     start, ahead, moved, stuck, lost = guarded_step(plant, t_start, x, np.expand_dims(u, -2), dt)
-    if np.any(stuck):
+    if stuck.any():
         sound = np.maximum(np.sum(~stuck, axis=-1), 1)[..., None]
         drift = np.sum(ahead - start, axis=-2) / sound  # stuck points have not moved
         ahead = np.where(stuck[..., None], start + drift[..., None, :], ahead)

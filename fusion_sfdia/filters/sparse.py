@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.core.equation import compiled
+from fusion_sfdia.core.equation import compiled, plain
 
 Array = NDArray[Any]
 
@@ -20,7 +20,7 @@ def congruence(A: Array, P: Array) -> tuple[Array, Array]:
     rows = A.reshape(1 if A.ndim == 2 else -1, m, n)
     if len(rows) > 1 and A.shape[:-2] != batch:
         rows = np.broadcast_to(A, (*batch, m, n)).reshape(-1, m, n)
-    both, one = _congruence(_plain(rows), _plain(P.reshape(-1, n, n)))
+    both, one = _congruence(plain(rows), plain(P.reshape(-1, n, n)))
     return both.reshape(*batch, m, m), one.reshape(*batch, m, n)
 
 
@@ -29,13 +29,8 @@ def variances(A: Array, P: Array) -> Array:
     one = single(P) if A.ndim == 2 else P
     n, m = P.shape[-1], A.shape[-2]
     rows = A if A.ndim == 2 else np.broadcast_to(A, (*P.shape[:-2], m, n))
-    found = _variances(_plain(rows.reshape(-1, m, n)), _plain(one.reshape(-1, n, n)))
+    found = _variances(plain(rows.reshape(-1, m, n)), plain(one.reshape(-1, n, n)))
     return repeated(found.reshape(*one.shape[:-2], m), P)
-
-
-def _plain(a: Array) -> Array:
-    """One type of arguments, so that nothing is compiled twice."""
-    return a if a.flags.carray and a.dtype == np.float64 else np.array(a, dtype=float, order="C")
 
 
 @compiled

@@ -108,6 +108,45 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 
 
 @compiled
+def conditioned(
+    x: Array, whitened: Array, C: Array, half: Array, inverse: Array, P: Array, floor: float
+) -> tuple[Array, Array, Array]:
+    """X + C S^-1 d (B, n), P - W W' + floor diag(P) with W = C U, and K = C S^-1: see `leave_one_out.posterior_and_gain`.
+
+    x (B, n), whitened S^-1 d (B, N); C (B, n, N), U and S^-1 (B, N, N), P (B, n, n), each of 1 run where it is the same
+    for all.
+    """
+    (B, n), N = x.shape, whitened.shape[1]
+    E = max(C.shape[0], half.shape[0], P.shape[0])
+    after, p, gain, W = np.empty((B, n)), np.empty((E, n, n)), np.zeros((E, n, N)), np.empty((n, N))
+    for r in range(B):
+        for i in range(n):
+            total = 0.0
+            for k in range(N):
+                total += C[r % C.shape[0], i, k] * whitened[r, k]
+            after[r, i] = x[r, i] + total
+    for e in range(E):
+        U, V, prior = half[e % half.shape[0]], inverse[e % inverse.shape[0]], P[e % P.shape[0]]
+        for i in range(n):
+            of, to, into = C[e % C.shape[0], i], W[i], gain[e, i]
+            for j in range(N):
+                to[j] = 0.0
+            for k in range(N):
+                for j in range(N):
+                    to[j] += of[k] * U[k, j]
+                    into[j] += of[k] * V[k, j]
+        for i in range(n):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(N):
+                    total += W[i, k] * W[j, k]
+                p[e, i, j] = prior[i, j] - total
+                p[e, j, i] = prior[j, i] - total
+            p[e, i, i] += floor * prior[i, i]
+    return after, p, gain
+
+
+@compiled
 def entries(H: Array, first: int, row: Array, column: Array, value: Array) -> int:
     """Write the entries of H (N, d) from column `first` on that are not 0 to room for all, and return how many they are."""
     few = 0
@@ -221,7 +260,7 @@ def weighed(
                     for j in range(q):
                         into[i, j] = zero
             else:
-                out_of, by = old[k, places[l]], number(before[k, places[l]])
+                out_of, by = old[k, places[l]], number(before[k % before.shape[0], places[l]])
                 np.dot(leading[own], out_of[:d], into)
                 for f in range(few):
                     to, of, times = into[row[f]], out_of[column[f]], factor[f]
@@ -237,7 +276,7 @@ def weighed(
                     to[j] -= of[j]
             np.dot(seen[now], into[:read], M[:rank])
             M[rank:] = zero
-            by = number(readings[k, l])
+            by = number(readings[k % readings.shape[0], l])
             for j in range(q):
                 squares[j] = zero
             for i in range(N):
@@ -258,6 +297,65 @@ def weighed(
                 if run < b.shape[0]:
                     for j in range(q):
                         b[run, l, j] += squares[j]
+
+
+@compiled
+def mean_square(y: Array, expected: Array, whitened: Array, used: Array) -> Array:
+    """D' S^-1 d (B,) over the number of readings used (B, N), of d = y - expected and whitened S^-1 d (B, N)."""
+    found = np.empty(y.shape[0])
+    for r in range(y.shape[0]):
+        total, count = 0.0, 0
+        for i in range(y.shape[1]):
+            if used[r, i]:
+                total += (y[r, i] - expected[r, i]) * whitened[r, i]
+                count += 1
+        found[r] = total / max(count, 1)
+    return found
+
+
+@compiled
+def residual_and_threshold(
+    whitened: Array, weight: Array, used: Array, statistic: Array, size: Array, information: Array, one: float, window: float
+) -> tuple[Array, Array]:
+    """Residual and threshold (B, N) of the sample or of the best onset, see `likelihood_window.residual_and_threshold`."""
+    residual, threshold = np.empty(whitened.shape), np.empty(whitened.shape)
+    for r in range(whitened.shape[0]):
+        for i in range(whitened.shape[1]):
+            innovation = whitened[r, i] / weight[r, i] if used[r, i] else whitened[r, i]
+            if statistic[r, i] / window > whitened[r, i] * innovation / one:
+                residual[r, i], threshold[r, i] = size[r, i], np.sqrt(window / information[r, i])
+            else:
+                residual[r, i], threshold[r, i] = innovation, np.sqrt(one * (1.0 / weight[r, i]))
+    return residual, threshold
+
+
+@compiled
+def merged(
+    recent: tuple[Array, ...],
+    slow: tuple[Array, ...],
+    slot: Array,
+    age: Array,
+    handicap: Array,
+    bias: float,
+) -> tuple[Array, Array, Array]:
+    """Statistic, size, information and evidence (4, B, q) of the window with more evidence of each hypothesis, recent or slow.
+
+    And whether that is the slow one (B, s), of the first s hypotheses, and the size, of the slow one times the age of its onset
+    and `bias`. recent (B, q); slow, slot (B, s); age (B, L). handicap (B, P), or (1, P): taken off the last P hypotheses.
+    """
+    (B, q), (s, P) = recent[0].shape, (slot.shape[1], handicap.shape[1])
+    found, far, level = np.empty((4, B, q)), np.empty((B, s), np.bool_), np.empty((B, q))
+    for r in range(B):
+        for j in range(q):
+            of_slow = j < s and slow[3][r, j] > recent[3][r, j]
+            for v in range(4):
+                found[v, r, j] = slow[v][r, j] if of_slow else recent[v][r, j]
+            level[r, j] = found[1, r, j] * (age[r, slot[r, j]] * bias if of_slow else 1.0)
+            if j < s:
+                far[r, j] = of_slow
+            if j >= q - P:
+                found[3, r, j] -= handicap[r % handicap.shape[0], j - (q - P)]
+    return found, far, level
 
 
 @compiled

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.kalman_banks import bank_kernels
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, value_at
 from fusion_sfdia.kalman_banks.likelihood_window import Best, averaged
 
@@ -73,9 +74,9 @@ class Evidence(NamedTuple):
     def probability(self) -> Array:
         """Probability of each hypothesis (..., N + P), if at most one is true."""
         half = np.concatenate([self.of_sensors, self.process], axis=-1) / 2 + LOG_PRIOR
-        top = np.maximum(np.max(half, axis=-1, keepdims=True), 0.0)
+        top = np.maximum(half.max(axis=-1, keepdims=True), 0.0)
         weight = np.exp(half - top)
-        return np.asarray(weight / (np.sum(weight, axis=-1, keepdims=True) + np.exp(-top)))
+        return np.asarray(weight / (weight.sum(axis=-1, keepdims=True) + np.exp(-top)))
 
 
 def one_sample_evidence(found: LeaveOneOut, size: Array) -> Array:
@@ -88,15 +89,14 @@ def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: 
 
     age (..., L): of the onsets of the slow window.
     """
-    count, both = one_sample.shape[-1], slow.evidence.shape[-1]
-    far = slow.evidence > recent.evidence[..., :both]
-    merged = np.array(recent[:4])  # statistic, size, information and evidence of the window with more evidence
-    np.copyto(merged[..., :both], np.array(slow[:4]), where=far)
-    statistic, size, information, evidence = merged
-    evidence[..., count:] -= handicap
-    level = size.copy()
-    if far.any():
-        level[..., :both] *= np.where(far, np.take_along_axis(age, slow.slot, axis=-1) * AS_BIAS, 1.0)
+    batch, count = one_sample.shape[:-1], one_sample.shape[-1]
+    r, s = (tuple(bank_kernels.runs(v, batch) for v in best) for best in (recent, slow))
+    found, far, level = bank_kernels.merged(
+        r[:4], s[:4], s[4], bank_kernels.runs(age, batch), bank_kernels.common(handicap, batch, 1), AS_BIAS
+    )
+    if len(batch) != 1:
+        found, far, level = found.reshape(4, *batch, -1), far.reshape(*batch, -1), level.reshape(*batch, -1)
+    statistic, size, information, evidence = found
     return Evidence(
         level,
         far[..., :count], statistic[..., :count], size[..., :count], information[..., :count], evidence[..., :count],
@@ -176,7 +176,7 @@ class Accepted(NamedTuple):
 
 def accepted(evidence: Evidence, limits: Limits, where: Array) -> Accepted:
     """Accept a sensor or a process hypothesis by the windows, in the runs `where` (...) holds."""
-    sensor, process = np.argmax(evidence.sensor, axis=-1), np.argmax(evidence.process, axis=-1)
+    sensor, process = evidence.sensor.argmax(axis=-1), evidence.process.argmax(axis=-1)
     if not ((evidence.statistic_s > limits.window).any() or (evidence.statistic_p > limits.process).any()):
         none = np.zeros(sensor.shape, bool)
         return Accepted(sensor, none, process, none)

@@ -199,7 +199,6 @@ class FusingBank(BatchDetector):
             founds = [statistics(joint, y, used & (np.arange(count) != i)) for i, joint in enumerate(joints)]
             return founds, np.stack([posterior(j, f)[0] for j, f in zip(joints, founds, strict=True)], axis=-2)
         found = statistics(joints[0], y, used)
-        found = found._replace(known=found.inverse)  # read several times
         return [found], local_estimates(joints[0], found)[0]
 
     def _mix(self, joints: list[Joint], founds: list[LeaveOneOut], local: Array, y: Array) -> Mixed:
@@ -228,7 +227,7 @@ class FusingBank(BatchDetector):
         if (central := mixed.central) is None:
             x, p = mixing.mixture_of_any_joint(joint, few)
         else:
-            one = central._replace(**{name: getattr(central, name)[at] for name in ("whitened", "weight", "half")})
+            one = replace(central, **{name: getattr(central, name)[at] for name in ("whitened", "weight", "half")})
             x, p = mixing.mixture_without(suspect[at], mixed.x[at], mixed.p[at], one, C)
         nis = normalised_innovation_squared(joint, few, y[at])
         return Mixed(_with(mixed.x, at, x), _with(mixed.p, at, p), _with(mixed.nis, at, nis))

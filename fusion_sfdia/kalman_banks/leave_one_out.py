@@ -13,7 +13,9 @@ where x_f, P_f are those of the filter that uses all sensors. No inverse of P ap
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +28,11 @@ from fusion_sfdia.kalman_banks import bank_kernels
 Array = NDArray[Any]
 
 
-class LeaveOneOut(NamedTuple):
+@dataclass(frozen=True)
+class LeaveOneOut:
     """Leave-one-out statistics of the readings used (..., N).
 
-    whitened: u, weight: w (..., N), both 0 for a reading that is not used. known: S^-1 if it was computed, see `inverse`.
+    whitened: u, weight: w (..., N), both 0 for a reading that is not used. known: S^-1, None where `inverse` is to compute it.
     half: U with S^-1 = U U', scores: U' d (..., N), both None after an elimination.
     rank: with the columns of U behind so many C U is 0 (None: with none).
     """
@@ -42,7 +45,7 @@ class LeaveOneOut(NamedTuple):
     scores: Array | None
     rank: int | None = None
 
-    @property
+    @cached_property
     def inverse(self) -> Array:
         """S^-1 (..., N, N) with zero rows and columns for readings that are not used."""
         if self.known is not None:
@@ -51,18 +54,18 @@ class LeaveOneOut(NamedTuple):
         half = single(self.half)
         return repeated(half @ np.swapaxes(half, -1, -2), self.half)
 
-    @property
+    @cached_property
     def innovation(self) -> Array:
         """y_i less its prediction from the prior and the other readings (..., N), in sensor units; 0 where not used."""
         return np.asarray(self.whitened / np.where(self.used, self.weight, 1.0))
 
-    @property
+    @cached_property
     def variance(self) -> Array:
         """Variance of `innovation` (..., N); inf where not used."""
         with np.errstate(divide="ignore"):
             return 1.0 / self.weight
 
-    @property
+    @cached_property
     def chi_square(self) -> Array:
         """Squared innovation over its variance, chi-square with 1 degree of freedom when healthy (..., N)."""
         return self.whitened * self.innovation
@@ -88,7 +91,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
         s_inv, half = repeated(s_inv, d), repeated(half, d)
         weight, rank = np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), joint.repeated.quantities
         return LeaveOneOut(whitened, weight, s_inv, used, half, scores, rank)
-    half = half_inverse(single(joint.S)) if np.all(used) else half_inverse(joint.S, used)
+    half = half_inverse(single(joint.S)) if used.all() else half_inverse(joint.S, used)
     scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
     whitened = (half @ scores[..., None])[..., 0]
     weight = np.einsum("...ij,...ij->...i", half, half)
@@ -131,11 +134,15 @@ def posterior(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
     As `gaussian.condition`, with W = C U, and with considered states as there. Four times the rounding of P - W W' is added to
     its diagonal, so that it stays positive definite.
     """
+    if _written_out(joint, found):
+        return _conditioned(joint, found)[:2]
     return _posterior(joint, found, single(joint.C) @ _half(joint, found))
 
 
 def posterior_and_gain(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]:
     """Return `posterior`, and the gain K = C S^-1 = W U' (..., n, N), see `gaussian.gain`."""
+    if _written_out(joint, found):
+        return _conditioned(joint, found)
     half = _half(joint, found)
     w = single(joint.C) @ half
     return *_posterior(joint, found, w), unmoved(joint, w @ np.swapaxes(half, -1, -2))
@@ -146,13 +153,32 @@ def _half(joint: Joint, found: LeaveOneOut) -> Array:
     return half_inverse(joint.S, found.used) if found.half is None else single(found.half)[..., : found.rank]
 
 
+def _written_out(joint: Joint, found: LeaveOneOut) -> bool:
+    """Whether `bank_kernels` has the products: of a batch with few states and sensors."""
+    return joint.C.ndim > 2 and max(joint.C.shape[-2:]) < ONE_BY_ONE and found.known is not None
+
+
+def _conditioned(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]:
+    batch, (n, N) = joint.x.shape[:-1], joint.C.shape[-2:]
+    given = joint.C, _half(joint, found), found.inverse, joint.P
+    C, half, inverse, P = (bank_kernels.common(single(v), batch, 2) for v in given)
+    x, whitened = (bank_kernels.runs(v, batch) for v in (joint.x, found.whitened))
+    x, p, K = bank_kernels.conditioned(x, whitened, C, half, inverse, P, _floor(joint))
+    if len(batch) > 1:
+        x, p, K = x.reshape(*batch, n), p.reshape(*batch, n, n), K.reshape(*batch, n, N)
+    return *consider(joint, x, repeated(p, x)), unmoved(joint, K)
+
+
+def _floor(joint: Joint) -> float:
+    return float(4 * np.finfo(float).eps * sum(joint.C.shape[-2:]))
+
+
 def _posterior(joint: Joint, found: LeaveOneOut, w: Array) -> tuple[Array, Array]:
     C, P = single(joint.C), single(joint.P)
     x = joint.x + (C @ found.whitened[..., None])[..., 0]
     p = w @ np.swapaxes(w, -1, -2)
     p = np.subtract(P, p, out=p if p.shape == P.shape else None)
-    floor = 4 * np.finfo(float).eps * sum(C.shape[-2:])
-    on_diagonal(p)[...] += floor * P.diagonal(axis1=-2, axis2=-1)
+    on_diagonal(p)[...] += _floor(joint) * P.diagonal(axis1=-2, axis2=-1)
     return consider(joint, x, repeated(p, joint.P))
 
 
@@ -167,8 +193,9 @@ def local_estimates(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array]:
 
 def normalised_innovation_squared(joint: Joint, found: LeaveOneOut, y: Array) -> Array:
     """Return d' S^-1 d over the readings used, divided by their number (...): 1 on average for a consistent filter."""
-    innovation = np.where(found.used, y, joint.y) - joint.y
-    return np.asarray(np.sum(innovation * found.whitened, axis=-1) / np.maximum(np.sum(found.used, axis=-1), 1))
+    batch = found.used.shape[:-1]
+    mean = bank_kernels.mean_square(*(bank_kernels.runs(v, batch) for v in (y, joint.y, found.whitened, found.used)))
+    return mean if len(batch) == 1 else mean.reshape(batch)
 
 
 def one_hot(index: Array, count: int) -> Array:

@@ -46,6 +46,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     absorbed,
     best_onset,
     empty,
+    residual_and_threshold,
     shifted,
     updated,
     weigh,
@@ -123,16 +124,15 @@ class LeaveOneOutBank(ExcludingBank):
         everything = statistics(joint, y, usable)
         found, isolated, capped = self._eliminate(everything, exclusion.out)
         size = residual = everything.innovation
-        threshold = np.sqrt(one_limit * everything.variance)
-        if self.window > 1:
+        if self.window == 1:
+            threshold = np.sqrt(one_limit * everything.variance)
+        else:
             tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
             H = joint.H if joint.H is not None else plant.output_jacobian_at(t, prior.core.x, u)
             step = window_step(last, tangent, H, everything, window.eta.dtype)
             onsets = weigh(shifted(window, self._grid, now.k), step, Effect(self._bias))
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
-            stronger = best.statistic / window_limit > everything.whitened * residual / one_limit
-            residual = np.where(stronger, best.size, residual)
-            threshold = np.where(stronger, np.sqrt(window_limit / best.information), threshold)
+            residual, threshold = residual_and_threshold(everything, best.statistic, best.size, best.information, self.limits)
             further = (best.statistic > window_limit).any(axis=-1) & ~isolated.any(axis=-1)
             if further.any():
                 worst = np.argmax(best.statistic, axis=-1)
@@ -149,7 +149,7 @@ class LeaveOneOutBank(ExcludingBank):
             found = everything
         if self.window > 1:
             x, p, gain = posterior_and_gain(joint, found)
-            restart = np.any(isolated, axis=-1) & self.accommodate
+            restart = np.asarray(isolated.any(axis=-1) & self.accommodate)
             window, last = updated(onsets, restart), last_update(step, gain, restart)
         else:
             x, p = posterior(joint, found)
@@ -167,12 +167,12 @@ class LeaveOneOutBank(ExcludingBank):
         limit, _ = self.limits
         while True:
             chi_square = found.chi_square
-            above = np.any(chi_square > limit, axis=-1)
+            above = np.asarray((chi_square > limit).any(axis=-1))
             if not above.any():
                 return found, isolated, above
             worst = np.argmax(chi_square, axis=-1)
             where = above & (np.sum(out | isolated, axis=-1) < self.most_faults)
-            if not np.any(where):
+            if not where.any():
                 return found, isolated, above
             isolated = isolated | (where[..., None] & one_hot(worst, found.used.shape[-1]))
             found = eliminate(found, worst, where)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import for_all, repeated, single
 from fusion_sfdia.kalman_banks import bank_kernels, window_step
-from fusion_sfdia.kalman_banks.leave_one_out import value_at
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, value_at
 from fusion_sfdia.kalman_banks.window_step import WindowStep
 
 Array = NDArray[Any]
@@ -166,13 +166,14 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
     if effect.state is not None:
         change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
     eta = np.empty_like(old)
-    readings = bank_kernels.runs(D if D.shape == age.shape else np.broadcast_to(D, age.shape), batch)
+    readings = D if D.shape == age.shape else repeated(D[None], age) if len(batch) == 1 else np.broadcast_to(D, age.shape)
     bank_kernels.weighed(
         old, eta, bank_kernels.runs(a, batch), b, bank_kernels.runs(age, batch), places, step.A, step.leading, step.FK,
-        bank_kernels.runs(before.readings, batch), change, effect.once, step.half, step.seen, step.scores, readings,
+        bank_kernels.runs(single(before.readings), batch), change, effect.once, step.half, step.seen, step.scores,
+        bank_kernels.runs(single(readings), batch),
     )  # fmt: skip
     H = step.H[0] if len(step.H) == 1 else _of_batch(step.H, batch)
-    eta, readings, b = (_of_batch(v, batch) for v in (eta, readings, b))
+    eta, b = (_of_batch(v, batch) for v in (eta, b))
     return Weighed(repeated(eta, a), readings, a, repeated(b, a), age, H)
 
 
@@ -202,6 +203,21 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
         LEAST_INFORMATION,
     )  # fmt: skip
     return Best(*(_of_batch(v, batch) for v in found))
+
+
+def residual_and_threshold(
+    found: LeaveOneOut, statistic: Array, size: Array, information: Array, limits: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Residual and threshold of each sensor (..., N): of the sample, or of the best onset where its statistic is larger.
+
+    statistic, size and information (..., N) are of the best onset. limits: of the statistics of sample and window; each counts
+    in units of its own.
+    """
+    batch = found.used.shape[:-1]
+    u, w, used = (bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.used))
+    best = [bank_kernels.runs(v, batch) for v in (statistic, size, information)]
+    residual, threshold = bank_kernels.residual_and_threshold(u, w, used, best[0], best[1], best[2], *limits)
+    return _of_batch(residual, batch), _of_batch(threshold, batch)
 
 
 def absorbed(weighed: Weighed, best: Best, which: Array) -> Array:

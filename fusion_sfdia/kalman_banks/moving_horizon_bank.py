@@ -72,7 +72,6 @@ class MovingHorizon(LeaveOneOutBank):
         usable = np.isfinite(y) & ~exclusion.out
         found = statistics(joint, y, usable)
         x, p = posterior(joint, found)
-        found = found._replace(known=found.inverse)  # read several times
         gain = gaussian.gain(joint, found.inverse)
         tangent = prior.tangent if prior.tangent is not None else plant.step_jacobian_at(now.t_start, estimate.x, u, now.dt)
         if now.k % (self.window // 2) == 0:

@@ -41,7 +41,7 @@ def paired(now: Pairs, y: Array, sigma: Array) -> Pairs:
 
 def too_quiet(now: Pairs, false_alarm: float) -> Array:
     """Whether the pairs of each sensor are too quiet (..., N), with at most that probability for one with its noise."""
-    return np.asarray(np.sum(now.squares, axis=-2) < _limit(false_alarm))
+    return np.asarray(now.squares.sum(axis=-2) < _limit(false_alarm))
 
 
 @lru_cache

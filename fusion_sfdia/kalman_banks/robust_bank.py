@@ -16,7 +16,7 @@ The central filter estimates what the plant declares as unknown (`core.augment`)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -48,7 +48,15 @@ from fusion_sfdia.kalman_banks.excluding_bank import UNUSED, ExcludingBank, Sens
 from fusion_sfdia.kalman_banks.freed_estimates import Tested, moved, widened, with_alternatives
 from fusion_sfdia.kalman_banks.hypotheses import PARAMETER_SIZE, SLOW_STEP, Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, one_hot, posterior_and_gain, statistics
-from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, best_onset, shifted, updated, weigh
+from fusion_sfdia.kalman_banks.likelihood_window import (
+    Grid,
+    Window,
+    best_onset,
+    residual_and_threshold,
+    shifted,
+    updated,
+    weigh,
+)
 from fusion_sfdia.kalman_banks.quiet import Pairs, no_pairs, paired, too_quiet
 from fusion_sfdia.kalman_banks.robust_memory import RobustMemory, faded, leaves_unexplained, nothing_known
 from fusion_sfdia.kalman_banks.standing import Standing, added_noise, followed, sizes, with_accepted
@@ -214,7 +222,7 @@ class RobustBank(ExcludingBank):
         memory = RobustMemory(
             GaussianState(x, p), exclusion, out_for, led, recent, slow, last, standing, pairs, faded(nis, found)
         )
-        undecided = decision.alarm & ~np.any(decision.isolated, axis=-1) & ~process
+        undecided = decision.alarm & ~decision.isolated.any(axis=-1) & ~process
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))
 
     def _predict(self, estimate: GaussianState, standing: Standing, now: TimeStep, u: Array) -> Prior:
@@ -245,10 +253,8 @@ class RobustBank(ExcludingBank):
     def _shown(self, everything: LeaveOneOut, evidence: Evidence, usable: Array, isolated: Array, capped: Array) -> SensorTests:
         """Residual and threshold of each sensor: those of the window or of the sample, by the larger ratio."""
         one, window, *_ = self._limits
-        innovation = everything.innovation
-        stronger = evidence.statistic_s / window > everything.whitened * innovation / one
-        residual = np.where(stronger, evidence.size_s, innovation)
-        threshold = np.sqrt(np.where(stronger, window / evidence.information_s, one * everything.variance))
+        by_onset = evidence.statistic_s, evidence.size_s, evidence.information_s
+        residual, threshold = residual_and_threshold(everything, *by_onset, (one, window))
         return SensorTests(usable, isolated, residual, threshold, residual, capped, one)
 
     def _with_process(
@@ -259,13 +265,9 @@ class RobustBank(ExcludingBank):
         nominal = self._hypotheses.model.x0[n:]
         size, sd = sizes(standing, z - nominal, variance)
         assert decision.covariance is not None
-        return replace(
-            decision,
-            estimate=decision.estimate[..., :n],
-            covariance=decision.covariance[..., :n, :n],
-            process=standing.accepted,
-            process_size=size,
-            process_sd=sd,
-            suspect=suspects(evidence, undecided, self.process_margin),
-            probability=evidence.probability,
-        )
+        found = {
+            "estimate": decision.estimate[..., :n], "covariance": decision.covariance[..., :n, :n],
+            "process": standing.accepted, "process_size": size, "process_sd": sd,
+            "suspect": suspects(evidence, undecided, self.process_margin), "probability": evidence.probability,
+        }  # fmt: skip
+        return Decision(**{**vars(decision), **found})

@@ -57,7 +57,7 @@ def added_noise(now: Standing, rates: Array, z: Array) -> Array | None:
     """Process noise (..., n + p, n + p) by what stands; rates (n, n): effects of errors of equations on the states, as columns;
     z (..., p): augmented states.
     """
-    if not np.any(now.accepted):
+    if not now.accepted.any():
         return None
     n, p = now.left.shape[-1], z.shape[-1]
     noise = np.zeros((*z.shape[:-1], n + p, n + p))
@@ -89,9 +89,9 @@ def with_accepted(now: Standing, which: Array, rivals: Array, z: Array, size: Ar
 
 def followed(now: Standing, z: Array, variance: Array) -> Standing:
     """Release what no longer differs, accept rivals that do: augmented states z (..., p), their variances, after an update."""
+    if not (now.accepted.any() or now.rival.any() or now.left.any()):
+        return now._replace(since=now.since + 1)
     left = np.where(now.left * DECAY >= LEAST, now.left * DECAY, 0.0)
-    if not (now.accepted.any() or now.rival.any()):
-        return now._replace(left=left, since=now.since + 1)
     p, by = z.shape[-1], np.abs(z - now.before) / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     own = now.accepted[..., :p] & (by > RELEASE) | now.rival & (by > CONFIRM)
     accepted = np.concatenate([own, now.accepted[..., p:] & (left > 0)], axis=-1)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.alike import for_all, single
+from fusion_sfdia.core.alike import for_all, repeated, single
 from fusion_sfdia.kalman_banks.bank_kernels import common, runs, transition
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 
@@ -79,5 +79,6 @@ def last_update(step: WindowStep, gain: Array, restart: Array) -> LastUpdate:
     """Return the update with gain K (..., n, N); restart (...): runs whose windows restart, in which it has no effect."""
     batch = gain.shape[:-2]
     K = np.where(restart[..., None, None], 0.0, gain) if restart.any() else gain
-    H = for_all(step.H[0], batch) if len(step.H) == 1 else step.H.reshape(*batch, *step.H.shape[1:])
-    return LastUpdate(K, H)
+    if len(batch) == 1:
+        return LastUpdate(K, repeated(step.H, K))
+    return LastUpdate(K, for_all(step.H[0], batch) if len(step.H) == 1 else step.H.reshape(*batch, *step.H.shape[1:]))

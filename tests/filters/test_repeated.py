@@ -60,8 +60,8 @@ def test_a_run_has_the_bits_it_has_alone() -> None:
     for r in range(RUNS):
         one = joint._replace(x=joint.x[r], P=joint.P[r], y=joint.y[r], S=joint.S[r], C=joint.C[r])
         alone = statistics(one, y[r], used[r])
-        for a, b in zip(together[:6], alone[:6], strict=True):
-            np.testing.assert_array_equal(np.asarray(a)[r], b)
+        for name in ("whitened", "weight", "inverse", "used", "half", "scores"):
+            np.testing.assert_array_equal(getattr(together, name)[r], getattr(alone, name))
         for a, b in zip(posterior(joint, together), posterior(one, alone), strict=True):
             np.testing.assert_array_equal(a[r], b)
 

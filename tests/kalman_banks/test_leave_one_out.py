@@ -18,6 +18,8 @@ from fusion_sfdia.kalman_banks.leave_one_out import (
     statistics,
 )
 
+SHAPES = (("P", (4, 4)), ("S", (6, 6)), ("C", (4, 6)))
+
 
 def without(joint: Joint, y: np.ndarray, i: int) -> tuple[np.ndarray, np.ndarray]:
     """Textbook update with row i deleted from everything."""
@@ -58,6 +60,29 @@ def test_the_gain_is_that_of_the_inverse_with_and_without_all_readings(count: in
             np.testing.assert_array_equal(same, expected)
         np.testing.assert_allclose(K, gain(joint, found.inverse), rtol=0, atol=tolerance)
         assert not K[1].any() and not K[:, ~used].any()
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_few_states_of_a_batch_are_updated_as_those_of_each_run(shared: bool) -> None:
+    """The products of a batch are written out; those of a single update are NumPy's."""
+    rng = np.random.default_rng(3)
+    joint, _ = random_joint(rng, 4, 6, batch=(3,))
+    if shared:
+        joint = joint._replace(**{name: np.broadcast_to(getattr(joint, name)[:1], (3, *shape)) for name, shape in SHAPES})
+    y = joint.y + rng.normal(size=(3, 6))
+    used = np.ones((3, 6), bool)
+    used[1, 2] = shared  # else a run leaves out a reading
+    together = statistics(joint, y, used)
+    gone = eliminate(together, np.array([0, 1, 5]), np.array([True, False, True]))
+    for found, out in ((together, [(), (), ()]), (gone, [(0,), (), (5,)])):
+        x, p, K = posterior_and_gain(joint, found)
+        for same, expected in zip((x, p), posterior(joint, found), strict=True):
+            np.testing.assert_array_equal(same, expected)
+        for r in range(3):
+            one = Joint(*(a[r] for a in joint[:5]))
+            alone = statistics(one, y[r], used[r] & ~np.isin(np.arange(6), out[r]))
+            for value, expected in zip((x, p, K), posterior_and_gain(one, alone), strict=True):
+                np.testing.assert_allclose(value[r], expected, rtol=0, atol=of_update(joint, y, 3))
 
 
 @pytest.mark.parametrize("n", [1, 4, 12])

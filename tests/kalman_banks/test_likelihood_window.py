@@ -19,7 +19,7 @@ from fusion_sfdia.filters.estimators import Extended, GaussianState
 from fusion_sfdia.filters.gaussian import gain
 from fusion_sfdia.kalman_banks import window_step
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
-from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
+from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, posterior, statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.likelihood_window import (
     LEAST_INFORMATION,
@@ -30,6 +30,7 @@ from fusion_sfdia.kalman_banks.likelihood_window import (
     absorbed,
     best_onset,
     empty,
+    residual_and_threshold,
     shifted,
     updated,
     weigh,
@@ -247,6 +248,21 @@ def test_after_an_alarm_the_window_starts_again() -> None:
                 assert found.threshold[first + 1 + k, r, i] == pytest.approx(threshold, rel=0, abs=allowed), (k, r, i)
                 by_window += window
     assert by_window > 50
+
+
+def test_what_is_shown_is_the_larger_ratio_to_its_limit_of_sample_and_window() -> None:
+    """One sensor by the sample, one by the window, one that is not used."""
+    found = LeaveOneOut(
+        np.array([2.0, 1.0, 0.0]), np.array([4.0, 4.0, 0.0]), np.eye(3), np.array([True, True, False]), None, None
+    )
+    statistic, size, information = np.array([1.0, 9.0, 0.0]), np.array([5.0, 6.0, 0.0]), np.array([4.0, 0.25, 1.0])
+    residual, threshold = residual_and_threshold(found, statistic, size, information, (16.0, 25.0))
+    np.testing.assert_array_equal(residual, [2 / 4, 6.0, 0.0])
+    np.testing.assert_array_equal(threshold, [np.sqrt(16 / 4), np.sqrt(25 / 0.25), np.inf])
+    batch = [np.stack([a, a]) for a in (statistic, size, information)]
+    runs = LeaveOneOut(*(np.stack([a, a]) for a in (found.whitened, found.weight, np.eye(3), found.used)), None, None)
+    for one, together in zip((residual, threshold), residual_and_threshold(runs, *batch, (16.0, 25.0)), strict=True):
+        np.testing.assert_array_equal(together, np.stack([one, one]))
 
 
 def test_the_best_onset_is_that_with_the_largest_ratio_of_those_with_information() -> None:
