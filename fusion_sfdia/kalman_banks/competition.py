@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.kalman_banks import bank_kernels
+from fusion_sfdia.kalman_banks import bank_kernels, window_kernels
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, eliminate, one_hot, value_at
 from fusion_sfdia.kalman_banks.likelihood_window import Best, averaged
 
@@ -91,7 +91,7 @@ def gathered(recent: Best, slow: Best, age: Array, one_sample: Array, handicap: 
     """
     batch, count = one_sample.shape[:-1], one_sample.shape[-1]
     r, s = (tuple(bank_kernels.runs(v, batch) for v in best) for best in (recent, slow))
-    found, far, level = bank_kernels.merged(
+    found, far, level = window_kernels.merged(
         r[:4], s[:4], s[4], bank_kernels.runs(age, batch), bank_kernels.common(handicap, batch, 1), AS_BIAS
     )
     if len(batch) != 1:

@@ -25,8 +25,8 @@ from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.detector import ProcessHypothesis
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import equation_of
-from fusion_sfdia.kalman_banks.bank_kernels import SPARSE
 from fusion_sfdia.kalman_banks.likelihood_window import Effect
+from fusion_sfdia.kalman_banks.window_kernels import SPARSE
 
 Array = NDArray[Any]
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import for_all, repeated, single
-from fusion_sfdia.kalman_banks import bank_kernels, window_step
+from fusion_sfdia.kalman_banks import bank_kernels, window_kernels, window_step
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut, value_at
 from fusion_sfdia.kalman_banks.window_step import WindowStep
 
@@ -146,7 +146,7 @@ def shifted(window: Window, grid: Grid, step: int) -> Shifted:
     places = np.arange(grid.slots) if (moves := grid.moves(step)) is None else moves
     batch = window.age.shape[:-1]
     a, b, age = (bank_kernels.runs(v, batch) for v in (window.a, single(window.b), window.age))
-    a, b, age = (_of_batch(v, batch) for v in bank_kernels.shift(a, b, age, places))
+    a, b, age = (_of_batch(v, batch) for v in window_kernels.shift(a, b, age, places))
     return Shifted(window, places, a, repeated(b, a), age)
 
 
@@ -167,7 +167,7 @@ def weigh(now: Shifted, step: WindowStep, effect: Effect) -> Weighed:
         change = bank_kernels.common(effect.state.astype(kind, copy=False), batch, 2)
     eta = np.empty_like(old)
     readings = D if D.shape == age.shape else repeated(D[None], age) if len(batch) == 1 else np.broadcast_to(D, age.shape)
-    bank_kernels.weighed(
+    window_kernels.weighed(
         old, eta, bank_kernels.runs(a, batch), b, bank_kernels.runs(age, batch), places, step.A, step.leading, step.FK,
         bank_kernels.runs(single(before.readings), batch), change, effect.once, step.half, step.seen, step.scores,
         bank_kernels.runs(single(readings), batch),
@@ -198,7 +198,7 @@ def best_onset(weighed: Weighed, usable: Array, size: Array, first: int = 0) -> 
     """
     a, b, batch = weighed.a, weighed.b, weighed.age.shape[:-1]
     spread = size[None, None] if size.ndim == 1 else bank_kernels.common(size, batch, 2)
-    found = bank_kernels.best(
+    found = window_kernels.best(
         bank_kernels.runs(a, batch), bank_kernels.runs(b, batch), bank_kernels.runs(usable, batch), spread, first,
         LEAST_INFORMATION,
     )  # fmt: skip
@@ -216,7 +216,7 @@ def residual_and_threshold(
     batch = found.used.shape[:-1]
     u, w, used = (bank_kernels.runs(v, batch) for v in (found.whitened, found.weight, found.used))
     best = [bank_kernels.runs(v, batch) for v in (statistic, size, information)]
-    residual, threshold = bank_kernels.residual_and_threshold(u, w, used, best[0], best[1], best[2], *limits)
+    residual, threshold = window_kernels.residual_and_threshold(u, w, used, best[0], best[1], best[2], *limits)
     return _of_batch(residual, batch), _of_batch(threshold, batch)
 
 

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import for_all, repeated, single
-from fusion_sfdia.kalman_banks.bank_kernels import common, runs, transition
+from fusion_sfdia.kalman_banks.bank_kernels import common, runs
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
+from fusion_sfdia.kalman_banks.window_kernels import transition
 
 Array = NDArray[Any]
 

@@ -20,11 +20,12 @@ COMPILED = """
 from fusion_sfdia import registry
 from fusion_sfdia.cli.compiling import compile_detector
 from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.filters import sparse
-from fusion_sfdia.kalman_banks import bank_kernels
+from fusion_sfdia.filters import small, sparse
+from fusion_sfdia.kalman_banks import bank_kernels, window_kernels
 
 def found():
-    return {f: f.signatures for f in (*vars(bank_kernels).values(), *vars(sparse).values()) if hasattr(f, "py_func")}
+    modules = bank_kernels, window_kernels, small, sparse
+    return {f: f.signatures for m in modules for f in vars(m).values() if hasattr(f, "py_func")}
 
 compile_detector("robust-glr")
 before = found()

@@ -13,10 +13,10 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.kalman_banks import leave_one_out
-from fusion_sfdia.kalman_banks.bank_kernels import subtract_product
 from fusion_sfdia.kalman_banks.leave_one_out import statistics
 from fusion_sfdia.kalman_banks.leave_one_out_bank import LeaveOneOutBank
 from fusion_sfdia.kalman_banks.robust_bank import RobustBank
+from fusion_sfdia.kalman_banks.window_kernels import subtract_product
 
 EPS = np.finfo(float).eps
 
