@@ -147,10 +147,10 @@ def _square_root(a: Array) -> Array:
 def _half_inverses(A: Array, used: Array | None) -> Array:
     """From A = L L': U = L^-T, in place in a copy whose transposes have the order of LAPACK."""
     whole = A.shape if used is None else np.broadcast_shapes(A.shape, (*used.shape, used.shape[-1]))
-    out = np.array(np.broadcast_to(A, whole), dtype=float, order="C")
-    left_out = None if used is None else np.broadcast_to(~used, whole[:-1])
-    for index in np.ndindex(whole[:-2]):
-        U, gone = out[index], () if left_out is None else np.flatnonzero(left_out[index])
+    out = np.array(A if A.shape == whole else np.broadcast_to(A, whole), dtype=float, order="C")
+    left_out = None if used is None else np.broadcast_to(~used, whole[:-1]).reshape(-1, whole[-1])
+    for k, U in enumerate(out.reshape(-1, *whole[-2:])):
+        gone = () if left_out is None else np.flatnonzero(left_out[k])
         if len(gone):
             U[gone] = U[:, gone] = 0.0
             U[gone, gone] = 1.0

@@ -83,12 +83,12 @@ def mean_covariance(S: Array, used: Array, group: Array, quantities: int, R: Arr
 
 
 @compiled
-def spread(V: Array, inverse: Array, used: Array, group: Array, quantities: int, R: Array) -> tuple[Array, Array]:
-    """U and S^-1 (B, N, N) of V and S_mean^-1 (B, quantities, quantities): see the module; 0 for sensors not `used` (B, N)."""
+def spread(V: Array, used: Array, group: Array, quantities: int, R: Array) -> Array:
+    """U (B, N, N) of V (B, quantities, quantities): see the module; 0 for sensors not `used` (B, N)."""
     B, N = used.shape
-    U, whole = np.zeros((B, N, N)), np.zeros((B, N, N))
+    U = np.zeros((B, N, N))
     for r in range(B):
-        information, weight, column = np.zeros(quantities), np.zeros(N), quantities - 1
+        information, column = np.zeros(quantities), quantities - 1
         seen = np.zeros(quantities, np.bool_)
         for i in range(N):
             g = group[i]
@@ -105,14 +105,7 @@ def spread(V: Array, inverse: Array, used: Array, group: Array, quantities: int,
             seen[g] = True
         for i in range(N):
             if used[r, i]:
-                weight[i] = 1.0 / (R[i] * information[group[i]])
+                weight = 1.0 / (R[i] * information[group[i]])
                 for g in range(quantities):
-                    U[r, i, g] = weight[i] * V[r, group[i], g]
-        for i in range(N):
-            for j in range(i + 1):
-                if used[r, i] and used[r, j]:
-                    value = weight[i] * weight[j] * inverse[r, group[i], group[j]]
-                    if group[i] == group[j]:
-                        value += (1.0 / R[i] if i == j else 0.0) - weight[i] / R[j]
-                    whole[r, i, j] = whole[r, j, i] = value
-    return U, whole
+                    U[r, i, g] = weight * V[r, group[i], g]
+    return U

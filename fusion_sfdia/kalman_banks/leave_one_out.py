@@ -26,6 +26,7 @@ from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
 from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
+EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -84,29 +85,25 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
             half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
             scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
         return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
+    rank = None
     if joint.repeated is not None:
-        half, s_inv = inverse_of_repeated(joint.repeated, joint.S, used)
-        scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
-        whitened = (s_inv @ d[..., None])[..., 0]
-        s_inv, half = repeated(s_inv, d), repeated(half, d)
-        weight, rank = np.diagonal(s_inv, axis1=-2, axis2=-1).copy(), joint.repeated.quantities
-        return LeaveOneOut(whitened, weight, s_inv, used, half, scores, rank)
-    half = half_inverse(single(joint.S)) if used.all() else half_inverse(joint.S, used)
+        half, rank = half_of_repeated(joint.repeated, joint.S, used), joint.repeated.quantities
+    else:
+        half = half_inverse(single(joint.S)) if used.all() else half_inverse(joint.S, used)
     scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
     whitened = (half @ scores[..., None])[..., 0]
     weight = np.einsum("...ij,...ij->...i", half, half)
-    return LeaveOneOut(whitened, repeated(weight, d), None, used, repeated(half, d), scores)
+    return LeaveOneOut(whitened, repeated(weight, d), None, used, repeated(half, d), scores, rank)
 
 
-def inverse_of_repeated(sensors: Repeated, S: Array, used: Array) -> tuple[Array, Array]:
-    """U and S^-1 (..., N, N), see `filters.repeated`; (1, N, N) where all runs have the same S and use all readings."""
+def half_of_repeated(sensors: Repeated, S: Array, used: Array) -> Array:
+    """U (..., N, N), see `filters.repeated`; (1, N, N) where all runs have the same S and use all readings."""
     batch, N = used.shape[:-1], used.shape[-1]
     of_runs, in_use = bank_kernels.runs(single(S), batch), bank_kernels.runs(used, batch)
     if len(batch) == 1 and len(of_runs) == 1 and used.all():
         batch, in_use = (1,), in_use[:1]
     V = half_inverse(mean_covariance(of_runs, in_use, *sensors))
-    half, s_inv = spread(V, V @ np.swapaxes(V, -1, -2), in_use, *sensors)
-    return half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
+    return np.asarray(spread(V, in_use, *sensors).reshape(*batch, N, N))
 
 
 def eliminate(found: LeaveOneOut, worst: Array, where: Array) -> LeaveOneOut:
@@ -170,7 +167,7 @@ def _conditioned(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]
 
 
 def _floor(joint: Joint) -> float:
-    return float(4 * np.finfo(float).eps * sum(joint.C.shape[-2:]))
+    return 4 * EPS * sum(joint.C.shape[-2:])
 
 
 def _posterior(joint: Joint, found: LeaveOneOut, w: Array) -> tuple[Array, Array]:

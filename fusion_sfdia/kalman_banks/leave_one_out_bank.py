@@ -133,8 +133,8 @@ class LeaveOneOutBank(ExcludingBank):
             onsets = weigh(shifted(window, self._grid, now.k), step, Effect(self._bias))
             best = best_onset(onsets, usable, plant.sensor_sigma, first=1)
             residual, threshold = residual_and_threshold(everything, best.statistic, best.size, best.information, self.limits)
-            further = (best.statistic > window_limit).any(axis=-1) & ~isolated.any(axis=-1)
-            if further.any():
+            exceeds = best.statistic > window_limit
+            if exceeds.any() and (further := exceeds.any(axis=-1) & ~isolated.any(axis=-1)).any():
                 worst = np.argmax(best.statistic, axis=-1)
                 room = np.sum(exclusion.out, axis=-1) < self.most_faults
                 capped = capped | (further & ~room)
