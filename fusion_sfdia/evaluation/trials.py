@@ -100,7 +100,8 @@ def outcome(plant: Plant, data: Faulted, decision: Decision) -> Arrays:
     scores, residual = decision.scores, np.nan_to_num(np.abs(decision.residual), nan=0.0)
     error = np.full((*scores.shape[:2], len(groups)), np.nan)
     if data.recording.x is not None:
-        square = (decision.estimate - data.recording.x) ** 2
+        with np.errstate(over="ignore"):  # of a run that has diverged, which is counted as such
+            square = (decision.estimate - data.recording.x) ** 2
         read = measured_states(plant)
         for q, quantity in enumerate(plant.quantities):
             error[..., q] = square[..., read[quantity]].mean(axis=-1)

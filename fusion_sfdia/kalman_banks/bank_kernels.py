@@ -91,7 +91,7 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
 def conditioned(
     x: Array, whitened: Array, C: Array, half: Array, inverse: Array, P: Array, floor: float
 ) -> tuple[Array, Array, Array]:
-    """X + C S^-1 d (B, n), P - W W' + floor diag(P) with W = C U, and K = C S^-1: see `leave_one_out.posterior_and_gain`.
+    """Estimates x + C S^-1 d (B, n), P - W W' + floor diag(P) with W = C U, and K = C S^-1: `leave_one_out.posterior_and_gain`.
 
     x (B, n), whitened S^-1 d (B, N); C (B, n, N), U and S^-1 (B, N, N), P (B, n, n), each of 1 run where it is the same
     for all.

@@ -316,19 +316,22 @@ def test_the_memory_does_not_grow() -> None:
     assert found > 8 and growth < 1000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_bytes_do_not_grow() -> None:
-    """As above, in bytes: a float a row would be 12 kB and more."""
+    """As above, in bytes: a float a row would be 32 kB and more.
+
+    What is left is not of the rows: lists of free objects that the interpreter keeps, and other threads of the process.
+    """
     detector = CentralFilter(chain(3, process=1e-3))
     watch, before = Watch(detector), 0
     tracemalloc.start()
-    for k, row in enumerate(endless(detector.plant, 3000), start=1):
+    for k, row in enumerate(endless(detector.plant, 5500), start=1):
         watch.take(*row)
-        if k in (1500, 3000):
+        if k in (1500, 5500):
             gc.collect()
             before, growth = tracemalloc.get_traced_memory()[0], tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    assert growth < 10_000
+    assert growth < 20_000
 
 
 @pytest.mark.long
