@@ -28,9 +28,11 @@ WIDTH = 128  # of a line
 
 ABOUT = """# Speed
 
-`fusion-sfdia bench`, on one thread. Each time is the least of many calls, which take turns with a reference: a ratio to it
-carries over to other machines better than a time does. In brackets 95 % intervals of the ratio from the spread between turns,
-of one run. The numbers are of one machine, idle; those of `peers` are older, when it had other work, too.
+`fusion-sfdia bench`, on one thread. Each time is the least of many calls, of `campaigns` of a few and of `logs` of two, the
+first diagnosis of one; they take turns with a reference: a ratio to it carries over to other machines better than a time
+does. In brackets 95 % intervals of the ratio from the spread between turns, of one run; that of the first diagnosis is from
+the spread of the later ones. The numbers are of one machine, idle. What to wait for, and what bounds it: [limits of
+speed](speed-limits.md).
 """
 HISTORY = """## What has become slower
 
@@ -51,8 +53,8 @@ GROWTH = """## Growth, counted
 
 `fusion-sfdia bench growth` counts what a step does, which no load changes: instructions of Python; operations, which are
 multiply-adds, elements of new arrays, and instructions in compiled loops; and the largest memory. The exponent p of size^p is
-measured between sizes n, 2n and 4n. The exit code is 1 where one is more than {above} above what its algebra has, and a test
-fails.
+measured between sizes n, 2n and 4n. The exit code is 1 where one is more than {above} above the highest power in its algebra,
+and a test fails. At these sizes lower powers still have a large part, so that an exponent below is no error.
 """
 CLUSTER = """## Beyond one machine
 
@@ -242,7 +244,10 @@ def hour(piece: float, empty: float, moved: float) -> str:
         f"{min(CORES, piece / empty):.0f} workers busy with pieces as small as these ({seconds(piece)}), and {CORES} with "
         f"pieces of more than {seconds(CORES * empty)}. With pieces ten times as long, {seconds(long)}, the hour does "
         f"{done:.3g} of them, moves {done * moved / 1e3:.2g} MB or more, and the scheduler is busy for a tenth of it. "
-        "A piece is a detector on a plant with up to 25 seeds. More than two workers have not been measured."
+        "A comparison of all plants with up to 25 seeds has 116 pieces, a detector on a plant each, and with 25 seeds a piece "
+        "takes some 20 s: no more than 116 workers have work, with 250 seeds 1160. Of pieces of 20 s "
+        f"the hour does {CORES * HOUR / 20:.3g}, the scheduler is busy for {100 * CORES * empty / 20:.0f} % of it. "
+        "More than two workers have not been measured."
     )
     return fill(text, WIDTH) + "\n"
 
@@ -258,40 +263,6 @@ def counted(rows: Sequence[Row]) -> str:
     return table(("detector", "grows with", "Python (expected)", "operations", "memory"), lines)
 
 
-LIMITS = """## Limits
-
-What bounds five of these, each counted or measured in one run beside what it is compared with, in processor time:
-
-- **Network**: a step of an area is 390 additions and multiplications, 8 divisions and 10 roots, and moves 789 bytes. Copying as
-  many bytes takes 19 to 21 ns, as many operations on numbers in registers, one after the other, 113 to 128 ns, the step of
-  150 000 areas 102 ns: it is at the rate of scalar arithmetic. Areas read their neighbours by index, which leaves no vector
-  instructions; keeping the precisions in place of a second division gains nothing that can be measured. Of a step of 15 areas,
-  8 us, handing 30 arrays to compiled code takes 1.2 us, the areas 2.3 us, the alarms 0.8 us, Python the rest.
-- **Long log**: of 200 000 rows of two-tanks in 5.3 s, 1.1 s are imports and the plant, 1.4 s the second look, 1.6 s reading and
-  writing the tables, 1.1 s figures and page. To turn the texts of these tables into numbers and back takes 0.9 s in Python by
-  itself; pandas writes the two tables in 2.1 s, this package in 1.2 s. A diagnosis keeps its decisions and residuals, so memory
-  grows with the rows, by 0.4 kB a row at its peak.
-- **First diagnosis** of the pipeline, 8.2 s on two idle cores, later 2.1 s: 5.5 s are the compilation of its step and of its
-  derivatives, one after the other, while a second process compiles the detector. Two fifths of it are LLVM's; typing and
-  lowering, which numba does in Python, have the rest, whatever the level of optimisation.
-- **Comparison**, on two cores of a slower machine, on which the same code of Python takes 1.6 times as long as for the other
-  numbers: 8 seeds in 6.8 min, 794 s of processor time; 24 seeds in 17.1 min, 2 007 s. A detector takes 36 000 to 60 000 steps
-  of a run on a plant, all 108 pairs that apply 4.8 million. By samples of the program shortly before, plant by plant, 0.45 of
-  the time is inside compiled models, products and factors of matrices (0.61 on the pipeline, 0.46 on the network, 0.26 on the
-  engine, 0.13 on the tanks): with nothing else these alone would take 3.0 min of two cores. The largest are the pipe's model
-  (0.10), the windows of `robust-glr` (0.07) and triangular factors (0.05); no other has more than 0.02. Figures take 0.07 and
-  imports 0.03, the rest is spread over some thousand lines of NumPy and Python. By what it is for: 0.27 are the healthy runs
-  that set thresholds, 0.16 the silent detectors on trunks and branches, 0.32 the deployed ones, whose runs no longer share
-  covariances after an alarm, 0.09 wrong models. In the numbers of the table above, on the pipeline a central filter takes 125
-  us a step in a batch: 26 us are the model and its Jacobian, 65 us the products and factors of 63 states and 63 readings, at
-  the 41 Gflop/s that NumPy reaches with matrices of that size. 14 detectors there contain it. Of `robust-glr` on the network
-  0.9 ms of 1.7 are the products of its windows, 61 Mflop at 70 Gflop/s in a batch.
-- **Papers**, `--full`, all but network/scale and the chemical plant, on the slower machine and beside other work: 61 min of
-  processor time, 35 min on two cores; 0.71 of it are the pipeline, 0.19 the engine, 0.06 the network. The pipeline
-  follows 3.6 million steps of a run. In the numbers of the table above the unscented bank takes 0.6 ms a step, of which 0.28 ms
-  are the model at its 127 points and 0.05 ms would be its products at 58 Gflop/s; the ensemble 0.4 (0.08 and 0.03); `loo-glr`
-  0.5, of which 0.24 are its windows; the extended bank 0.25 (0.03 and 0.04).
-"""
 MEMORY = """## Memory
 
 Of `scaling` what NumPy allocates in a step, of `network` all arrays that a step reads or writes, of `logs` the largest resident
@@ -313,8 +284,8 @@ SCALING = """## Scaling
 and update of an ensemble on the pipeline, where finer grids need shorter substeps. Areas: all diagnosers of a network on one
 core.*
 
-The exponent of a line through all points, and of the last two, where constant costs count least; 3 is what is counted for
-sensors (see below):
+The exponent of a line through all points, and of the last two, where constant costs count least; the highest power in the
+algebra of sensors is 3, that of areas 1:
 """
 
 
@@ -322,7 +293,6 @@ def render(rows: Sequence[Row]) -> str:
     """The page."""
     parts: list[tuple[str, Callable[[Sequence[Row]], str]]] = [
         (ABOUT, times),
-        (LIMITS, lambda _: ""),
         (MEMORY, memory),
         (PEERS, peers),
         (SCALING, scaling),
