@@ -212,7 +212,8 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         for marker, kind in zip("os", ("processes", "dask workers"), strict=True):
             panels[-1].loglog((1, 2), [speedup[f"{n} {kind}"] for n in (1, 2)], marker=marker, label=kind)
         panels[-1].loglog((1, 2), (1, 2), ":", color="gray", label="ideal")
-        panels[-1].set(xlabel="workers", ylabel="speed over 1 process", xticks=(1, 2), xticklabels=("1", "2"))
+        panels[-1].set(xlabel="workers", ylabel="speed over 1 process")
+        panels[-1].set(xticks=(1, 2), xticklabels=("1", "2"), yticks=(1, 2), yticklabels=("1", "2"))
         panels[-1].minorticks_off()
         panels[-1].legend(fontsize=7)
         figure.savefig(path, metadata={"Date": None})
