@@ -20,10 +20,12 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.covariance import dense as dense
 from fusion_sfdia.filters.repeated import Repeated
+from fusion_sfdia.filters.sums import difference
 
 Array = NDArray[Any]
 
 ONE_BY_ONE = 16  # size from which LAPACK calls on single matrices beat NumPy's batch routines
+EPS = float(np.finfo(float).eps)
 ROUNDING = 1e-10  # an eigenvalue of a unit-diagonal covariance above minus this is taken as a rounded zero
 
 
@@ -230,6 +232,11 @@ class Posterior(NamedTuple):
     nis: Array
 
 
+def rounding(joint: Joint) -> float:
+    """What is added to the diagonal of P - W W', as a share of that of P: see `condition`."""
+    return 4 * EPS * sum(joint.C.shape[-2:])
+
+
 def condition(joint: Joint, y: Array, used: Array | None = None) -> Posterior:
     """Return the state given the readings y (..., N), those that are NaN or not `used` (..., N) left out.
 
@@ -251,9 +258,7 @@ def condition(joint: Joint, y: Array, used: Array | None = None) -> Posterior:
     Ut = np.swapaxes(U, -1, -2)
     whitened = (Ut @ d[..., None])[..., 0]
     W = joint.C @ U
-    P = joint.P - W @ np.swapaxes(W, -1, -2)
-    floor = 4 * np.finfo(float).eps * sum(joint.C.shape[-2:])
-    np.einsum("...ii->...i", P)[...] += floor * np.diagonal(joint.P, axis1=-2, axis2=-1)
+    P = difference(joint.P, W @ np.swapaxes(W, -1, -2), rounding(joint))
     count = np.sum(used, axis=-1)
     nis = np.where(count > 0, np.sum(whitened * whitened, axis=-1) / np.maximum(count, 1), np.nan)
     x, P = consider(joint, joint.x + (W @ whitened[..., None])[..., 0], P)

@@ -13,15 +13,21 @@ from fusion_sfdia.core.equation import compiled, plain
 Array = NDArray[Any]
 
 
-def congruence(A: Array, P: Array) -> tuple[Array, Array]:
-    """Return A P A' (..., m, m), symmetric to the bit, and A P (..., m, n), of A (..., m, n) and symmetric P (..., n, n)."""
+def congruence(A: Array, P: Array, D: Array) -> tuple[Array, Array]:
+    """Return A P A' + D (..., m, m), symmetric to the bit but for D, and P A' (..., n, m).
+
+    A (..., m, n), symmetric P (..., n, n), D (..., m, m), or (m,) its diagonal.
+    """
     batch, n = P.shape[:-2], P.shape[-1]
     m = A.shape[-2]
     rows = A.reshape(1 if A.ndim == 2 else -1, m, n)
     if len(rows) > 1 and A.shape[:-2] != batch:
         rows = np.broadcast_to(A, (*batch, m, n)).reshape(-1, m, n)
-    both, one = _congruence(plain(rows), plain(P.reshape(-1, n, n)))
-    return both.reshape(*batch, m, m), one.reshape(*batch, m, n)
+    diagonal = D if D.ndim == 1 else np.zeros(m)
+    both, one = _congruence(plain(rows), plain(P.reshape(-1, n, n)), plain(diagonal))
+    if len(batch) != 1:
+        both, one = both.reshape(*batch, m, m), one.reshape(*batch, m, n)
+    return both if D.ndim == 1 else both + D, np.swapaxes(one, -1, -2)
 
 
 def variances(A: Array, P: Array) -> Array:
@@ -34,7 +40,8 @@ def variances(A: Array, P: Array) -> Array:
 
 
 @compiled
-def _congruence(A: Array, P: Array) -> tuple[Array, Array]:
+def _congruence(A: Array, P: Array, D: Array) -> tuple[Array, Array]:
+    """A P A' + D (B, m, m) and A P (B, m, n) of A (B, m, n) or (1, m, n), P (B, n, n) and D (m,)."""
     B, n = P.shape[:2]
     m = A.shape[1]
     both, one, turned = np.empty((B, m, m)), np.empty((B, m, n)), np.empty((n, m))
@@ -68,6 +75,7 @@ def _congruence(A: Array, P: Array) -> tuple[Array, Array]:
                     into[j] += by * out_of[j]
             for j in range(i):
                 both[k, j, i] = into[j]
+            into[i] += D[i]
     return both, one
 
 

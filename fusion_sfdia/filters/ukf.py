@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.alike import single
 from fusion_sfdia.core.arguments import number
 from fusion_sfdia.filters.gaussian import Joint, add, square_root, symmetrise
+from fusion_sfdia.filters.sums import symmetric_sum
 
 Array = NDArray[Any]
 Model = Callable[[Array], Array]
@@ -119,4 +120,4 @@ def joint(points: SigmaPoints, x: Array, P: Array, h: Model, R: Array, propagate
     else:
         of_readings = _moments(points, h(propagated), n)
         C = _covariance(points, _moments(points, propagated, n), of_readings)
-    return Joint(x, P, of_readings[0], add(symmetrise(_covariance(points, of_readings, of_readings)), R), C)
+    return Joint(x, P, of_readings[0], symmetric_sum(_covariance(points, of_readings, of_readings), R), C)

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, on_diagonal, unmoved
+from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, rounding, unmoved
 from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
+from fusion_sfdia.filters.sums import difference
 from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
-EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
         half = half_inverse(single(joint.S)) if used.all() else half_inverse(joint.S, used)
     scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
     whitened = (half @ scores[..., None])[..., 0]
-    weight = np.einsum("...ij,...ij->...i", half, half)
+    weight = np.vecdot(half, half)
     return LeaveOneOut(whitened, repeated(weight, d), None, used, repeated(half, d), scores, rank)
 
 
@@ -160,22 +160,16 @@ def _conditioned(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]
     given = joint.C, _half(joint, found), found.inverse, joint.P
     C, half, inverse, P = (bank_kernels.common(single(v), batch, 2) for v in given)
     x, whitened = (bank_kernels.runs(v, batch) for v in (joint.x, found.whitened))
-    x, p, K = bank_kernels.conditioned(x, whitened, C, half, inverse, P, _floor(joint))
+    x, p, K = bank_kernels.conditioned(x, whitened, C, half, inverse, P, rounding(joint))
     if len(batch) > 1:
         x, p, K = x.reshape(*batch, n), p.reshape(*batch, n, n), K.reshape(*batch, n, N)
     return *consider(joint, x, repeated(p, x)), unmoved(joint, K)
 
 
-def _floor(joint: Joint) -> float:
-    return 4 * EPS * sum(joint.C.shape[-2:])
-
-
 def _posterior(joint: Joint, found: LeaveOneOut, w: Array) -> tuple[Array, Array]:
     C, P = single(joint.C), single(joint.P)
     x = joint.x + (C @ found.whitened[..., None])[..., 0]
-    p = w @ np.swapaxes(w, -1, -2)
-    p = np.subtract(P, p, out=p if p.shape == P.shape else None)
-    on_diagonal(p)[...] += _floor(joint) * P.diagonal(axis1=-2, axis2=-1)
+    p = difference(P, w @ np.swapaxes(w, -1, -2), rounding(joint))
     return consider(joint, x, repeated(p, joint.P))
 
 

@@ -36,9 +36,9 @@ def few(*shape: int) -> Array:
     ids=["one-jacobian", "one-of-each-run", "single", "two-axes"],
 )
 def test_the_products_are_those_of_dense_matrices(A: Array, P: Array) -> None:
-    both, one = congruence(A, P)
+    both, right = congruence(A, P, np.zeros(M))
     largest = np.abs(A) @ np.abs(P)
-    np.testing.assert_allclose(one, A @ P, rtol=0, atol=rounding(float(largest.max()), N))
+    np.testing.assert_allclose(right.swapaxes(-1, -2), A @ P, rtol=0, atol=rounding(float(largest.max()), N))
     expected = A @ P @ A.swapaxes(-1, -2)
     allowed = rounding(float((largest @ np.abs(A).swapaxes(-1, -2)).max()), 2 * N)
     np.testing.assert_allclose(both, expected, rtol=0, atol=allowed)
@@ -56,11 +56,18 @@ def test_variances_of_runs_with_one_covariance_are_computed_once() -> None:
 
 def test_a_run_has_the_bits_that_it_has_alone() -> None:
     A, P = few(RUNS, M, N), covariance(RUNS)
-    both, one = congruence(A, P)
+    both, right = congruence(A, P, np.ones(M))
     for r in range(RUNS):
-        alone = congruence(A[r : r + 1], P[r : r + 1])
+        alone = congruence(A[r : r + 1], P[r : r + 1], np.ones(M))
         np.testing.assert_array_equal(both[r], alone[0][0])
-        np.testing.assert_array_equal(one[r], alone[1][0])
+        np.testing.assert_array_equal(right[r], alone[1][0])
+
+
+def test_what_is_added_may_be_a_diagonal_or_a_matrix() -> None:
+    A, P, D = few(M, N), covariance(RUNS), 1.0 + np.arange(M)
+    without, _ = congruence(A, P, np.zeros(M))
+    np.testing.assert_array_equal(congruence(A, P, D)[0], without + np.diag(D))
+    np.testing.assert_array_equal(congruence(A, P, np.diag(D))[0], without + np.diag(D))
 
 
 def test_a_filter_step_is_the_same_by_sparse_and_dense_products() -> None:
