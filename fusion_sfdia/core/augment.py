@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from fusion_sfdia.core.covariance import dense
+from fusion_sfdia.core.covariance import dense, on_diagonal
+from fusion_sfdia.core.differentiable import Differentiable, with_jacobian
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.core.plant_groups import Finer, Numerics, Structure
+from fusion_sfdia.core.plant_groups import Finer, Numerics, OutputFunction, StepFunction, Structure
 from fusion_sfdia.core.signals import Signal
 from fusion_sfdia.core.uncertainty import HOUR, Disturbance, Parameter, Uncertainty, error_of
 
@@ -114,25 +115,52 @@ class _Unknown:
         n, p = self.counts
         return z[..., :n], u + z[..., n + p :] @ self.selection if self.erring.size else u, z[..., n : n + p]
 
-    def step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
+    @property
+    def step(self) -> StepFunction:
+        """The step, with its Jacobian by the same call where that is stated at other values of the parameters."""
+        known = self.plant.uncertainty
+        both = with_jacobian(known.step, known.step_jacobian)
+        return self._step if both is None else Differentiable(self._step, self.step_jacobian, partial(self._step_with, both))
+
+    @property
+    def output(self) -> OutputFunction:
+        """The same of the output."""
+        known = self.plant.uncertainty
+        both = with_jacobian(known.output, known.output_jacobian)
+        if both is None:
+            return self._output
+        return Differentiable(self._output, self.output_jacobian, partial(self._output_with, both))
+
+    def _step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
         x, acting, theta = self.split(z, u)
         at = self.plant.uncertainty.step
         ahead = self.plant.step(t_start, x, acting, dt) if at is None else at(t_start, x, acting, dt, theta)
         return joined(ahead, z[..., x.shape[-1] :])
 
-    def output(self, t: float, z: Array, u: Array) -> Array:
+    def _output(self, t: float, z: Array, u: Array) -> Array:
         x, acting, theta = self.split(z, u)
         at = self.plant.uncertainty.output
         return self.plant.output(t, x, acting) if at is None else at(t, x, acting, theta)
 
     def step_jacobian(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
         x, acting, theta = self.split(z, u)
-        at, n = self.plant.uncertainty.step_jacobian, x.shape[-1]
+        at = self.plant.uncertainty.step_jacobian
         assert at is not None
-        by_all = at(t_start, x, acting, dt, theta)
+        return self._tangent(at(t_start, x, acting, dt, theta), z)
+
+    def _step_with(
+        self, both: Callable[..., tuple[Array, Array]], t_start: float, z: Array, u: Array, dt: float
+    ) -> tuple[Array, Array]:
+        x, acting, theta = self.split(z, u)
+        ahead, by_all = both(t_start, x, acting, dt, theta)
+        return joined(ahead, z[..., x.shape[-1] :]), self._tangent(by_all, z)
+
+    def _tangent(self, by_all: Array, z: Array) -> Array:
+        """The Jacobian of the step (..., n + p + e, n + p + e) from the derivatives of x with respect to (x, u, theta)."""
+        n = by_all.shape[-2]
         found = np.zeros((*by_all.shape[:-2], z.shape[-1], z.shape[-1]))
         found[..., :n, :] = by_all[..., self.columns]
-        np.einsum("...ii->...i", found)[..., n:] = 1.0
+        on_diagonal(found)[..., n:] = 1.0
         return found
 
     def output_jacobian(self, t: float, z: Array, u: Array) -> Array:
@@ -140,6 +168,11 @@ class _Unknown:
         assert at is not None
         x, acting, theta = self.split(z, u)
         return at(t, x, acting, theta)[..., self.columns]
+
+    def _output_with(self, both: Callable[..., tuple[Array, Array]], t: float, z: Array, u: Array) -> tuple[Array, Array]:
+        x, acting, theta = self.split(z, u)
+        y, by_all = both(t, x, acting, theta)
+        return y, by_all[..., self.columns]
 
 
 @dataclass(frozen=True, eq=False)

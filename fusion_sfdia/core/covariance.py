@@ -20,6 +20,11 @@ def dense(cov: Array) -> Array:
     return np.diag(cov) if cov.ndim == 1 else cov
 
 
+def on_diagonal(P: Array) -> Array:
+    """The diagonal (..., n) of a contiguous P (..., n, n), to be written to."""
+    return P.reshape(*P.shape[:-2], -1)[..., :: P.shape[-1] + 1]
+
+
 def require_covariance(what: str, cov: Array, n: int) -> None:
     """Raise ValueError unless cov is (n,) non-negative variances or an (n, n) positive semi-definite matrix."""
     if np.shape(cov) not in {(n,), (n, n)}:

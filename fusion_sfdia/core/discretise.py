@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import floats, number
+from fusion_sfdia.core.differentiable import Differentiable
 from fusion_sfdia.core.equation import difference_jacobian, step_of_change
 from fusion_sfdia.core.integration import (
     Integrated,
@@ -155,10 +156,15 @@ def _uncertainty(model: Integrated, unknown: tuple[Parameter, ...], input_errors
     if not (unknown or input_errors):
         return Uncertainty()
     recorded = model.program is not None
+    step: Any = model.step_at
+    output: Any = model.output_at
+    if recorded:
+        step = Differentiable(model.step_at, model.step_jacobian_at, model.step_and_jacobian_at)
+        output = Differentiable(model.output_at, model.output_jacobian_at, model.output_and_jacobian_at)
     return Uncertainty(
         unknown,
-        model.step_at if unknown else None,
-        model.output_at if unknown else None,
+        step if unknown else None,
+        output if unknown else None,
         model.step_jacobian_at if recorded else None,
         model.output_jacobian_at if recorded else None,
         inputs=input_errors,

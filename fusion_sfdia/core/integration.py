@@ -113,7 +113,7 @@ class Integrated:
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         if (found := self._advanced(t_start, x, u, dt, theta, 0)) is not None:
-            return found
+            return found[0]
         return self._at(theta)._step(t_start, _of_batch(x, theta), u, dt)
 
     def _step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
@@ -127,7 +127,7 @@ class Integrated:
 
     def output_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
         if (found := self._read(t, x, u, theta, 0)) is not None:
-            return found
+            return found[0]
         return self._at(theta)._output(t, _of_batch(x, theta), u)
 
     def _output(self, t: float, x: Array, u: Array) -> Array:
@@ -136,23 +136,29 @@ class Integrated:
 
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         """Derivatives (..., n, n + m + p) with respect to x, u and theta; of a program."""
-        return self._required(
-            self._advanced(t_start, x, u, dt, theta, x.shape[-1] + u.shape[-1] + theta.shape[-1]), t_start, x, u
-        )
+        return self._required(self._advanced(t_start, x, u, dt, theta, _all(x, u, theta)), t_start, x, u)[1]
+
+    def step_and_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
+        """`step_at` and `step_jacobian_at`."""
+        return self._required(self._advanced(t_start, x, u, dt, theta, _all(x, u, theta)), t_start, x, u)
 
     def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
         """The same of the readings (..., N, n + m + p)."""
-        return self._required(self._read(t, x, u, theta, x.shape[-1] + u.shape[-1] + theta.shape[-1]), t, x, u)
+        return self._required(self._read(t, x, u, theta, _all(x, u, theta)), t, x, u)[1]
 
-    def _required(self, found: Array | None, t: float, x: Array, u: Array) -> Array:
+    def output_and_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> tuple[Array, Array]:
+        """`output_at` and `output_jacobian_at`."""
+        return self._required(self._read(t, x, u, theta, _all(x, u, theta)), t, x, u)
+
+    def _required(self, found: tuple[Array, Array] | None, t: float, x: Array, u: Array) -> tuple[Array, Array]:
         """What has been found; otherwise the ArithmeticError of the algebraic variables that do not settle."""
         if found is None:
             complex_step_jacobian(lambda p: solve_algebraic(self.physics, t, p, np.expand_dims(u, -2)), x)
             raise ArithmeticError(f"the algebraic variables of {self.physics.name!r} do not settle within a step")
         return found
 
-    def _advanced(self, t: float, x: Array, u: Array, dt: float, theta: Array, width: int) -> Array | None:
-        """The step by the program, where width is 0, or its derivatives (..., n, width); None without one."""
+    def _advanced(self, t: float, x: Array, u: Array, dt: float, theta: Array, width: int) -> tuple[Array, Array] | None:
+        """The step by the program and its derivatives (..., n, width); None without one."""
         if (program := self.program) is None or not all(map(_real, (x, u, theta))):
             return None
         batch, x, u, theta = _as_rows(x, u, theta)
@@ -160,10 +166,9 @@ class Integrated:
         ahead, tangent, settled = straight_line_kernels.advance(
             self._number(t), x, u, theta, float(dt), self.substeps, decay, nominal, width, program
         )
-        found: Array = tangent if width else ahead
-        return found.reshape(*batch, *found.shape[1:]) if settled else None
+        return _of_shape(batch, ahead, tangent) if settled else None
 
-    def _read(self, t: float, x: Array, u: Array, theta: Array, width: int) -> Array | None:
+    def _read(self, t: float, x: Array, u: Array, theta: Array, width: int) -> tuple[Array, Array] | None:
         """The same of the readings (..., N)."""
         if (program := self.program) is None or not all(map(_real, (x, u, theta))):
             return None
@@ -171,8 +176,7 @@ class Integrated:
         y, by, settled = straight_line_kernels.read(
             self._number(t), x, u, theta, self.picks, self._constants[1], width, program
         )
-        found: Array = by if width else y
-        return found.reshape(*batch, *found.shape[1:]) if settled else None
+        return _of_shape(batch, y, by) if settled else None
 
     @cached_property
     def _timeless(self) -> bool:
@@ -203,6 +207,9 @@ class IntegratedStep:
         return None if self.model.program is None else self._jacobian
 
     def _jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        return self.with_jacobian(t_start, x, u, dt)[1]
+
+    def with_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
         model = self.model
         return model._required(model._advanced(t_start, x, u, dt, model.nominal, x.shape[-1]), t_start, x, u)
 
@@ -221,6 +228,9 @@ class IntegratedOutput:
         return None if self.model.program is None else self._jacobian
 
     def _jacobian(self, t: float, x: Array, u: Array) -> Array:
+        return self.with_jacobian(t, x, u)[1]
+
+    def with_jacobian(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
         model = self.model
         return model._required(model._read(t, x, u, model.nominal, x.shape[-1]), t, x, u)
 
@@ -230,6 +240,18 @@ def _by_theta(function: Any, unknown: tuple[str, ...], c: Any, t: float, x: Arra
     values = {name: theta[..., j][()] for j, name in enumerate(unknown)}
     found: Array = function(t, x, z, u, c._replace(**values) if unknown else c)
     return found
+
+
+def _all(x: Array, u: Array, theta: Array) -> int:
+    """The number of derivatives with respect to all of these."""
+    return int(x.shape[-1] + u.shape[-1] + theta.shape[-1])
+
+
+def _of_shape(batch: tuple[int, ...], value: Array, by: Array) -> tuple[Array, Array]:
+    """Value (B, n) and derivatives (B, n, w) of the batch."""
+    if len(batch) == 1:
+        return value, by
+    return value.reshape(*batch, *value.shape[1:]), by.reshape(*batch, *by.shape[1:])
 
 
 def _real(a: Array) -> bool:

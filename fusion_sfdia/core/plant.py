@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.analytic import WRONG, Use, non_analytic
 from fusion_sfdia.core.arguments import floats, number, require_unique
 from fusion_sfdia.core.covariance import diagonal, require_covariance
+from fusion_sfdia.core.differentiable import with_jacobian
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
 from fusion_sfdia.core.plant_checks import require_considered, require_kinds, require_shapes
 from fusion_sfdia.core.plant_groups import Numerics, OutputFunction, StepFunction, Structure, Truth
@@ -205,6 +206,12 @@ class Plant:
             getattr(self.step, "jacobian", None) if given.step_jacobian is None else given.step_jacobian,
             getattr(self.output, "jacobian", None) if given.output_jacobian is None else given.output_jacobian,
         )
+
+    @cached_property
+    def with_jacobians(self) -> tuple[Any, Any]:
+        """The functions that give step and output together with these Jacobians, of the same arguments; None without."""
+        step, output = self.jacobians
+        return with_jacobian(self.step, step), with_jacobian(self.output, output)
 
     @cached_property
     def _complex_step_holds(self) -> tuple[bool, bool]:

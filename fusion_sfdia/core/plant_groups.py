@@ -28,7 +28,8 @@ class Numerics:
     """The Jacobians of a model, and the steps for which it holds.
 
     step_jacobian(t_start, x, u, dt), (..., n, n), and output_jacobian(t, x, u), (..., N, n): None for those that the
-    functions have themselves as an attribute `jacobian`, of the same arguments; otherwise the complex step, or central
+    functions have themselves as an attribute `jacobian`, of the same arguments (with an attribute `with_jacobian`, which
+    returns both, estimators call the model once, see `differentiable`); otherwise the complex step, or central
     differences (to about 1e-10) where the complex step fails because of abs, sign, interp or the like. Both are compared once,
     at points about x0. At a kink itself, |x| at 0, differences give the mean of both slopes.
     max_dt: longest step (s), inf for no limit. fixed_dt: whether the model holds for the plant's nominal dt only.

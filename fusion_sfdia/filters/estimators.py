@@ -18,7 +18,7 @@ from fusion_sfdia.core.detector import NotApplicableError
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters import ekf, enkf, gaussian, ukf
 from fusion_sfdia.filters.gaussian import Joint
-from fusion_sfdia.filters.guarded_steps import guarded_points, guarded_step, readings_of
+from fusion_sfdia.filters.guarded_steps import guarded_points, guarded_step_and_jacobian, readings_and_jacobian, readings_of
 from fusion_sfdia.filters.repeated import repeated_readings
 
 Array = NDArray[Any]
@@ -123,8 +123,7 @@ class Extended(_Moments):
     consistent: bool = field(default=True, init=False, repr=False)
 
     def predict(self, plant: Plant, core: Core, t_start: float, u: Array, dt: float, rng: np.random.Generator) -> Prior:
-        start, ahead, moved, stuck, lost = guarded_step(plant, t_start, core.x, u, dt)
-        jacobian = plant.step_jacobian_at(t_start, start, u, dt)
+        (start, ahead, moved, stuck, lost), jacobian = guarded_step_and_jacobian(plant, t_start, core.x, u, dt)
         if (beyond := moved | stuck).any():  # outside its limits the model has no usable Jacobian
             jacobian = np.where(beyond[..., None, None], np.eye(start.shape[-1]), jacobian)
         x, p = ekf.predict(start, core.P, lambda s: ahead, jacobian, plant.process_cov_over(dt), plant.sparse[0])
@@ -132,8 +131,7 @@ class Extended(_Moments):
 
     def joint(self, plant: Plant, prior: Prior, t: float, u: Array) -> Joint:
         x, p = prior.core
-        expected = readings_of(plant, t, x, u)
-        H = plant.output_jacobian_at(t, x, u)
+        expected, H = readings_and_jacobian(plant, t, x, u)
         found = ekf.joint(x, p, lambda s: expected, H, plant.sensor_cov, plant.sparse[1])
         return found._replace(considered=plant.considered, repeated=repeated_readings(plant.same_readings, H, plant.sensor_cov))
 

@@ -19,6 +19,7 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.covariance import dense as dense
+from fusion_sfdia.core.covariance import on_diagonal as on_diagonal
 from fusion_sfdia.filters.repeated import Repeated
 from fusion_sfdia.filters.sums import difference
 
@@ -43,11 +44,6 @@ def add(P: Array, Q: Array) -> Array:
     total = P.copy()
     on_diagonal(total)[...] += Q
     return total
-
-
-def on_diagonal(P: Array) -> Array:
-    """The diagonal (..., n) of a contiguous P (..., n, n), to be written to."""
-    return P.reshape(*P.shape[:-2], -1)[..., :: P.shape[-1] + 1]
 
 
 def cholesky(A: Array) -> Array:

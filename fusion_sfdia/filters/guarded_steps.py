@@ -36,13 +36,26 @@ class Stepped(NamedTuple):
 def guarded_step(plant: Plant, t_start: float, x: Array, u: Array, dt: float) -> Stepped:
     """Step the states x (..., n) from within the plant's limits; ValueError where the plant's step changes their shape."""
     start, moved = plant.guard(x)
-    ahead = np.asarray(plant.step(t_start, start, u, dt))
+    return _stepped(plant, t_start, start, np.asarray(plant.step(t_start, start, u, dt)), moved, u, dt)
+
+
+def guarded_step_and_jacobian(plant: Plant, t_start: float, x: Array, u: Array, dt: float) -> tuple[Stepped, Array]:
+    """`guarded_step` with the Jacobian (..., n, n) of the step, or (n, n), by one call where the model has one for both."""
+    if (both := plant.with_jacobians[0]) is None:
+        stepped = guarded_step(plant, t_start, x, u, dt)
+        return stepped, plant.step_jacobian_at(t_start, stepped.start, u, dt)
+    start, moved = plant.guard(x)
+    ahead, jacobian = both(t_start, start, u, dt)
+    return _stepped(plant, t_start, start, ahead, moved, u, dt), jacobian
+
+
+def _stepped(plant: Plant, t_start: float, start: Array, ahead: Array, moved: Array, u: Array, dt: float) -> Stepped:
     if ahead.shape != start.shape:
         raise ValueError(
             f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; expected the same: "
             "a batch is leading axes"
         )
-    stuck = ~np.isfinite(ahead).all(axis=-1)
+    stuck = np.asarray(~np.isfinite(ahead).all(axis=-1))
     if not stuck.any():
         return Stepped(start, ahead, moved, stuck, stuck)
     return Stepped(start, np.where(stuck[..., None], start, ahead), moved, stuck, stuck & ~_holds(plant, t_start, u, dt))
@@ -71,7 +84,18 @@ def guarded_points(plant: Plant, t_start: float, x: Array, u: Array, dt: float) 
 
 def readings_of(plant: Plant, t: float, x: Array, u: Array) -> Array:
     """Return the readings (..., N) of the plant in states x (..., n); ValueError where its output has another shape."""
-    y = np.asarray(plant.output(t, x, u))
+    return _of_sensors(plant, x, np.asarray(plant.output(t, x, u)))
+
+
+def readings_and_jacobian(plant: Plant, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+    """`readings_of` with their Jacobian (..., N, n), or (N, n), by one call where the model has one for both."""
+    if (both := plant.with_jacobians[1]) is None:
+        return readings_of(plant, t, x, u), plant.output_jacobian_at(t, x, u)
+    y, jacobian = both(t, x, u)
+    return _of_sensors(plant, x, y), jacobian
+
+
+def _of_sensors(plant: Plant, x: Array, y: Array) -> Array:
     if y.shape != (expected := (*x.shape[:-1], len(plant.sensors))):
         raise ValueError(
             f"output of plant {plant.name!r} gives shape {y.shape} for states {x.shape}; expected {expected}, a column a sensor"

@@ -527,14 +527,14 @@ def directional(J: Any, stencil: Array, dgiven: Any, dtheta: Any, along: Any, ra
 @compiled
 def advance_tangent(
     states: Any, inputs: Any, theta: Any, columns: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
-) -> Array:
-    """Derivatives (B, 3n, M) of `advance` with respect to those of (states, inputs, parameters UNKNOWN) whose positions are
-    `columns` (M,), in ascending order, by the chain rule through its stages.
+) -> tuple[Array, Array]:
+    """States (B, 3n) as by `advance`, and their derivatives (B, 3n, M) with respect to those of (states, inputs, parameters
+    UNKNOWN) whose positions are `columns` (M,), in ascending order, by the chain rule through the stages.
     """
     size = states.shape[1]
     n = size // 3
     which = columns[columns >= size + 3] - (size + 3)
-    result = np.empty((states.shape[0], size, columns.shape[0]))
+    result, reached = np.empty((states.shape[0], size, columns.shape[0])), np.empty((states.shape[0], size))
     x, at, rate, total = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     given, w = np.empty(3), np.empty(40 * LANES)
     J = np.empty((substeps, 4, OWN + which.shape[0], 3, n))
@@ -560,6 +560,7 @@ def advance_tangent(
                     total[i] = rate[i] if stage == 0 else total[i] + weight * rate[i]
             for i in range(size):
                 x[i] += h / 6.0 * total[i]
+        reached[b] = x
         for begin in range(0, columns.shape[0], COLUMNS):
             lanes = min(COLUMNS, columns.shape[0] - begin)
             dx[:] = 0.0
@@ -593,4 +594,4 @@ def advance_tangent(
                 for i in range(n):
                     for k in range(lanes):
                         result[b, v * n + i, begin + k] = dx[(3 * i + v) * COLUMNS + k]
-    return result
+    return reached, result

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number
+from fusion_sfdia.core.differentiable import Differentiable
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -142,7 +143,7 @@ def gas_pipeline(
             for v, (letter, unit) in enumerate((("p", "Pa"), ("m", "kg/s"), ("T", "K")))
             for i in range(stations)
         ),
-        step=model.step,
+        step=Differentiable(model.step, model.step_jacobian, model.step_and_jacobian),
         output=model.output,
         dt=dt,
         x0=x0,
@@ -151,8 +152,8 @@ def gas_pipeline(
         numerics=Numerics(model.step_jacobian, model.output_jacobian, max_dt=limit * count),
         truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
         uncertainty=Uncertainty(
-            unknown_parameters(c), model.step_at, None, model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS,
-            at_rest=True,
+            unknown_parameters(c), Differentiable(model.step_at, model.step_jacobian_at, model.step_and_jacobian_at), None,
+            model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS, at_rest=True,
         ),
     )  # fmt: skip
 
@@ -168,11 +169,15 @@ class _Pipe:
     stencil: Array
 
     def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        return self._advance(equations.advance, x, u, dt, self.nominal)
+        return self._advance(equations.advance, x, u, dt, self.nominal)[0]
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
+        return self.step_and_jacobian(t_start, x, u, dt)[1]
+
+    def step_and_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
         require_dense(self.nodes)
-        return self._advance(equations.advance_tangent, x, u, dt, self.nominal, np.arange(x.shape[-1]))
+        ahead, by_x = self._advance(equations.advance_tangent, x, u, dt, self.nominal, np.arange(x.shape[-1]))
+        return ahead, by_x
 
     @cached_property
     def unknown(self) -> Array:
@@ -185,13 +190,17 @@ class _Pipe:
         return np.array([getattr(self.c, name) for name in equations.UNKNOWN])
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self._advance(equations.advance, x, u, dt, self._of(theta))
+        return self._advance(equations.advance, x, u, dt, self._of(theta))[0]
 
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        return self.step_and_jacobian_at(t_start, x, u, dt, theta)[1]
+
+    def step_and_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
         require_dense(self.nodes)
         states_and_inputs = x.shape[-1] + u.shape[-1]
         columns = np.concatenate([np.arange(states_and_inputs), states_and_inputs + self.unknown])
-        return self._advance(equations.advance_tangent, x, u, dt, self._of(theta), columns)
+        ahead, by_all = self._advance(equations.advance_tangent, x, u, dt, self._of(theta), columns)
+        return ahead, by_all
 
     def _of(self, theta: Array) -> Array:
         """The parameters equations.UNKNOWN (..., 4) with the values theta (..., p)."""
@@ -220,14 +229,14 @@ class _Pipe:
         selection[np.arange(self.picks.size), self.picks] = 1.0
         return selection
 
-    def _advance(self, function: Any, x: Array, u: Array, dt: float, theta: Array, *which: Array) -> Array:
-        """The function of states, inputs and parameters theta, (4,) for all or (..., 4), as matrices with a row for each."""
+    def _advance(self, function: Any, x: Array, u: Array, dt: float, theta: Array, *which: Array) -> list[Array]:
+        """What the function of states, inputs and parameters theta, (4,) for all or (..., 4), with a row for each, returns."""
         rows = [x, u, theta]
         shapes = {a.shape[:-1] for a in rows} - {()}
         kind, batch = np.result_type(*rows, float), shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
         flat = [_rows(a, batch if a.ndim > 1 or a is not theta else (), kind) for a in rows]
-        result: Array = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
-        return result.reshape(*batch, *result.shape[1:])
+        found = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
+        return [a.reshape(*batch, *a.shape[1:]) for a in (found if which else (found,))]
 
 
 def _rows(a: Array, batch: tuple[int, ...], kind: Any) -> Array:

@@ -560,12 +560,12 @@ def inflow_derivatives(x: Any, theta: Any, h: Any, J: Any, c: EngineParameters, 
 @compiled
 def advance_tangent(
     states: Any, inputs: Any, theta: Any, count: int, dt: float, substeps: int, c: EngineParameters, law: bool
-) -> Array:
-    """Derivatives (B, 3, 4 + count) of `advance` with respect to states, input and parameters, by the chain rule through its
-    stages.
+) -> tuple[Array, Array]:
+    """States (B, 3) as by `advance`, and their derivatives (B, 3, 4 + count) with respect to states, input and parameters, by
+    the chain rule through the stages.
     """
     columns = 4 + count
-    result = np.empty((states.shape[0], 3, columns))
+    reached, result = np.empty((states.shape[0], 3)), np.empty((states.shape[0], 3, columns))
     tau = np.array([c.fuel_delay, c.receiver_delay, c.charge_delay])
     stages = -np.expm1(-dt / (2 * substeps) / tau), -np.expm1(-dt / substeps / tau)
     x, at, aims, h, of_h = np.empty(3), np.empty(3), np.empty(3), np.empty(2), np.empty((2, 3 + count))
@@ -601,9 +601,10 @@ def advance_tangent(
                 dat, ahead = ahead, dat
             x, at, dx, dat = at, x, dat, dx
         for i in range(3):
+            reached[b, i] = x[i]
             for j in range(columns):
                 result[b, i, j] = dx[i, j]
-    return result
+    return reached, result
 
 
 @compiled
@@ -619,23 +620,25 @@ def algebraic(states: Any, theta: Any, c: EngineParameters, law: bool) -> Array:
 
 
 @compiled
-def variables_tangent(states: Any, theta: Any, count: int, c: EngineParameters, law: bool) -> Array:
-    """Derivatives (B, 10, 4 + count) of states and algebraic variables with respect to states, input and parameters."""
-    result = np.zeros((states.shape[0], 10, 4 + count))
+def variables_tangent(states: Any, theta: Any, count: int, c: EngineParameters, law: bool) -> tuple[Array, Array]:
+    """States and algebraic variables (B, 10), and their derivatives (B, 10, 4 + count) with respect to states, input and
+    parameters.
+    """
+    found, result = np.empty((states.shape[0], 10)), np.zeros((states.shape[0], 10, 4 + count))
     x, slopes = np.empty(3), np.empty(3 + count)
     for b in range(states.shape[0]):
         own = theta[min(b, theta.shape[0] - 1)]
         for i in range(3):
-            x[i] = states[b, i]
+            x[i] = found[b, i] = states[b, i]
         torque = torque_and_slopes(x, own, slopes, c)
         for a in range(3 + count):
             fuel, p_receiver, p_charge = states_along(a, x)
             z = variables_at(fuel, dual(torque, slopes[a]), p_receiver, p_charge, unknown_along(a, own, c), law)
             for i in range(7):
-                result[b, 3 + i, a if a < 3 else 1 + a] = z[i].slope
+                found[b, 3 + i], result[b, 3 + i, a if a < 3 else 1 + a] = z[i].value, z[i].slope
             if a < 3:
                 result[b, a, a] = 1.0
-    return result
+    return found, result
 
 
 @equation

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.differentiable import Differentiable
 from fusion_sfdia.core.discretise import discretise
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
@@ -129,8 +130,8 @@ def marine_engine(
     )  # fmt: skip
     return replace(
         plant,
-        step=model.step,
-        output=model.output,
+        step=Differentiable(model.step, model.step_jacobian, model.step_and_jacobian),
+        output=Differentiable(model.output, model.output_jacobian, model.output_and_jacobian),
         numerics=replace(plant.numerics, step_jacobian=model.step_jacobian, output_jacobian=model.output_jacobian),
         truth=Truth(finer=partial(with_same_states, finer)),
         structure=Structure(modules=engine_modules(c, slip, nominal)),
@@ -156,10 +157,18 @@ class _Compiled:
         return self.output_at(t, x, u, self._nominal(t))
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        return self._step_tangent(t_start, x, u, dt, self._nominal(t_start), 0)[..., : len(STATES)]
+        return self.step_and_jacobian(t_start, x, u, dt)[1]
+
+    def step_and_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
+        ahead, by_all = self._step_tangent(t_start, x, u, dt, self._nominal(t_start), 0)
+        return ahead, by_all[..., : len(STATES)]
 
     def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
-        return self._output_tangent(t, x, u, self._nominal(t), 0)[..., : len(STATES)]
+        return self.output_and_jacobian(t, x, u)[1]
+
+    def output_and_jacobian(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+        y, by_all = self._output_tangent(t, x, u, self._nominal(t), 0)
+        return y, by_all[..., : len(STATES)]
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         batch, states, inputs, parameters = _rows(x, u, theta, np.result_type(x, u, theta))
@@ -173,21 +182,29 @@ class _Compiled:
         return np.concatenate([states, z], axis=-1)[:, PICKS].reshape(*batch, PICKS.size)
 
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        return self.step_and_jacobian_at(t_start, x, u, dt, theta)[1]
+
+    def step_and_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
         return self._step_tangent(t_start, x, u, dt, theta, theta.shape[-1])
 
     def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
+        return self.output_and_jacobian_at(t, x, u, theta)[1]
+
+    def output_and_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> tuple[Array, Array]:
         return self._output_tangent(t, x, u, theta, theta.shape[-1])
 
-    def _step_tangent(self, t_start: float, x: Array, u: Array, dt: float, theta: Array, count: int) -> Array:
+    def _step_tangent(self, t_start: float, x: Array, u: Array, dt: float, theta: Array, count: int) -> tuple[Array, Array]:
         batch, states, inputs, parameters = _rows(x, u, theta, float)
         c = self.parameters_at(t_start)
-        result: Array = equations.advance_tangent(states, inputs, parameters, count, float(dt), self._parts(dt), c, self.law)
-        return result.reshape(*batch, *result.shape[1:])
+        found = equations.advance_tangent(states, inputs, parameters, count, float(dt), self._parts(dt), c, self.law)
+        ahead, by_all = (a.reshape(*batch, *a.shape[1:]) for a in found)
+        return ahead, by_all
 
-    def _output_tangent(self, t: float, x: Array, u: Array, theta: Array, count: int) -> Array:
+    def _output_tangent(self, t: float, x: Array, u: Array, theta: Array, count: int) -> tuple[Array, Array]:
         batch, states, _, parameters = _rows(x, u, theta, float)
-        result: Array = equations.variables_tangent(states, parameters, count, self.parameters_at(t), self.law)
-        return result[:, PICKS].reshape(*batch, PICKS.size, result.shape[-1])
+        found = equations.variables_tangent(states, parameters, count, self.parameters_at(t), self.law)
+        y, by_all = (a[:, PICKS].reshape(*batch, PICKS.size, *a.shape[2:]) for a in found)
+        return y, by_all
 
     def _nominal(self, t: float) -> Array:
         return equations.unknown_of(self.parameters_at(t))
@@ -201,8 +218,9 @@ def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
     """
     parameters = [SPREAD[name].parameter(name, float(getattr(c, name))) for name in equations.UNKNOWN]
     return Uncertainty(
-        tuple(parameters), model.step_at, model.output_at, model.step_jacobian_at, model.output_jacobian_at,
-        inputs={"fuel_setting": FUEL_SETTING}, at_rest=True,
+        tuple(parameters), Differentiable(model.step_at, model.step_jacobian_at, model.step_and_jacobian_at),
+        Differentiable(model.output_at, model.output_jacobian_at, model.output_and_jacobian_at), model.step_jacobian_at,
+        model.output_jacobian_at, inputs={"fuel_setting": FUEL_SETTING}, at_rest=True,
     )  # fmt: skip
 
 
