@@ -19,6 +19,7 @@ from fusion_sfdia.core.arguments import floats, number, require_unique
 from fusion_sfdia.core.covariance import diagonal, require_covariance
 from fusion_sfdia.core.differentiable import with_jacobian
 from fusion_sfdia.core.equation import complex_step_holds, complex_step_jacobian, difference_jacobian
+from fusion_sfdia.core.limits import within
 from fusion_sfdia.core.plant_checks import require_considered, require_kinds, require_shapes
 from fusion_sfdia.core.plant_groups import Numerics, OutputFunction, StepFunction, Structure, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -299,9 +300,7 @@ class Plant:
 
     def guard(self, x: Array) -> tuple[Array, Array]:
         """Return x (..., n) moved into the limits of the states, and whether any state was moved (...)."""
-        low, high = self.state_limits
-        inside = np.minimum(np.maximum(x, low), high)
-        return inside, (inside != x).any(axis=-1)
+        return within(np.asarray(x), *self.state_limits)
 
     def in_units(self, units: Mapping[str, tuple[str, float]]) -> Plant:
         """Return the same plant with some sensors read in another unit: {sensor: (unit, readings per present unit)}."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.limits import finite
 from fusion_sfdia.core.plant import Plant
 
 Array = NDArray[Any]
@@ -55,7 +56,7 @@ def _stepped(plant: Plant, t_start: float, start: Array, ahead: Array, moved: Ar
             f"step of plant {plant.name!r} gives shape {ahead.shape} for states {start.shape}; expected the same: "
             "a batch is leading axes"
         )
-    stuck = np.asarray(~np.isfinite(ahead).all(axis=-1))
+    stuck = ~finite(ahead)
     if not stuck.any():
         return Stepped(start, ahead, moved, stuck, stuck)
     return Stepped(start, np.where(stuck[..., None], start, ahead), moved, stuck, stuck & ~_holds(plant, t_start, u, dt))

@@ -35,24 +35,25 @@ class Repeated(NamedTuple):
 
 def repeated_readings(group: Array | None, H: Array, R: Array) -> Repeated | None:
     """The groups (N,) of sensors, where they have the same rows of H (N, n); None where they do not, or it differs by run."""
-    if group is None or H.ndim > 2 or not same_rows(H, group):
+    if group is None or H.ndim > 2 or not (quantities := same_rows(H, group)):
         return None
-    return Repeated(group, int(group.max()) + 1, R)
+    return Repeated(group, quantities, R)
 
 
 @compiled
-def same_rows(H: Array, group: Array) -> bool:
-    """Whether the rows of H (N, n) are the same within each group (N,)."""
-    first = np.full(group.size, -1)
+def same_rows(H: Array, group: Array) -> int:
+    """How many groups (N,) there are, numbered from 0, if the rows of H (N, n) are the same within each; otherwise 0."""
+    first, groups = np.full(group.size, -1), 0
     for i in range(group.size):
         k = first[group[i]]
+        groups = max(groups, group[i] + 1)
         if k < 0:
             first[group[i]] = i
         else:
             for s in range(H.shape[1]):
                 if H[i, s] != H[k, s]:
-                    return False
-    return True
+                    return 0
+    return groups
 
 
 @compiled

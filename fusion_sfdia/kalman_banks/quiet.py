@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from fusion_sfdia.core.equation import compiled, plain
+
 Array = NDArray[Any]
 
 PAIRS = 8  # with which a sum has a lower quantile well above that of a frozen, rounded reading
@@ -33,10 +35,27 @@ def no_pairs(batch: tuple[int, ...], sensors: int) -> Pairs:
 
 def paired(now: Pairs, y: Array, sigma: Array) -> Pairs:
     """Add the readings y (..., N), NaN where missing; sigma (N,) of their noise."""
-    square = (y - now.first) ** 2 / (2 * sigma**2)
-    complete = np.isfinite(square)
-    squares = np.concatenate([square[..., None, :], now.squares[..., :-1, :]], axis=-2)
-    return Pairs(np.where(complete, np.nan, y), np.where(complete[..., None, :], squares, now.squares))
+    N = y.shape[-1]
+    first, squares = _paired(
+        plain(now.first.reshape(-1, N)), plain(now.squares.reshape(-1, PAIRS, N)), plain(y.reshape(-1, N)), sigma
+    )
+    return Pairs(first.reshape(y.shape), squares.reshape(now.squares.shape))
+
+
+@compiled
+def _paired(first: Array, squares: Array, y: Array, sigma: Array) -> tuple[Array, Array]:
+    """The same of B runs."""
+    after, shifted = np.empty(y.shape), squares.copy()
+    for r in range(y.shape[0]):
+        for i in range(y.shape[1]):
+            after[r, i] = y[r, i]
+            square = (y[r, i] - first[r, i]) ** 2 / (2 * sigma[i] ** 2)
+            if np.isfinite(square):
+                after[r, i] = np.nan
+                for k in range(squares.shape[1] - 1, 0, -1):
+                    shifted[r, k, i] = squares[r, k - 1, i]
+                shifted[r, 0, i] = square
+    return after, shifted
 
 
 def too_quiet(now: Pairs, false_alarm: float) -> Array:

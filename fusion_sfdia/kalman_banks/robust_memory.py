@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.exclusion import Exclusion, none_excluded
 from fusion_sfdia.filters.estimators import GaussianState
+from fusion_sfdia.kalman_banks import bank_kernels
 from fusion_sfdia.kalman_banks.hypotheses import Hypotheses
 from fusion_sfdia.kalman_banks.leave_one_out import LeaveOneOut
 from fusion_sfdia.kalman_banks.likelihood_window import Grid, Window, empty
@@ -61,10 +62,9 @@ def nothing_known(of: Hypotheses, estimate: GaussianState, batch: tuple[int, ...
 
 def faded(nis: Array, found: LeaveOneOut) -> Array:
     """The running mean nis (...) with a sample, without the sensor that explains most of it: another fault may begin there."""
-    chi_square = found.chi_square
-    others = found.used.sum(axis=-1) - 1
-    now = np.where(others > 0, (chi_square.sum(axis=-1) - chi_square.max(axis=-1)) / np.maximum(others, 1), 1.0)
-    return np.asarray(nis + FADING * (now - nis))
+    batch = nis.shape
+    now = bank_kernels.mean_of_others(bank_kernels.runs(found.chi_square, batch), bank_kernels.runs(found.used, batch))
+    return np.asarray(nis + FADING * (now.reshape(batch) - nis))
 
 
 def leaves_unexplained(nis: Array) -> Array:

@@ -70,14 +70,14 @@ def subtract_product(A: Array, B: Array, H: Array, into: Array) -> None:
 
 @compiled
 def transition(
-    F: Array, K: Array, before: Array, H: Array, turned: Array, sizes: tuple[int, int, int]
+    F: Array, K: Array, before: Array, H: Array, half: Array, turned: Array, sizes: tuple[int, int, int]
 ) -> tuple[Array, Array, Array, Array]:
     """A = F - F K H, its columns of the `leading` states, F K, and -U' H of the states that are `read`, its first rows.
 
-    sizes: leading, read, and how many rows. F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), each of 1 run
-    where it is the same for all, are rounded to the type of `turned` first: U' (B, N, N).
+    sizes: leading, read, and how many rows. F (B, n, n), K (B, n, N), H of the update before and now (B, N, n), U (B, N, N),
+    each of 1 run where it is the same for all, are rounded to the type of `turned` first, to which U' is written.
     """
-    B = max(F.shape[0], K.shape[0], before.shape[0], H.shape[0], turned.shape[0])
+    B = max(F.shape[0], K.shape[0], before.shape[0], H.shape[0], half.shape[0])
     n, N = K.shape[1:]
     leading, read, rank = sizes
     kind = turned.dtype
@@ -85,6 +85,10 @@ def transition(
     seen = np.zeros((B, rank, read), kind)
     gain, taken, room = np.empty((n, N), kind), np.empty((n, read), kind), np.empty((rank, read), kind)
     was, now = np.empty((N, read), kind), np.empty((N, read), kind)
+    for k in range(half.shape[0]):
+        for i in range(N):
+            for j in range(N):
+                turned[k, i, j] = half[k, j, i]
     for k in range(B):
         f, g, h, m, u = k % F.shape[0], k % K.shape[0], k % before.shape[0], k % H.shape[0], k % turned.shape[0]
         for i in range(n):
@@ -163,7 +167,10 @@ def weighed(
                 to, of = into[i, q - r :], change[c, i]
                 for j in range(0 if age[k, l] <= 1 else once, r):
                     to[j] -= of[j]
-            np.dot(seen[now], into[:read], M[:rank])
+            if places[l] < 0 and not r:
+                M[:rank] = zero
+            else:
+                np.dot(seen[now], into[:read], M[:rank])
             M[rank:] = zero
             by = number(readings[k % readings.shape[0], l])
             for j in range(q):
@@ -242,22 +249,24 @@ def best(a: Array, b: Array, usable: Array, size: Array, first: int, least: floa
     B, L, q = a.shape
     statistic, found, information = np.empty((B, q)), np.empty((B, q)), np.empty((B, q))
     evidence, slot = np.empty((B, q)), np.empty((B, q), np.int64)
+    top, at = np.empty(q), np.empty(q)  # largest statistic, and its onset as a number of the same kind: vector instructions
     for r in range(B):
         for j in range(q):
-            statistic[r, j], found[r, j], information[r, j], evidence[r, j], slot[r, j] = 0.0, 0.0, 1.0, -np.inf, first
+            top[j], at[j] = -1.0, first
         for l in range(first, L):  # noqa: E741
+            sums, squares, spread, place = a[r, l], b[r, l], size[r % size.shape[0], l % size.shape[1]], float(l)
             for j in range(q):
-                s = size[r % size.shape[0], l % size.shape[1], j]
-                expected = b[r, l, j] * (s * s)
-                if usable[r, j] and expected > least:
-                    value = a[r, l, j] ** 2 / b[r, l, j]
-                    if evidence[r, j] == -np.inf or value > statistic[r, j]:
-                        statistic[r, j], slot[r, j] = value, l
-                        evidence[r, j] = expected
+                informed = squares[j] * (spread[j] * spread[j]) > least
+                value = sums[j] * sums[j] / squares[j]
+                better = informed & (value > top[j])
+                top[j] = value if better else top[j]
+                at[j] = place if better else at[j]
         for j in range(q):
-            if evidence[r, j] > -np.inf:
-                l, expected = slot[r, j], evidence[r, j]  # noqa: E741
-                information[r, j] = b[r, l, j]
+            statistic[r, j], found[r, j], information[r, j], evidence[r, j], slot[r, j] = 0.0, 0.0, 1.0, -np.inf, first
+            if usable[r, j] and top[j] >= 0.0:
+                l = int(at[j])  # noqa: E741
+                s = size[r % size.shape[0], l % size.shape[1], j]
+                slot[r, j], information[r, j], expected = l, b[r, l, j], b[r, l, j] * (s * s)
                 found[r, j] = a[r, l, j] / information[r, j]
                 statistic[r, j] = found[r, j] ** 2 * information[r, j]
                 evidence[r, j] = statistic[r, j] * (expected / (1.0 + expected)) - np.log1p(expected)

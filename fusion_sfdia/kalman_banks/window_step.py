@@ -70,9 +70,10 @@ def window_step(
     read = n if d < n and (output_jacobian[..., d:].any() or last.readout[..., d:].any()) else d
     F, H = (common(v, batch, 2) for v in (tangent, output_jacobian))
     K, before = (runs(single(v), batch) for v in last)
-    turned = runs(np.swapaxes(single(found.half), -1, -2).astype(kind, order="C"), batch)
-    rank = turned.shape[-1] if found.rank is None else found.rank
-    A, columns, FK, seen = transition(F, K, before, H, turned, (d, read, rank))
+    half = runs(single(found.half), batch)
+    turned = np.empty(half.shape, kind)
+    rank = half.shape[-1] if found.rank is None else found.rank
+    A, columns, FK, seen = transition(F, K, before, H, half, turned, (d, read, rank))
     return WindowStep(A, columns, FK, H, turned, seen, runs(found.scores.astype(kind, copy=False), batch))
 
 
