@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fusion_sfdia.core.arguments import shown
+from fusion_sfdia.core.differentiable import Differentiable
 from fusion_sfdia.core.plant_groups import Numerics, Structure, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.core.uncertainty import Uncertainty, error_of
@@ -47,12 +48,15 @@ def require_considered(plant: Plant) -> None:
 def require_shapes(plant: Plant) -> None:
     """Raise ValueError unless step and output take a batch of states; a step that fails at x0 is left to the runs.
 
+    So are those with a Jacobian of their own: they would be compiled here, where filters need what gives both.
     The batch (b, 1) has b other than n: indexing states along the first axis, x[0], then never gives the expected shape.
     """
     n, count = len(plant.states), len(plant.sensors)
     batch = (3 if n == 2 else 2, 1)
     x, u = np.broadcast_to(plant.x0, (*batch, n)).copy(), plant.input_at(0.0)[None]
     for what, expected, arguments in (("step", (*batch, n), (x, u, plant.dt)), ("output", (*batch, count), (x, u))):
+        if isinstance(getattr(plant, what), Differentiable):
+            continue
         try:
             with np.errstate(all="ignore"):
                 found = np.shape(getattr(plant, what)(0.0, *arguments))

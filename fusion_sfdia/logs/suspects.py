@@ -101,13 +101,17 @@ def _predicted(plant: Plant, log: Log) -> Array | None:
     parts = np.maximum(steps_in(gaps, plant.dt), 1)
     rows = int(np.searchsorted(np.cumsum(parts), STEPS, side="right"))
     predicted, x = [], plant.x0
+    with_jacobian, _ = plant.with_jacobians  # which a filter needs, too: nothing else is compiled
     with np.errstate(all="ignore"):
         for k in range(rows):
             dt = plant.dt if plant.numerics.fixed_dt else float(gaps[k] / parts[k])
             for j in range(int(parts[k])):
                 t_start = float(log.t[k] - (parts[k] - j) * dt)
                 try:
-                    x = plant.guard(plant.step(t_start, x, log.u[k], dt))[0]
+                    ahead = (
+                        with_jacobian(t_start, x, log.u[k], dt)[0] if with_jacobian else plant.step(t_start, x, log.u[k], dt)
+                    )
+                    x = plant.guard(ahead)[0]
                 except (ValueError, ArithmeticError):
                     return None
             predicted.append(plant.output(float(log.t[k]), x, log.u[k]))

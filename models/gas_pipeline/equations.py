@@ -560,7 +560,8 @@ def advance_tangent(
                     total[i] = rate[i] if stage == 0 else total[i] + weight * rate[i]
             for i in range(size):
                 x[i] += h / 6.0 * total[i]
-        reached[b] = x
+        for i in range(size):  # by arrays numba takes seconds more
+            reached[b, i] = x[i]
         for begin in range(0, columns.shape[0], COLUMNS):
             lanes = min(COLUMNS, columns.shape[0] - begin)
             dx[:] = 0.0
