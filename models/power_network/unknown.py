@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.differentiable import Differentiable
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone, secants
 from fusion_sfdia.models.power_network import equations
@@ -63,9 +64,8 @@ def altered(c: NetworkParameters, **values: float) -> NetworkParameters:
 def network_uncertainty(c: NetworkParameters, condition: Callable[[float], NetworkCondition], readout: Array) -> Uncertainty:
     """What a plant of the healthy network, discretised area by area, does not know; readout (N, n): H of its sensors."""
     at = _Areas(c, condition)
-    return Uncertainty(
-        unknown_parameters(c), at.step, None, at.step_jacobian, partial(_readout, readout), inputs=_input_errors(c)
-    )
+    step = Differentiable(at.step, at.step_jacobian, at.step_and_jacobian)
+    return Uncertainty(unknown_parameters(c), step, None, at.step_jacobian, partial(_readout, readout), inputs=_input_errors(c))
 
 
 def rebuilt_uncertainty(plant: Plant, c: NetworkParameters, build: Callable[[NetworkParameters], Plant]) -> Uncertainty:
@@ -120,10 +120,12 @@ class _Areas:
     def step(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         model = self.condition(t_start).true
         side, stiffness, constants = self.split(model, theta)
-        after = (equations.rows_of(stiffness, constants, model.dt)[..., 0, :, :] @ self.known(side, x, u)[..., None])[..., 0]
-        return np.asarray(after.reshape(*after.shape[:-2], -1))
+        return _after(equations.rows_of(stiffness, constants, model.dt)[..., 0, :, :], self.known(side, x, u))
 
     def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
+        return self.step_and_jacobian(t_start, x, u, dt, theta)[1]
+
+    def step_and_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
         model = self.condition(t_start).true
         n, e = self.counts
         at, every = self.c.topology, np.arange(n)
@@ -144,4 +146,10 @@ class _Areas:
         found[..., at.node, 6 * n + at.link, :] = by_side * model.network.closed[:, None]
         found[..., every, 6 * n + e + every, :] = by_inertia
         found[..., every, 7 * n + e + every, :] = by_droop
-        return np.swapaxes(found, -1, -2).reshape(*v.shape[:-2], 4 * n, -1)
+        return _after(rows, v), np.swapaxes(found, -1, -2).reshape(*v.shape[:-2], 4 * n, -1)
+
+
+def _after(rows: Array, v: Array) -> Array:
+    """The states (..., 4 N) after a step of areas with these rows (..., N, 4, 6), of `known` v (..., N, 6)."""
+    after = (rows @ v[..., None])[..., 0]
+    return np.asarray(after.reshape(*after.shape[:-2], -1))
