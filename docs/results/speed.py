@@ -23,6 +23,8 @@ NUMBERS, PAGE, FIGURE = HERE / "speed.csv", HERE / "speed.md", HERE / "speed-sca
 DIGITS = 3
 HOUR = 3600.0
 CORES = 1000
+SEEDS, PIECES = 25, 4 * 29  # of a comparison: one piece for each plant and detector, of up to so many seeds
+PIECE = 20.0  # seconds of such a piece: a comparison of 24 seeds took 2298 s of processor time
 WORKERS = "2 dask workers"
 WIDTH = 128  # of a line
 
@@ -212,8 +214,10 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         for marker, kind in zip("os", ("processes", "dask workers"), strict=True):
             panels[-1].loglog((1, 2), [speedup[f"{n} {kind}"] for n in (1, 2)], marker=marker, label=kind)
         panels[-1].loglog((1, 2), (1, 2), ":", color="gray", label="ideal")
-        panels[-1].set(xlabel="workers", ylabel="speed over 1 process")
-        panels[-1].set(xticks=(1, 2), xticklabels=("1", "2"), yticks=(1, 2), yticklabels=("1", "2"))
+        panels[-1].set(
+            xlabel="workers", ylabel="speed over 1 process", xticks=(1, 2), xticklabels=("1", "2"), yticks=(1, 2),
+            yticklabels=("1", "2"),
+        )  # fmt: skip
         panels[-1].minorticks_off()
         panels[-1].legend(fontsize=7)
         figure.savefig(path, metadata={"Date": None})
@@ -245,9 +249,10 @@ def hour(piece: float, empty: float, moved: float) -> str:
         f"{min(CORES, piece / empty):.0f} workers busy with pieces as small as these ({seconds(piece)}), and {CORES} with "
         f"pieces of more than {seconds(CORES * empty)}. With pieces ten times as long, {seconds(long)}, the hour does "
         f"{done:.3g} of them, moves {done * moved / 1e3:.2g} MB or more, and the scheduler is busy for a tenth of it. "
-        "A comparison of all plants with up to 25 seeds has 116 pieces, a detector on a plant each, and with 25 seeds a piece "
-        "takes some 20 s: no more than 116 workers have work, with 250 seeds 1160. Of pieces of 20 s "
-        f"the hour does {CORES * HOUR / 20:.3g}, the scheduler is busy for {100 * CORES * empty / 20:.0f} % of it. "
+        f"A comparison of all plants with up to {SEEDS} seeds has {PIECES} pieces, a detector on a plant each, and with "
+        f"{SEEDS} seeds a piece takes some {PIECE:.0f} s: no more than {PIECES} workers have work, with {10 * SEEDS} seeds "
+        f"{10 * PIECES}. Of pieces of {PIECE:.0f} s the hour does {CORES * HOUR / PIECE:.3g}, the scheduler is busy for "
+        f"{100 * CORES * empty / PIECE:.0f} % of it. "
         "More than two workers have not been measured."
     )
     return fill(text, WIDTH) + "\n"
