@@ -1,31 +1,28 @@
 """Gaussians in batches: covariances, positive-definite solves, conditioning on readings of which any may be missing.
 
 A covariance that is the same for a whole batch (Q, R, P0) may be given as its diagonal (n,). The factorisations are
-LAPACK's Cholesky ones, whose success and accuracy do not change under a diagonal scaling of the matrix (Higham, Accuracy
-and Stability of Numerical Algorithms, 2nd ed., Theorems 10.5 to 10.7): units such as Pa or bar make no difference beyond
-rounding.
+Cholesky's, whose success and accuracy do not change under a diagonal scaling of the matrix (Higham, Accuracy and Stability of
+Numerical Algorithms, 2nd ed., Theorems 10.5 to 10.7): units such as Pa or bar make no difference beyond rounding.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dpotrf, dtrtri
 
 from fusion_sfdia.core.alike import repeated, single
 from fusion_sfdia.core.covariance import dense as dense
 from fusion_sfdia.core.covariance import on_diagonal as on_diagonal
+from fusion_sfdia.filters.factors import half_inverses
 from fusion_sfdia.filters.repeated import Repeated
 from fusion_sfdia.filters.sums import difference
 
 Array = NDArray[Any]
 
-ONE_BY_ONE = 16  # size from which LAPACK calls on single matrices beat NumPy's batch routines
 EPS = float(np.finfo(float).eps)
 ROUNDING = 1e-10  # an eigenvalue of a unit-diagonal covariance above minus this is taken as a rounded zero
 
@@ -82,18 +79,12 @@ def half_inverse(A: Array, used: Array | None = None) -> Array:
 
     used (..., n): rows and columns of A to leave out as if they did not exist; U and U U' are zero there.
     """
-    if A.shape[-1] >= ONE_BY_ONE or (A.ndim == 2 and used is None):
-        return _half_inverses(A, used)
-    if used is not None:
-        masked = np.where(used[..., :, None] & used[..., None, :], A, 0.0)
-        np.einsum("...ii->...i", masked)[...] += ~used
-        return np.where(used[..., :, None], half_inverse(masked), 0.0)
-    variances = np.diagonal(A, axis1=-2, axis2=-1)
-    scale = 1.0 / np.sqrt(np.where(variances > 0, variances, np.nan))
-    with np.errstate(invalid="ignore"):  # an element with an infinity is not positive definite either
-        unit = A * (scale[..., :, None] * scale[..., None, :])
-    L = cholesky(unit)
-    return scale[..., :, None] * np.swapaxes(np.linalg.inv(L), -1, -2)
+    n = A.shape[-1]
+    whole = A.shape if used is None else np.broadcast_shapes(A.shape, (*used.shape, n))
+    U = np.array(A if A.shape == whole else np.broadcast_to(A, whole), dtype=float, order="C")
+    take = np.ones((1, n), bool) if used is None else np.broadcast_to(used, whole[:-1]).reshape(-1, n)
+    half_inverses(U.reshape(-1, n, n), np.array(take))
+    return U
 
 
 def solve_lower(L: Array, B: Array) -> Array:
@@ -140,26 +131,6 @@ def _square_root(a: Array) -> Array:
     if values[0] < -ROUNDING:
         return L
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
-def _half_inverses(A: Array, used: Array | None) -> Array:
-    """From A = L L': U = L^-T, in place in a copy whose transposes have the order of LAPACK."""
-    whole = A.shape if used is None else np.broadcast_shapes(A.shape, (*used.shape, used.shape[-1]))
-    out = np.array(A if A.shape == whole else np.broadcast_to(A, whole), dtype=float, order="C")
-    left_out = None if used is None else np.broadcast_to(~used, whole[:-1]).reshape(-1, whole[-1])
-    for k, U in enumerate(out.reshape(-1, *whole[-2:])):
-        gone = () if left_out is None else np.flatnonzero(left_out[k])
-        if len(gone):
-            U[gone] = U[:, gone] = 0.0
-            U[gone, gone] = 1.0
-        _, failed = dpotrf(U.T, lower=1, clean=1, overwrite_a=1)
-        if failed or not isfinite(U.trace()):
-            U[...] = np.nan
-        else:
-            dtrtri(U.T, lower=1, overwrite_c=1)
-        if len(gone):
-            U[gone] = 0.0
-    return out
 
 
 class Joint(NamedTuple):

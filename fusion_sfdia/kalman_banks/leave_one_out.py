@@ -21,12 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.filters.gaussian import ONE_BY_ONE, Joint, consider, half_inverse, rounding, unmoved
+from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse, rounding, unmoved
 from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
 from fusion_sfdia.filters.sums import difference
 from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
+
+WRITTEN_OUT = 16  # states and readings below which `bank_kernels` has the products
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     """Return the leave-one-out statistics of the readings y (..., N) where `used` holds; NaN readings are not used."""
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
-    if joint.S.ndim > 2 and joint.S.shape[-1] < ONE_BY_ONE:
+    if joint.S.ndim > 2 and joint.S.shape[-1] < WRITTEN_OUT:
         batch, N = d.shape[:-1], d.shape[-1]
         half, s_inv, scores, whitened, weight = bank_kernels.inverted(
             bank_kernels.common(joint.S, batch, 2), bank_kernels.runs(d, batch), bank_kernels.runs(used, batch)
@@ -152,7 +154,7 @@ def _half(joint: Joint, found: LeaveOneOut) -> Array:
 
 def _written_out(joint: Joint, found: LeaveOneOut) -> bool:
     """Whether `bank_kernels` has the products: of a batch with few states and sensors."""
-    return joint.C.ndim > 2 and max(joint.C.shape[-2:]) < ONE_BY_ONE and found.known is not None
+    return joint.C.ndim > 2 and max(joint.C.shape[-2:]) < WRITTEN_OUT and found.known is not None
 
 
 def _conditioned(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, Array]:

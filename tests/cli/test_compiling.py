@@ -20,11 +20,11 @@ COMPILED = """
 from fusion_sfdia import registry
 from fusion_sfdia.cli.compiling import compile_detector
 from fusion_sfdia.core.linear import linear_plant
-from fusion_sfdia.filters import small, sparse
-from fusion_sfdia.kalman_banks import bank_kernels, window_kernels
+from fusion_sfdia.filters import factors, small, sparse, sums
+from fusion_sfdia.kalman_banks import bank_kernels, quiet, window_kernels
 
 def found():
-    modules = bank_kernels, window_kernels, small, sparse
+    modules = bank_kernels, window_kernels, quiet, factors, small, sparse, sums
     return {f: f.signatures for m in modules for f in vars(m).values() if hasattr(f, "py_func")}
 
 compile_detector("robust-glr")

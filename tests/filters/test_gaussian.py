@@ -14,7 +14,7 @@ from fusion_sfdia.filters.gaussian import Joint, condition
 
 Array = NDArray[Any]
 
-SIZES = (1, 3, 15, 16, 40)  # on both sides of gaussian.ONE_BY_ONE
+SIZES = (1, 3, 4, 15, 16, 40)  # of whole and broken groups of four rows
 NAN = np.nan
 
 

@@ -29,7 +29,7 @@ def library() -> Iterator[pytest.MonkeyPatch]:
 
 
 def _to_the_library(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(leave_one_out, "ONE_BY_ONE", 0)
+    patch.setattr(leave_one_out, "WRITTEN_OUT", 0)
 
 
 def test_statistics_are_those_of_the_inverse(library: pytest.MonkeyPatch) -> None:
