@@ -1,4 +1,4 @@
-"""Inverse factors of positive definite matrices: they multiply back, leave out what is not used, and are the same in a batch."""
+"""Inverse factors of positive definite matrices multiply back, leave out what is not used, and are the same in a batch."""
 
 from __future__ import annotations
 
