@@ -17,29 +17,71 @@ Array = NDArray[Any]
 
 @compiled
 def half_inverses(A: Array, used: Array) -> None:
-    """A <- U with U U' = A^-1 of symmetric A (B, n, n), in place; NaN where A is not positive definite and finite.
-
-    used (B, n), or (1, n) for all: rows and columns to take; the others are left out as if they did not exist, and 0 in U.
-    """
+    """`half_inverse` of matrices A (B, n, n), in place; used (B, n), or (1, n) for all."""
     n = A.shape[1]
     X, factor = np.zeros((n, n)), np.empty(n)
     for b in range(A.shape[0]):
-        U, take = A[b], used[b % used.shape[0]]
+        half_inverse(A[b], used[b % used.shape[0]], X, factor)
+
+
+@compiled
+def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Statistics of innovations d (B, N) with covariance S (B, N, N), over the readings `used` (B, N): see `leave_one_out`.
+
+    U (B, N, N) with S^-1 = U U' and U' d; S^-1, S^-1 d and its diagonal; NaN where S is not positive definite.
+    """
+    B, N = d.shape
+    half, inverse = np.empty((B, N, N)), np.empty((B, N, N))
+    scores, whitened, weight = np.empty((B, N)), np.empty((B, N)), np.empty((B, N))
+    X, factor = np.zeros((N, N)), np.empty(N)
+    for r in range(B):
+        for i in range(N):
+            for j in range(N):
+                half[r, i, j] = S[r % S.shape[0], i, j]
+        half_inverse(half[r], used[r], X, factor)
+        for i in range(N):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(i, N):
+                    total += half[r, i, k] * half[r, j, k]
+                inverse[r, i, j] = inverse[r, j, i] = total
+            weight[r, i] = inverse[r, i, i]
+        for i in range(N):
+            total = 0.0
+            for k in range(N):
+                total += half[r, k, i] * d[r, k]
+            scores[r, i] = total
+        for i in range(N):
+            total = 0.0
+            for k in range(N):
+                total += inverse[r, i, k] * d[r, k]
+            whitened[r, i] = total
+    return half, inverse, scores, whitened, weight
+
+
+@equation
+def half_inverse(A: Any, used: Any, X: Any, factor: Any) -> None:
+    """A <- U with U U' = A^-1 of symmetric A (n, n), in place; NaN where A is not positive definite and finite.
+
+    used (n,): rows and columns to take; the others are left out as if they did not exist, and 0 in U. X (n, n), 0 above its
+    diagonal, and factor (n,) are workspace.
+    """
+    n = A.shape[0]
+    for i in range(n):
+        if not used[i]:
+            for j in range(n):
+                A[i, j] = A[j, i] = 0.0
+            A[i, i] = 1.0
+    if factorise(A):
+        invert(A, X, factor)
+    else:
         for i in range(n):
-            if not take[i]:
-                for j in range(n):
-                    U[i, j] = U[j, i] = 0.0
-                U[i, i] = 1.0
-        if factorise(U):
-            invert(U, X, factor)
-        else:
-            for i in range(n):
-                for j in range(n):
-                    U[i, j] = np.nan
-        for i in range(n):
-            if not take[i]:
-                for j in range(n):
-                    U[i, j] = 0.0
+            for j in range(n):
+                A[i, j] = np.nan
+    for i in range(n):
+        if not used[i]:
+            for j in range(n):
+                A[i, j] = 0.0
 
 
 @equation

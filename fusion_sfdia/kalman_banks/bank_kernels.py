@@ -31,63 +31,6 @@ def common(a: Array, batch: tuple[int, ...], axes: int) -> Array:
 
 
 @compiled
-def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Statistics of innovations d (B, N) with covariance S (B, N, N), over the readings `used` (B, N): see `leave_one_out`.
-
-    U (B, N, N) with S^-1 = U U' and U' d; S^-1, S^-1 d and its diagonal. By Cholesky's factor of the matrix scaled to a unit
-    diagonal; NaN where it is not positive definite.
-    """
-    B, N = d.shape
-    half, inverse = np.empty((B, N, N)), np.empty((B, N, N))
-    scores, whitened, weight = np.empty((B, N)), np.empty((B, N)), np.empty((B, N))
-    scale, L, T = np.empty(N), np.empty((N, N)), np.zeros((N, N))
-    for r in range(B):
-        sound = True
-        for i in range(N):
-            variance = S[r, i, i] if used[r, i] else 1.0
-            scale[i] = 1.0 / np.sqrt(variance) if variance > 0 else np.nan
-            for j in range(i + 1):
-                together = (used[r, i] and used[r, j]) or (i == j and not used[r, i])
-                total = (S[r, i, j] if used[r, i] else 1.0) * (scale[i] * scale[j]) if together else 0.0
-                for k in range(j):
-                    total -= L[i, k] * L[j, k]
-                if i == j:
-                    sound = sound and total > 0 and total < np.inf
-                    L[i, i] = np.sqrt(total) if sound else np.nan
-                else:
-                    L[i, j] = total / L[j, j]
-        for j in range(N):  # T = L^-1
-            for i in range(j, N):
-                total = 1.0 if i == j else 0.0
-                for k in range(j, i):
-                    total -= L[i, k] * T[k, j]
-                T[i, j] = total / L[i, i]
-        for i in range(N):
-            for j in range(N):
-                half[r, i, j] = 0.0
-                if used[r, i]:
-                    half[r, i, j] = np.nan if not sound else scale[i] * T[j, i] if j >= i else 0.0
-        for i in range(N):
-            for j in range(i + 1):
-                total = 0.0
-                for k in range(i, N):
-                    total += half[r, i, k] * half[r, j, k]
-                inverse[r, i, j] = inverse[r, j, i] = total if sound else np.nan
-            weight[r, i] = inverse[r, i, i]
-        for i in range(N):
-            total = 0.0
-            for k in range(N):
-                total += half[r, k, i] * d[r, k]
-            scores[r, i] = total
-        for i in range(N):
-            total = 0.0
-            for k in range(N):
-                total += inverse[r, i, k] * d[r, k]
-            whitened[r, i] = total
-    return half, inverse, scores, whitened, weight
-
-
-@compiled
 def conditioned(
     x: Array, whitened: Array, C: Array, half: Array, inverse: Array, P: Array, floor: float
 ) -> tuple[Array, Array, Array]:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
+from fusion_sfdia.filters.factors import inverted
 from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse, rounding, unmoved
 from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
 from fusion_sfdia.filters.sums import difference
@@ -80,22 +81,25 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     d = np.where(used, y, joint.y) - joint.y
     if joint.S.ndim > 2 and joint.S.shape[-1] < WRITTEN_OUT:
         batch, N = d.shape[:-1], d.shape[-1]
-        half, s_inv, scores, whitened, weight = bank_kernels.inverted(
+        half, s_inv, scores, whitened, weight = inverted(
             bank_kernels.common(joint.S, batch, 2), bank_kernels.runs(d, batch), bank_kernels.runs(used, batch)
         )
         if len(batch) > 1:
             half, s_inv = half.reshape(*batch, N, N), s_inv.reshape(*batch, N, N)
             scores, whitened, weight = (v.reshape(*batch, N) for v in (scores, whitened, weight))
         return LeaveOneOut(whitened, weight, s_inv, used, half, scores)
-    rank = None
-    if joint.repeated is not None:
-        half, rank = half_of_repeated(joint.repeated, joint.S, used), joint.repeated.quantities
-    else:
-        half = half_inverse(single(joint.S)) if used.all() else half_inverse(joint.S, used)
+    half, rank = half_and_rank(joint, used)
     scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
     whitened = (half @ scores[..., None])[..., 0]
     weight = np.vecdot(half, half)
     return LeaveOneOut(whitened, repeated(weight, d), None, used, repeated(half, d), scores, rank)
+
+
+def half_and_rank(joint: Joint, used: Array) -> tuple[Array, int | None]:
+    """U (..., N, N), or (1, N, N) where it is the same for all runs; how many columns come before those where C U is 0."""
+    if joint.repeated is not None:
+        return half_of_repeated(joint.repeated, joint.S, used), joint.repeated.quantities
+    return half_inverse(single(joint.S)) if used.all() else half_inverse(joint.S, used), None
 
 
 def half_of_repeated(sensors: Repeated, S: Array, used: Array) -> Array:
@@ -149,7 +153,8 @@ def posterior_and_gain(joint: Joint, found: LeaveOneOut) -> tuple[Array, Array, 
 
 def _half(joint: Joint, found: LeaveOneOut) -> Array:
     """U, without columns for which C U is 0."""
-    return half_inverse(joint.S, found.used) if found.half is None else single(found.half)[..., : found.rank]
+    half, rank = half_and_rank(joint, found.used) if found.half is None else (single(found.half), found.rank)
+    return half[..., :rank]
 
 
 def _written_out(joint: Joint, found: LeaveOneOut) -> bool:

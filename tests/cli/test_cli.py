@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -348,6 +348,11 @@ def test_a_model_without_numbers_fails_the_diagnosis(
 ) -> None:
     altered(len)
     capsys.readouterr()
+
+    def without_numbers(x: Any, u: Any, theta: Any, columns: Any, *_: Any) -> tuple[Any, Any]:
+        return np.full_like(x, np.nan), np.full((*x.shape, columns.size), np.nan)
+
+    monkeypatch.setattr("fusion_sfdia.models.gas_pipeline.equations.advance_tangent", without_numbers)
     monkeypatch.setattr("fusion_sfdia.models.gas_pipeline.equations.advance", lambda x, *_: np.full_like(x, np.nan))
     code, _, err = call(capsys, "diagnose", "--data", "other.csv", "--detector", "loo-chi2")
     assert code == 1 and re.search(r"diverged and is not valid in \d+ of 12 samples, first at", err)
