@@ -14,7 +14,7 @@ from fusion_sfdia.filters.repeated import repeated_readings
 from fusion_sfdia.kalman_banks.leave_one_out import posterior, statistics
 
 Array = NDArray[np.float64]
-STATES, SENSORS, RUNS = 5, 18, 4  # enough sensors for factors by LAPACK
+STATES, SENSORS, RUNS = 5, 18, 4  # enough sensors for statistics that are not written out
 
 
 def joint_of(batch: tuple[int, ...], seed: int = 0) -> Joint:

@@ -26,10 +26,8 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from scipy.linalg import lapack
 
 FACTORISATIONS = ("cholesky", "eigh", "eigvals", "eigvalsh", "inv", "lstsq", "pinv", "qr", "solve", "svd")
-LAPACK = ("dpotrf", "dtrtri")
 ELEMENT = 8  # bytes
 LEAST = 0.01  # of a count: a smaller difference is no growth
 PRODUCT = "_counted_product"  # the name of `_product` in counted modules
@@ -102,9 +100,8 @@ def install(package: str = "fusion_sfdia") -> None:
         raise RuntimeError(f"{known[0]} is imported already; call install before anything of {package}")
     setattr(builtins, PRODUCT, _product)
     numba.njit = _left_in_python
-    for where, names in ((np.linalg, FACTORISATIONS), (lapack, LAPACK)):
-        for name in names:
-            setattr(where, name, _counting(getattr(where, name), _cubic))
+    for name in FACTORISATIONS:
+        setattr(np.linalg, name, _counting(getattr(np.linalg, name), _cubic))
     np.matmul = _counting(np.matmul, lambda a, b, **_: _of_product(np.asarray(a), np.asarray(b)))
     np.einsum = _counting(np.einsum, _of_sum)
     sys.meta_path.insert(0, _Finder(package))
