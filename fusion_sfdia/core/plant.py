@@ -186,7 +186,7 @@ class Plant:
     def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         """F = d step / d x, (..., n, n)."""
         if (jacobian := self.jacobians[0]) is not None:
-            return self._of_shape("step_jacobian", jacobian(t_start, x, u, dt), len(self.states))
+            return self.jacobian_of_shape("step_jacobian", jacobian(t_start, x, u, dt), len(self.states))
         if self._complex_step_holds[0]:
             return complex_step_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x)
         return difference_jacobian(lambda p: self.step(t_start, p, u[..., None, :], dt), x, self.state_scale)
@@ -194,7 +194,7 @@ class Plant:
     def output_jacobian_at(self, t: float, x: Array, u: Array) -> Array:
         """H = d output / d x, (..., N, n) or (N, n) where it is the same for the whole batch."""
         if (jacobian := self.jacobians[1]) is not None:
-            return self._of_shape("output_jacobian", jacobian(t, x, u), len(self.sensors))
+            return self.jacobian_of_shape("output_jacobian", jacobian(t, x, u), len(self.sensors))
         if self._complex_step_holds[1]:
             return complex_step_jacobian(lambda p: self.output(t, p, u[..., None, :]), x)
         return difference_jacobian(lambda p: self.output(t, p, u[..., None, :]), x, self.state_scale)
@@ -280,7 +280,8 @@ class Plant:
         rows, number = np.unique(self.output_jacobian_at(0.0, self.x0, self.input_at(0.0)), axis=0, return_inverse=True)
         return number.ravel() if len(rows) < len(self.sensors) else None
 
-    def _of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
+    def jacobian_of_shape(self, what: str, jacobian: Array, rows: int) -> Array:
+        """The Jacobian itself; ValueError unless it is (..., rows, n)."""
         if np.shape(jacobian)[-2:] != (rows, len(self.states)):
             raise ValueError(
                 f"{what} of plant {self.name!r} gives shape {np.shape(jacobian)}; expected (..., {rows}, {len(self.states)})"

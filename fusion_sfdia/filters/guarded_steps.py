@@ -47,7 +47,8 @@ def guarded_step_and_jacobian(plant: Plant, t_start: float, x: Array, u: Array, 
         return stepped, plant.step_jacobian_at(t_start, stepped.start, u, dt)
     start, moved = plant.guard(x)
     ahead, jacobian = both(t_start, start, u, dt)
-    return _stepped(plant, t_start, start, ahead, moved, u, dt), jacobian
+    stepped = _stepped(plant, t_start, start, ahead, moved, u, dt)
+    return stepped, plant.jacobian_of_shape("step_jacobian", jacobian, len(plant.states))
 
 
 def _stepped(plant: Plant, t_start: float, start: Array, ahead: Array, moved: Array, u: Array, dt: float) -> Stepped:
@@ -93,7 +94,7 @@ def readings_and_jacobian(plant: Plant, t: float, x: Array, u: Array) -> tuple[A
     if (both := plant.with_jacobians[1]) is None:
         return readings_of(plant, t, x, u), plant.output_jacobian_at(t, x, u)
     y, jacobian = both(t, x, u)
-    return _of_sensors(plant, x, y), jacobian
+    return _of_sensors(plant, x, y), plant.jacobian_of_shape("output_jacobian", jacobian, len(plant.sensors))
 
 
 def _of_sensors(plant: Plant, x: Array, y: Array) -> Array:

@@ -79,7 +79,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     """Return the leave-one-out statistics of the readings y (..., N) where `used` holds; NaN readings are not used."""
     used = used & np.isfinite(y)
     d = np.where(used, y, joint.y) - joint.y
-    if joint.S.ndim > 2 and joint.S.shape[-1] < WRITTEN_OUT:
+    if _few_readings(joint):
         batch, N = d.shape[:-1], d.shape[-1]
         half, s_inv, scores, whitened, weight = inverted(
             bank_kernels.common(joint.S, batch, 2), bank_kernels.runs(d, batch), bank_kernels.runs(used, batch)
@@ -95,9 +95,14 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     return LeaveOneOut(whitened, repeated(weight, d), None, used, repeated(half, d), scores, rank)
 
 
+def _few_readings(joint: Joint) -> bool:
+    """Whether `factors.inverted` takes the readings of a batch as they are, also those that are read twice."""
+    return joint.S.ndim > 2 and joint.S.shape[-1] < WRITTEN_OUT
+
+
 def half_and_rank(joint: Joint, used: Array) -> tuple[Array, int | None]:
     """U (..., N, N), or (1, N, N) where it is the same for all runs; how many columns come before those where C U is 0."""
-    if joint.repeated is not None:
+    if joint.repeated is not None and not _few_readings(joint):
         return half_of_repeated(joint.repeated, joint.S, used), joint.repeated.quantities
     return half_inverse(single(joint.S)) if used.all() else half_inverse(joint.S, used), None
 

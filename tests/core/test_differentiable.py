@@ -77,3 +77,21 @@ def test_another_stated_jacobian_is_not_passed_over() -> None:
     other = replace(plant, numerics=replace(plant.numerics, step_jacobian=lambda t, x, u, dt: np.eye(2)))
     assert other.with_jacobians[0] is None and plant.with_jacobians[0] is not None
     assert with_jacobian(lambda t, x, u, dt: x, None) is None
+
+
+@pytest.mark.parametrize("what", ["step", "output"])
+def test_shapes_that_do_not_fit_are_reported_at_the_first_step(what: str) -> None:
+    plant = registry.plant("two-tanks")
+    x, u = states(plant, (2,))
+    core = GaussianState(x, np.broadcast_to(np.diag(plant.state_scale**2), (2, 2, 2)))
+    jacobian, value = plant.jacobians[what == "output"], getattr(plant, what)
+    assert jacobian is not None
+    none = replace(plant.numerics, step_jacobian=None, output_jacobian=None)
+    for wrong, message in (
+        (lambda *a: (value(*a), np.eye(7)), f"{what}_jacobian of plant 'two-tanks' gives shape \\(7, 7\\)"),
+        (lambda *a: (value(*a)[..., :1], jacobian(*a)), f"{what} of plant 'two-tanks' gives shape \\(2, 1\\)"),
+    ):
+        other = replace(plant, numerics=none, **{what: Differentiable(value, jacobian, wrong)})
+        with pytest.raises(ValueError, match=message):
+            prior = Extended().predict(other, core, 0.0, u, plant.dt, np.random.default_rng(0))
+            Extended().joint(other, prior, plant.dt, u)
