@@ -59,6 +59,26 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
     return half, inverse, scores, whitened, weight
 
 
+@compiled
+def squares_of_rows(U: Array) -> Array:
+    """The sums of squares (B, n) of the rows of U (B, n, m): diag(U U'). BLAS's depend on where a row begins in memory."""
+    B, n, m = U.shape
+    found, whole = np.empty((B, n)), m - m % 4
+    for b in range(B):
+        for i in range(n):
+            row = U[b, i]
+            s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+            for j in range(0, whole, 4):
+                s0 += row[j] * row[j]
+                s1 += row[j + 1] * row[j + 1]
+                s2 += row[j + 2] * row[j + 2]
+                s3 += row[j + 3] * row[j + 3]
+            for j in range(whole, m):
+                s0 += row[j] * row[j]
+            found[b, i] = (s0 + s1) + (s2 + s3)
+    return found
+
+
 @equation
 def half_inverse(A: Any, used: Any, X: Any, factor: Any) -> None:
     """A <- U with U U' = A^-1 of symmetric A (n, n), in place; NaN where A is not positive definite and finite.

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.alike import repeated, single
-from fusion_sfdia.filters.factors import inverted
+from fusion_sfdia.filters.factors import inverted, squares_of_rows
 from fusion_sfdia.filters.gaussian import Joint, consider, half_inverse, rounding, unmoved
 from fusion_sfdia.filters.repeated import Repeated, mean_covariance, spread
 from fusion_sfdia.filters.sums import difference
@@ -91,7 +91,7 @@ def statistics(joint: Joint, y: Array, used: Array) -> LeaveOneOut:
     half, rank = half_and_rank(joint, used)
     scores = (np.swapaxes(half, -1, -2) @ d[..., None])[..., 0]
     whitened = (half @ scores[..., None])[..., 0]
-    weight = np.vecdot(half, half)
+    weight = squares_of_rows(half.reshape(-1, *half.shape[-2:])).reshape(half.shape[:-1])
     return LeaveOneOut(whitened, repeated(weight, d), None, used, repeated(half, d), scores, rank)
 
 
