@@ -48,7 +48,7 @@ def require_considered(plant: Plant) -> None:
 def require_shapes(plant: Plant) -> None:
     """Raise ValueError unless step and output take a batch of states; a step that fails at x0 is left to the runs.
 
-    So are those with a Jacobian of their own: they would be compiled here, where filters need what gives both.
+    So is a `Differentiable` one: it would be compiled here by itself, where filters need what gives its Jacobian, too.
     The batch (b, 1) has b other than n: indexing states along the first axis, x[0], then never gives the expected shape.
     """
     n, count = len(plant.states), len(plant.sensors)

@@ -29,7 +29,7 @@ from fusion_sfdia.kalman_banks import bank_kernels
 
 Array = NDArray[Any]
 
-WRITTEN_OUT = 16  # states and readings below which `bank_kernels` has the products
+WRITTEN_OUT = 16  # states and readings below which `inverted` and `bank_kernels` have the products
 
 
 @dataclass(frozen=True)

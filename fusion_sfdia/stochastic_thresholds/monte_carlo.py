@@ -12,6 +12,7 @@ from fusion_sfdia.filters import gaussian
 from fusion_sfdia.filters.estimators import Core, GaussianState, Prior, Reading
 from fusion_sfdia.filters.gaussian import Joint
 from fusion_sfdia.filters.guarded_steps import guarded_points, readings_of
+from fusion_sfdia.filters.sums import symmetric_sum
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class MonteCarlo:
         points = self._points(start, core.P, rng.standard_normal((self.draws, start.shape[-1])))
         _, ahead, any_moved, stuck, lost = guarded_points(plant, t_start, points, u, dt)
         mean, spread = _centred(ahead)
-        p = gaussian.add(gaussian.symmetrise(np.swapaxes(spread, -1, -2) @ spread), plant.process_cov_over(dt))
+        p = symmetric_sum(np.swapaxes(spread, -1, -2) @ spread, plant.process_cov_over(dt))
         further = rng.standard_normal((self.draws, start.shape[-1]))  # for `joint`, which has no generator
         return Prior(GaussianState(mean, p), moved | any_moved | stuck, lost, propagated=further)
 
@@ -49,7 +50,7 @@ class MonteCarlo:
         assert prior.propagated is not None
         points = self._points(x, p, prior.propagated)
         mean, spread = _centred(readings_of(plant, t, points, np.expand_dims(u, -2)))
-        S = gaussian.add(gaussian.symmetrise(np.swapaxes(spread, -1, -2) @ spread), plant.sensor_cov)
+        S = symmetric_sum(np.swapaxes(spread, -1, -2) @ spread, plant.sensor_cov)
         return Joint(x, p, mean, S, np.swapaxes(_centred(points)[1], -1, -2) @ spread)
 
     def assimilate(self, plant: Plant, prior: Prior, reading: Reading, x: Array, p: Array, rng: np.random.Generator) -> Core:
