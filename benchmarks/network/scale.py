@@ -77,9 +77,9 @@ def stepping(areas: Areas) -> tuple[partial[None], list[Array]]:
         now, _ = network_step(areas, turns[0], given, ALPHA, LAM, out=turns[1])
         turns[:] = [now, turns[0]]
 
-    at = areas.network.topology
-    model = [areas.matrices, areas.slope, areas.process_variance, areas.noise, areas.shared_noise, areas.network.closed]
-    return partial(step), [*model, at.start, at.opposite, *turns[0], *turns[1], *given, np.empty(count, np.bool_)]
+    at = areas.arrays("corrected")
+    model = [at.matrices, at.slope, at.closed, at.start, at.opposite, at.reader, at.known, at.area_terms, at.side_terms]
+    return partial(step), [*model, *turns[0], *turns[1], *given, np.empty(count, np.bool_)]
 
 
 def scale_tasks(settings: Settings, seeds: int) -> list[Task]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,43 @@ from numpy.typing import NDArray
 from fusion_sfdia.core.network import Network
 
 Array = NDArray[Any]
+
+
+class AreaArrays(NamedTuple):
+    """N areas of n states with S sides as compiled steps take them; of a part of a network, more sides follow the S.
+
+    matrices to opposite: as of Areas and Topology. reader (S,): the area at the other end of each side. known (N,) bool:
+    whether the terms of an area are valid. area_terms (N + 1, 1 + 2 n), side_terms (S + D, 2), D the most sides of an area:
+    weights and deviations of areas whose readings are all present, which the steps themselves compute where they are not known,
+    and behind them those of an area that misses some (consensus_equations.find_terms).
+    """
+
+    matrices: Array
+    slope: Array
+    closed: Array
+    process_variance: Array
+    noise: Array
+    shared_noise: Array
+    start: Array
+    opposite: Array
+    reader: Array
+    known: Array
+    area_terms: Array
+    side_terms: Array
+
+    @classmethod
+    def of(
+        cls, matrices: Array, slope: Array, closed: Array, process_variance: Array, noise: Array, shared_noise: Array,
+        start: Array, opposite: Array, reader: Array,
+    ) -> AreaArrays:  # fmt: skip
+        """The arrays of areas of which no terms are known."""
+        count, n = noise.shape
+        most = int(np.diff(start).max())
+        terms = np.empty((count + 1, 1 + 2 * n)), np.empty((int(start[-1]) + most, 2))
+        known = np.zeros(count, bool)
+        return cls(
+            matrices, slope, closed, process_variance, noise, shared_noise, start, opposite, reader, known, *terms
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +118,25 @@ class Areas:
     def size(self) -> tuple[int, int, int]:
         """Areas, states of each, sides."""
         return len(self.network.topology.names), self.matrices.shape[1], self.slope.size
+
+    def arrays(self, mode: str) -> AreaArrays:
+        """The arrays for compiled steps in a mode, with the terms that its steps keep. Not copies: see `forget`."""
+        if mode not in self._arrays:
+            at = self.network.topology
+            self._arrays[mode] = AreaArrays.of(
+                self.matrices, self.slope, self.network.closed, self.process_variance, self.noise, self.shared_noise, at.start,
+                at.opposite, at.neighbour,
+            )  # fmt: skip
+        return self._arrays[mode]
+
+    @cached_property
+    def _arrays(self) -> dict[str, AreaArrays]:
+        return {}
+
+    def forget(self, areas: Array) -> None:
+        """Let steps compute anew what they keep of some areas (M,): call it after their arrays have been changed in place."""
+        for kept in self._arrays.values():
+            kept.known[areas] = False
 
     def place(self, measures: str, owner: str) -> int:
         """Position of a sensor among the N n own readings and 2E shared ones; ValueError for a sensor of none of them."""

@@ -87,14 +87,14 @@ def predict(areas: Areas, now: Diagnosers, reference: Array, load: Array, lam: f
     batch = np.broadcast_shapes(*{a.shape[:-2] for a in of_areas}, *{a.shape[:-1] for a in (*of_sides, *inputs)})
     own = [_flat(a, batch, (count, n)) for a in of_areas]
     shared = [_flat(a, batch, (sides,)) for a in of_sides]
-    found = [np.empty(a[0].shape) for _ in range(3) for a in (own, shared)]
-    equations.predict_areas(
-        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3],
-        _flat(reference, batch, (count,)), _flat(load, batch, (count,)), lam, mode == "paper", areas.matrices, areas.slope,
-        areas.network.closed, areas.process_variance, areas.noise, areas.shared_noise, areas.network.topology.start,
-        areas.opposite, *found,
+    found = [*(np.empty(a[0].shape) for _ in range(4) for a in (own, shared)), np.empty((len(own[0]), count), bool)]
+    none = np.empty((0, count, n)), np.empty((0, sides))
+    equations.step_areas(
+        own[0], shared[0], own[1], shared[1], own[2], shared[2], own[3], shared[3], _flat(reference, batch, (count,)),
+        _flat(load, batch, (count,)), lam, mode == "paper", *areas.arrays(mode), 1.0, *none, *found,
     )  # fmt: skip
-    return Prediction(*(a.reshape(*batch, *a.shape[1:]) for a in found))
+    estimate, error_bound, _, deviation = ([a.reshape(*batch, *a.shape[1:]) for a in found[k : k + 2]] for k in range(0, 8, 2))
+    return Prediction(*estimate, *deviation, *error_bound)
 
 
 def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:

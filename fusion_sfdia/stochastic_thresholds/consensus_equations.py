@@ -101,136 +101,176 @@ def residual_deviation(memory: Any, variance: Any, process_variance: Any, noise:
     return memory + np.sqrt(variance + process_variance + noise) + error_bound
 
 
-@compiled
-def predict_areas(
-    held: Any, held_shared: Any, error_bound: Any, error_bound_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
-    deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
-    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any,
-    estimate: Any, estimate_shared: Any, s: Any, s_shared: Any, estimate_bound: Any, estimate_bound_shared: Any,
+# Weights and deviations depend on the readings only by which are missing, so those of areas that miss none are kept from step
+# to step. Arguments have the names and shapes of consensus.Diagnosers and areas.AreaArrays.
+
+
+@equation
+def find_terms(
+    b: Any, i: Any, error_bound: Any, error_bound_shared: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
+    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, area_terms: Any, side_terms: Any, row: Any,
+    shift: Any,
 ) -> None:  # fmt: skip
-    """Write estimates, deviations s and error bounds for the next readings into the last six arrays, (B, N, n) and (B, 2E)
-    each.
+    """Write weights and deviations of area i to area_terms[row] and, for each side, to side_terms[side + shift].
 
-    held to deviation_shared: of consensus.Diagnosers, in this order; reference, load (B, N); printed: (15), (17) as printed.
-    matrices to opposite: of Areas; further sides may follow, such as copies in another part. All copies of z_i are treated with
-    area i: it needs the copies at its sides and at the opposite sides, and writes the latter.
+    In area_terms are the weight of its own copy of z_i, then what a step adds to lam s for the residuals of its n states, and
+    for the errors of their estimates; in side_terms the weight of the neighbour's copy, and what a step adds for its residual.
     """
-    n = held.shape[2]
-    for b in range(held.shape[0]):
-        for i in range(held.shape[1]):
-            inflow, inflow_variance, inflow_bound = 0.0, 0.0, 0.0
-            for side in range(start[i], start[i + 1]):
-                if closed[side]:
-                    P, d = slope[side], error_bound_shared[b, side]
-                    inflow += P * held_shared[b, side]
-                    inflow_variance += P * P * noise_read(shared_noise[side], d)
-                    inflow_bound += abs(P) * d
-            drive, drive_variance, drive_bound = 0.0, 0.0, 0.0
-            for r in range(n):
-                F, G = matrices[i, r], matrices[i, r, n + 1]
-                value = F[n] * reference[b, i] + G * (inflow - load[b, i])
-                variance, d = G * G * inflow_variance, abs(G) * inflow_bound
-                for c in range(0 if r else 1, n):
-                    value += F[c] * held[b, i, c]
-                    variance += F[c] * F[c] * noise_read(noise[i, c], error_bound[b, i, c])
-                    d += abs(F[c]) * error_bound[b, i, c]
-                if r == 0:
-                    drive, drive_variance, drive_bound = value, variance, d
-                else:
-                    memory, q = lam * deviation[b, i, r], process_variance[i, r]
-                    estimate[b, i, r] = private_term(value, residual[b, i, r], lam)
-                    s[b, i, r] = residual_deviation(memory, variance, q, noise[i, r], d)
-                    estimate_bound[b, i, r] = np.minimum(error_deviation(memory, variance, q, d), UNKNOWN)
+    n = error_bound.shape[2]
+    inflow_variance, inflow_bound = 0.0, 0.0
+    for side in range(start[i], start[i + 1]):
+        if closed[side]:
+            P, d = slope[side], error_bound_shared[b, side]
+            inflow_variance += P * P * noise_read(shared_noise[side], d)
+            inflow_bound += abs(P) * d
+    drive_variance, drive_bound = 0.0, 0.0
+    for r in range(n):
+        G, q = matrices[i, r, n + 1], process_variance[i, r]
+        variance, d = G * G * inflow_variance, abs(G) * inflow_bound
+        for c in range(0 if r else 1, n):
+            F = matrices[i, r, c]
+            variance += F * F * noise_read(noise[i, c], error_bound[b, i, c])
+            d += abs(F) * error_bound[b, i, c]
+        if r == 0:
+            drive_variance, drive_bound = variance, d
+        else:
+            area_terms[row, 1 + r] = residual_deviation(0.0, variance, q, noise[i, r], d)
+            area_terms[row, 1 + n + r] = error_deviation(0.0, variance, q, d)
 
-            a, q, v, d = matrices[i, 0, 0], process_variance[i, 0], noise[i, 0], error_bound[b, i, 0]
-            own = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
-            total = 0.0
-            for side in range(start[i], start[i + 1]):
-                if closed[side]:
-                    v, d = shared_noise[opposite[side]], error_bound_shared[b, opposite[side]]
-                    total += precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
-            total += own
-            agreed, memory, variance, agreed_bound, bracket = 0.0, 0.0, 0.0, 0.0, 0.0
-            for side in range(start[i], start[i + 1]):
-                if closed[side]:
-                    k = opposite[side]
-                    v, d = shared_noise[k], error_bound_shared[b, k]
-                    W = (precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)) / total
-                    agreed += W * shared_term(held_shared[b, k], drive, residual_shared[b, k], a, lam)
-                    memory += W * deviation_shared[b, k]
-                    variance += W * W * noise_read(v, d)
-                    agreed_bound += W * d
-                    bracket += W * W * printed_variance(v, d, a, drive_variance, q)
-            W, v, d = own / total, noise[i, 0], error_bound[b, i, 0]
-            agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
-            memory = lam * (W * deviation[b, i, 0] + memory)
-            variance = a * a * (W * W * noise_read(v, d) + variance) + drive_variance
-            agreed_bound = abs(a) * (W * d + agreed_bound) + drive_bound
+    a, q, v, d = matrices[i, 0, 0], process_variance[i, 0], noise[i, 0], error_bound[b, i, 0]
+    own = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
+    total = 0.0
+    for side in range(start[i], start[i + 1]):
+        if closed[side]:
+            v, d = shared_noise[opposite[side]], error_bound_shared[b, opposite[side]]
+            precision = precision_printed(v, d, a, drive_variance, q) if printed else precision_read(v, d)
+            side_terms[side + shift, 0] = precision
+            total += precision
+    total += own
+    variance, agreed_bound, bracket = 0.0, 0.0, 0.0
+    for side in range(start[i], start[i + 1]):
+        if closed[side]:
+            v, d = shared_noise[opposite[side]], error_bound_shared[b, opposite[side]]
+            W = side_terms[side + shift, 0] / total
+            side_terms[side + shift, 0] = W
+            variance += W * W * noise_read(v, d)
+            agreed_bound += W * d
             bracket += W * W * printed_variance(v, d, a, drive_variance, q)
-            estimate[b, i, 0] = agreed
-            estimate_bound[b, i, 0] = np.minimum(error_deviation(memory, variance, q, agreed_bound), UNKNOWN)
-            s[b, i, 0] = (
-                memory + np.sqrt(bracket) + agreed_bound
-                if printed
-                else residual_deviation(memory, variance, q, v, agreed_bound)
-            )
-            for side in range(start[i], start[i + 1]):
-                k = opposite[side]
-                if closed[side]:
-                    estimate_shared[b, k] = agreed
-                    estimate_bound_shared[b, k] = estimate_bound[b, i, 0]
-                    s_shared[b, k] = s[b, i, 0]
-                    if not printed:
-                        s_shared[b, k] = residual_deviation(memory, variance, q, shared_noise[k], agreed_bound)
-                else:
-                    estimate_shared[b, k], estimate_bound_shared[b, k], s_shared[b, k] = held_shared[b, k], UNKNOWN, UNKNOWN
+    W, v, d = own / total, noise[i, 0], error_bound[b, i, 0]
+    variance = a * a * (W * W * noise_read(v, d) + variance) + drive_variance
+    agreed_bound = abs(a) * (W * d + agreed_bound) + drive_bound
+    bracket += W * W * printed_variance(v, d, a, drive_variance, q)
+    as_printed = np.sqrt(bracket) + agreed_bound
+    area_terms[row, 0] = W
+    area_terms[row, 1] = as_printed if printed else residual_deviation(0.0, variance, q, v, agreed_bound)
+    area_terms[row, 1 + n] = error_deviation(0.0, variance, q, agreed_bound)
+    for side in range(start[i], start[i + 1]):
+        v = shared_noise[opposite[side]]
+        side_terms[side + shift, 1] = as_printed if printed else residual_deviation(0.0, variance, q, v, agreed_bound)
+
+
+@equation
+def taken(y: Any, estimate: Any, error_bound: Any, s: Any) -> Any:
+    """What is held after the reading y, its error bound, residual and deviation."""
+    if not np.isfinite(y):
+        return estimate, error_bound, 0.0, 0.0
+    known = s < ENOUGH
+    return y, 0.0, y - estimate if known else 0.0, s if known else 0.0  # a copy without information starts here
 
 
 @compiled
 def take_readings(y: Any, held: Any, error_bound: Any, residual: Any, s: Any) -> None:
     """Replace estimates (in held), error bounds and deviations by the values after readings y; write residual; all flat."""
     for k in range(y.size):
-        if np.isfinite(y[k]):
-            known = s[k] < ENOUGH
-            residual[k] = y[k] - held[k] if known else 0.0  # a copy without information starts here
-            held[k], error_bound[k] = y[k], 0.0
-            if not known:
-                s[k] = 0.0
-        else:
-            residual[k], s[k] = 0.0, 0.0
-
-
-@compiled
-def find_alarms(residual: Any, residual_shared: Any, deviation: Any, deviation_shared: Any, alpha: Any, start: Any) -> Any:
-    """Return (B, N): whether |residual| > alpha deviation for any reading of an area, own or of a neighbour's first state."""
-    alarm = np.zeros(residual.shape[:2], np.bool_)
-    for b in range(residual.shape[0]):
-        for i in range(residual.shape[1]):
-            crossed = False
-            for c in range(residual.shape[2]):
-                crossed |= abs(residual[b, i, c]) > alpha * deviation[b, i, c]
-            for side in range(start[i], start[i + 1]):
-                crossed |= abs(residual_shared[b, side]) > alpha * deviation_shared[b, side]
-            alarm[b, i] = crossed
-    return alarm
+        held[k], error_bound[k], residual[k], s[k] = taken(y[k], held[k], error_bound[k], s[k])
 
 
 @compiled
 def step_areas(
     held: Any, held_shared: Any, error_bound: Any, error_bound_shared: Any, residual: Any, residual_shared: Any, deviation: Any,
     deviation_shared: Any, reference: Any, load: Any, lam: Any, printed: Any, matrices: Any, slope: Any, closed: Any,
-    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, own: Any, shared: Any,
-    h: Any, h_shared: Any, d: Any, d_shared: Any, r: Any, r_shared: Any, s: Any, s_shared: Any,
-) -> None:  # fmt: skip
-    """`predict_areas`, then the readings own (B, N, n) and shared (B, 2E); the last eight arrays are the Diagnosers after."""
-    predict_areas(
-        held, held_shared, error_bound, error_bound_shared, residual, residual_shared, deviation, deviation_shared, reference,
-        load, lam, printed, matrices, slope, closed, process_variance, noise, shared_noise, start, opposite, h, h_shared, s,
-        s_shared, d, d_shared,
-    )  # fmt: skip
-    size = own.size  # reshape, not ravel, which copies arrays of another memory order
-    take_readings(own.reshape(size), h.reshape(size), d.reshape(size), r.reshape(size), s.reshape(size))
-    size = shared.size
-    take_readings(
-        shared.reshape(size), h_shared.reshape(size), d_shared.reshape(size), r_shared.reshape(size), s_shared.reshape(size)
-    )
+    process_variance: Any, noise: Any, shared_noise: Any, start: Any, opposite: Any, reader: Any, known: Any, area_terms: Any,
+    side_terms: Any, alpha: Any, own: Any, shared: Any, h: Any, h_shared: Any, d: Any, d_shared: Any, e: Any, e_shared: Any,
+    s: Any, s_shared: Any, alarm: Any,
+) -> Any:  # fmt: skip
+    """Write the diagnosers after the readings own (B, N, n) and shared (B, 2E), under reference and load (B, N).
+
+    h to s_shared: the Diagnosers after; without readings, given by arrays of no runs, estimates, error bounds and deviations of
+    the next ones. printed: (15), (17) as printed. alarm (B, N + K), False before: whether |residual| > alpha deviation for any
+    reading of an area, own or of a neighbour's first state; K columns for the copies behind the sides of the N areas, each read
+    in another part. All copies of z_i are treated with area i: it needs the copies at its sides and at the opposite sides, and
+    writes the latter. Returns whether the shapes fit; if they do not, nothing is written.
+    """
+    runs, areas, n = held.shape
+    read = own.shape[0] > 0
+    given = held_shared.shape == shared.shape and held.shape == own.shape
+    fits = (given or not read) and matrices.shape[:2] == (areas, n) and held_shared.shape == (runs, slope.size)
+    fits &= reference.shape == load.shape == (runs, areas)
+    fits &= error_bound.shape == residual.shape == deviation.shape == h.shape == d.shape == e.shape == s.shape == held.shape
+    fits &= error_bound_shared.shape == residual_shared.shape == deviation_shared.shape == held_shared.shape
+    fits &= h_shared.shape == d_shared.shape == e_shared.shape == s_shared.shape == held_shared.shape
+    if not fits:
+        return False
+    for b in range(runs):
+        for i in range(areas):
+            first, past, row, shift = start[i], start[i + 1], i, 0
+            inflow, complete = 0.0, True  # complete: all values that are used of the states of the area and of its neighbours
+            for c in range(n):
+                complete &= error_bound[b, i, c] == 0.0
+            for side in range(first, past):
+                if closed[side]:
+                    inflow += slope[side] * held_shared[b, side]
+                    complete &= error_bound_shared[b, side] == 0.0 and error_bound_shared[b, opposite[side]] == 0.0
+            if not complete:
+                row, shift = areas, start[areas] - first  # behind the terms of all areas
+            if not (complete and known[i]):
+                find_terms(
+                    b, i, error_bound, error_bound_shared, printed, matrices, slope, closed, process_variance, noise,
+                    shared_noise, start, opposite, area_terms, side_terms, row, shift,
+                )  # fmt: skip
+                known[i] |= complete
+            drive, crossed = 0.0, False
+            for r in range(n):
+                value = matrices[i, r, n] * reference[b, i] + matrices[i, r, n + 1] * (inflow - load[b, i])
+                for c in range(0 if r else 1, n):
+                    value += matrices[i, r, c] * held[b, i, c]
+                if r == 0:
+                    drive = value
+                    continue
+                memory = lam * deviation[b, i, r]
+                x = (
+                    private_term(value, residual[b, i, r], lam),
+                    min(memory + area_terms[row, 1 + n + r], UNKNOWN),
+                    0.0,
+                    (memory + area_terms[row, 1 + r]),
+                )
+                if read:
+                    x = taken(own[b, i, r], x[0], x[1], x[3])
+                h[b, i, r], d[b, i, r], e[b, i, r], s[b, i, r] = x
+                crossed |= abs(x[2]) > alpha * x[3]
+            a, W = matrices[i, 0, 0], area_terms[row, 0]
+            agreed, memory = 0.0, 0.0
+            for side in range(first, past):
+                if closed[side]:
+                    k, W_k = opposite[side], side_terms[side + shift, 0]
+                    agreed += W_k * shared_term(held_shared[b, k], drive, residual_shared[b, k], a, lam)
+                    memory += W_k * deviation_shared[b, k]
+            agreed += W * shared_term(held[b, i, 0], drive, residual[b, i, 0], a, lam)
+            memory = lam * (W * deviation[b, i, 0] + memory)
+            bound = min(memory + area_terms[row, 1 + n], UNKNOWN)
+            x = agreed, bound, 0.0, memory + area_terms[row, 1]
+            if read:
+                x = taken(own[b, i, 0], x[0], x[1], x[3])
+            h[b, i, 0], d[b, i, 0], e[b, i, 0], s[b, i, 0] = x
+            crossed |= abs(x[2]) > alpha * x[3]
+            alarm[b, i] |= crossed
+            for side in range(first, past):
+                k = opposite[side]
+                x = held_shared[b, k], UNKNOWN, 0.0, UNKNOWN
+                if closed[side]:
+                    x = agreed, bound, 0.0, memory + side_terms[side + shift, 1]
+                if read:
+                    x = taken(shared[b, k], x[0], x[1], x[3])
+                h_shared[b, k], d_shared[b, k], e_shared[b, k], s_shared[b, k] = x
+                alarm[b, reader[side]] |= abs(x[2]) > alpha * x[3]
+    return True

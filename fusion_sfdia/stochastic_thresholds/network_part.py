@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.areas import AreaArrays, Areas
 from fusion_sfdia.stochastic_thresholds import consensus_equations
 from fusion_sfdia.stochastic_thresholds.consensus import Diagnosers, NetworkReadings
 
@@ -24,9 +24,10 @@ Array = NDArray[Any]
 class PartLayout(NamedTuple):
     """The network of a part, constant over time. All indices are local, except those in `areas` and `sides`.
 
-    matrices to opposite: as of consensus_equations.predict_areas, for M areas and their sides, then the copies read in other
-    parts. border: local sides whose neighbour is in another part, which sends their values. near: index of the first copy read
-    in another part. areas: first and past last area in the network. sides: indices in the network of the local sides.
+    matrices to opposite: as of AreaArrays, for M areas and their sides, then the K copies read in other parts. reader: the area
+    at the other end of each of their sides; M + k for the reader of copy k, which is in another part. border: local sides whose
+    neighbour is in another part, which sends their values. near: index of the first copy read in another part. areas: first and
+    past last area in the network. sides: indices in the network of the local sides.
     """
 
     matrices: Array
@@ -37,6 +38,7 @@ class PartLayout(NamedTuple):
     shared_noise: Array
     start: Array
     opposite: Array
+    reader: Array
     border: Array
     near: int
     areas: tuple[int, int]
@@ -56,12 +58,15 @@ def part_layouts(areas: Areas, parts: int) -> list[PartLayout]:
         other = at.opposite[first:past]
         elsewhere = (other < first) | (other >= past)
         sides = np.concatenate([np.arange(first, past), other[elsewhere]])
-        opposite = np.where(elsewhere, past - first + np.cumsum(elsewhere) - 1, other - first)
+        copy = np.cumsum(elsewhere) - 1
+        opposite = np.where(elsewhere, past - first + copy, other - first)
+        reader = np.where(elsewhere, hi - lo + copy, at.neighbour[first:past] - lo)
         found.append(
             PartLayout(
                 areas.matrices[lo:hi].copy(), areas.slope[sides], areas.network.closed[sides],
                 areas.process_variance[lo:hi].copy(), areas.noise[lo:hi].copy(), areas.shared_noise[sides],
-                at.start[lo : hi + 1] - first, opposite, np.flatnonzero(elsewhere), past - first, (lo, hi), sides,
+                at.start[lo : hi + 1] - first, opposite, reader, np.flatnonzero(elsewhere), past - first, (lo, hi),
+                sides,
             )
         )  # fmt: skip
     return found
@@ -91,6 +96,7 @@ class Part:
     def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
         self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
         self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
+        self._arrays = AreaArrays.of(*layout[:9])
 
     def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
         """Return alarms of its areas (B, M), alarms of the copies read in other parts (B, K), and the results for these (4, B,
@@ -103,17 +109,15 @@ class Part:
         for a, new in zip(state.shared, received, strict=True):
             a[:, b.border] = new
         after = self._before
+        count = len(b.matrices)
+        alarm = np.zeros((len(state.held), count + b.border.size), bool)
         consensus_equations.step_areas(
-            *state, given.reference, given.load, self.lam, self.printed, b.matrices, b.slope, b.closed, b.process_variance,
-            b.noise, b.shared_noise, b.start, b.opposite, given.own, given.shared, *after,
+            *state, given.reference, given.load, self.lam, self.printed, *self._arrays, self.alpha, given.own, given.shared,
+            *after, alarm,
         )  # fmt: skip
-        after.residual_shared[:, b.border] = 0.0  # until they are received
         self._now, self._before = after, state
-        alarm = consensus_equations.find_alarms(
-            after.residual, after.residual_shared, after.deviation, after.deviation_shared, self.alpha, b.start
-        )
         copies = np.stack([a[:, b.near :] for a in after.shared])
-        return alarm, np.abs(copies[2]) > self.alpha * copies[3], copies
+        return alarm[:, :count], alarm[:, count:], copies
 
     def kept(self) -> Diagnosers:
         """Return its memory; complete at the border sides only after the next `received`."""

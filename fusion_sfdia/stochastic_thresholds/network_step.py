@@ -6,6 +6,7 @@ depend on the number of areas.
 
 from __future__ import annotations
 
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -27,30 +28,29 @@ def network_step(
     out: diagnosers to be overwritten, such as those before `state`; without them a large network spends its time on memory
     allocation. Raises ValueError for other shapes, an unknown mode, or an `out` that is the state itself.
     """
-    at, (count, n, sides) = areas.network.topology, areas.size
-    batch = len(state.held)
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
-    found = state.held.shape, state.held_shared.shape, *(a.shape for a in given)
-    expected = (batch, count, n), (batch, sides), (batch, count, n), (batch, sides), (batch, count), (batch, count)
-    if found != expected:
-        raise ValueError(f"held, held_shared, own, shared, reference, load have the shapes {found}; expected {expected}")
     own, shared, reference, load = map(_plain, given)
     if out is None:
-        out = Diagnosers(*(np.empty(a.shape) for a in state))
-    elif any(new is a or new.shape != a.shape for new, a in zip(out, state, strict=True)):
-        raise ValueError(
-            "out is the state itself or has other shapes; give an earlier result of this function that is not needed any more"
-        )
-    consensus_equations.step_areas(
-        *state, reference, load, lam, mode == "paper", areas.matrices, areas.slope, areas.network.closed,
-        areas.process_variance, areas.noise, areas.shared_noise, at.start, areas.opposite, own, shared, *out,
-    )  # fmt: skip
-    alarm = consensus_equations.find_alarms(
-        out.residual, out.residual_shared, out.deviation, out.deviation_shared, alpha, at.start
-    )
+        out = Diagnosers(*map(np.empty_like, state))
+    alarm = np.zeros(reference.shape, bool)
+    if any(map(is_, state, out)) or not consensus_equations.step_areas(
+        *state, reference, load, lam, mode == "paper", *areas.arrays(mode), alpha, own, shared, *out, alarm
+    ):
+        raise _misfit(areas, state, given, out)
     return out, alarm
 
 
 def _plain(a: Array) -> Array:
     return np.ascontiguousarray(a, dtype=float)
+
+
+def _misfit(areas: Areas, state: Diagnosers, given: NetworkReadings, out: Diagnosers) -> ValueError:
+    batch, (count, n, sides) = len(state.held), areas.size
+    found = state.held.shape, state.held_shared.shape, *(a.shape for a in given)
+    expected = (batch, count, n), (batch, sides), (batch, count, n), (batch, sides), (batch, count), (batch, count)
+    if found != expected:
+        return ValueError(f"held, held_shared, own, shared, reference, load have the shapes {found}; expected {expected}")
+    return ValueError(
+        "out is the state itself or has other shapes; give an earlier result of this function that is not needed any more"
+    )

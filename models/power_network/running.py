@@ -46,4 +46,5 @@ class RunningNetwork:
         now.area[change.touched] = now.rows(change.touched)
         theirs, _ = network.topology.sides(change.touched)
         self.areas.shared_gain[network.topology.opposite[theirs]] = now.area[network.topology.node[theirs], 0, 0]
+        self.areas.forget(change.touched)
         return change
