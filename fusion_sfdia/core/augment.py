@@ -106,8 +106,8 @@ class _Unknown:
         known = self.plant.uncertainty
         return replace(
             self.plant.numerics,
-            step_jacobian=None if known.step_jacobian is None else self.step_jacobian,
-            output_jacobian=None if known.output_jacobian is None else self.output_jacobian,
+            step_jacobian=None if known.step_jacobian is None else getattr(self.step, "jacobian", self.step_jacobian),
+            output_jacobian=None if known.output_jacobian is None else getattr(self.output, "jacobian", self.output_jacobian),
         )
 
     def split(self, z: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -115,21 +115,19 @@ class _Unknown:
         n, p = self.counts
         return z[..., :n], u + z[..., n + p :] @ self.selection if self.erring.size else u, z[..., n : n + p]
 
-    @property
+    @cached_property
     def step(self) -> StepFunction:
         """The step, with its Jacobian by the same call where that is stated at other values of the parameters."""
         known = self.plant.uncertainty
         both = with_jacobian(known.step, known.step_jacobian)
-        return self._step if both is None else Differentiable(self._step, self.step_jacobian, partial(self._step_with, both))
+        return self._step if both is None else Differentiable(self._step, partial(self._step_with, both))
 
-    @property
+    @cached_property
     def output(self) -> OutputFunction:
         """The same of the output."""
         known = self.plant.uncertainty
         both = with_jacobian(known.output, known.output_jacobian)
-        if both is None:
-            return self._output
-        return Differentiable(self._output, self.output_jacobian, partial(self._output_with, both))
+        return self._output if both is None else Differentiable(self._output, partial(self._output_with, both))
 
     def _step(self, t_start: float, z: Array, u: Array, dt: float) -> Array:
         x, acting, theta = self.split(z, u)

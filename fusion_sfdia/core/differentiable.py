@@ -15,15 +15,18 @@ Array = NDArray[Any]
 class Differentiable:
     """A step or output that is called as any other, for models whose Jacobian computes its value, too.
 
-    value, jacobian, with_jacobian: functions of the same arguments that return the value, its Jacobian, or both.
+    value, with_jacobian: functions of the same arguments that return the value, or it and its Jacobian.
     """
 
     value: Callable[..., Array]
-    jacobian: Callable[..., Array]
     with_jacobian: Callable[..., tuple[Array, Array]]
 
     def __call__(self, *arguments: Any) -> Array:
         return self.value(*arguments)
+
+    def jacobian(self, *arguments: Any) -> Array:
+        """The Jacobian alone."""
+        return self.with_jacobian(*arguments)[1]
 
 
 def with_jacobian(function: Any, jacobian: Any) -> Callable[..., tuple[Array, Array]] | None:

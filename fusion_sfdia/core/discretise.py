@@ -155,17 +155,10 @@ def _uncertainty(model: Integrated, unknown: tuple[Parameter, ...], input_errors
     """The model at other values of its physics' parameters."""
     if not (unknown or input_errors):
         return Uncertainty()
-    recorded = model.program is not None
     step: Any = model.step_at
     output: Any = model.output_at
-    if recorded:
-        step = Differentiable(model.step_at, model.step_jacobian_at, model.step_and_jacobian_at)
-        output = Differentiable(model.output_at, model.output_jacobian_at, model.output_and_jacobian_at)
-    return Uncertainty(
-        unknown,
-        step if unknown else None,
-        output if unknown else None,
-        model.step_jacobian_at if recorded else None,
-        model.output_jacobian_at if recorded else None,
-        inputs=input_errors,
-    )
+    if model.program is not None:
+        step, output = Differentiable(step, model.step_and_jacobian_at), Differentiable(output, model.output_and_jacobian_at)
+    by_step, by_output = (getattr(function, "jacobian", None) for function in (step, output))
+    at = (step, output) if unknown else (None, None)
+    return Uncertainty(unknown, at[0], at[1], by_step, by_output, inputs=input_errors)

@@ -134,20 +134,12 @@ class Integrated:
         z = solve_algebraic(self.physics, t, x, u)
         return np.concatenate([np.broadcast_to(x, (*z.shape[:-1], x.shape[-1])), z], axis=-1)[..., self.picks]
 
-    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        """Derivatives (..., n, n + m + p) with respect to x, u and theta; of a program."""
-        return self._required(self._advanced(t_start, x, u, dt, theta, _all(x, u, theta)), t_start, x, u)[1]
-
     def step_and_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
-        """`step_at` and `step_jacobian_at`."""
+        """`step_at`, and its derivatives (..., n, n + m + p) with respect to x, u and theta; of a program."""
         return self._required(self._advanced(t_start, x, u, dt, theta, _all(x, u, theta)), t_start, x, u)
 
-    def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
-        """The same of the readings (..., N, n + m + p)."""
-        return self._required(self._read(t, x, u, theta, _all(x, u, theta)), t, x, u)[1]
-
     def output_and_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> tuple[Array, Array]:
-        """`output_at` and `output_jacobian_at`."""
+        """The same of the readings, (..., N) and (..., N, n + m + p)."""
         return self._required(self._read(t, x, u, theta, _all(x, u, theta)), t, x, u)
 
     def _required(self, found: tuple[Array, Array] | None, t: float, x: Array, u: Array) -> tuple[Array, Array]:

@@ -130,6 +130,8 @@ def gas_pipeline(
         gas_pipeline, nodes=FINER * (nodes - 1) + 1, dt=dt, stations=stations, snr=snr, process_noise=process_noise,
         initial=initial, outlet_flow=outlet_flow, parameters=c,
     )  # fmt: skip
+    step = Differentiable(model.step, model.step_and_jacobian)
+    step_at = Differentiable(model.step_at, model.step_and_jacobian_at)
     return Plant(
         name="gas-pipeline",
         states=signals(nodes, x0),
@@ -143,17 +145,16 @@ def gas_pipeline(
             for v, (letter, unit) in enumerate((("p", "Pa"), ("m", "kg/s"), ("T", "K")))
             for i in range(stations)
         ),
-        step=Differentiable(model.step, model.step_jacobian, model.step_and_jacobian),
+        step=step,
         output=model.output,
         dt=dt,
         x0=x0,
         initial_cov=np.repeat((sigma if initial == "noise" else np.array(IDENTITY)) ** 2, nodes),
         process_cov=np.repeat((PROCESS_NOISE[process_noise] * sigma) ** 2, nodes),
-        numerics=Numerics(model.step_jacobian, model.output_jacobian, max_dt=limit * count),
+        numerics=Numerics(step.jacobian, model.output_jacobian, max_dt=limit * count),
         truth=Truth(operation=partial(_operation, dt, flow), finer=partial(_finer, finer, nodes)),
         uncertainty=Uncertainty(
-            unknown_parameters(c), Differentiable(model.step_at, model.step_jacobian_at, model.step_and_jacobian_at), None,
-            model.step_jacobian_at, model.output_jacobian_at, inputs=INPUT_ERRORS, at_rest=True,
+            unknown_parameters(c), step_at, None, step_at.jacobian, model.output_jacobian_at, inputs=INPUT_ERRORS, at_rest=True
         ),
     )  # fmt: skip
 
@@ -170,9 +171,6 @@ class _Pipe:
 
     def step(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
         return self._advance(equations.advance, x, u, dt, self.nominal)[0]
-
-    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        return self.step_and_jacobian(t_start, x, u, dt)[1]
 
     def step_and_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
         require_dense(self.nodes)
@@ -191,9 +189,6 @@ class _Pipe:
 
     def step_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
         return self._advance(equations.advance, x, u, dt, self._of(theta))[0]
-
-    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self.step_and_jacobian_at(t_start, x, u, dt, theta)[1]
 
     def step_and_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
         require_dense(self.nodes)

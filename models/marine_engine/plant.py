@@ -128,11 +128,13 @@ def marine_engine(
         marine_engine, load=load, dt=dt, noise=noise, slip=slip, parameters=c, process_faults=tuple(process_faults),
         substeps=FINER * substeps,
     )  # fmt: skip
+    step = Differentiable(model.step, model.step_and_jacobian)
+    output = Differentiable(model.output, model.output_and_jacobian)
     return replace(
         plant,
-        step=Differentiable(model.step, model.step_jacobian, model.step_and_jacobian),
-        output=Differentiable(model.output, model.output_jacobian, model.output_and_jacobian),
-        numerics=replace(plant.numerics, step_jacobian=model.step_jacobian, output_jacobian=model.output_jacobian),
+        step=step,
+        output=output,
+        numerics=replace(plant.numerics, step_jacobian=step.jacobian, output_jacobian=output.jacobian),
         truth=Truth(finer=partial(with_same_states, finer)),
         structure=Structure(modules=engine_modules(c, slip, nominal)),
         uncertainty=Uncertainty() if process_faults else _uncertainty(model, c),
@@ -156,15 +158,9 @@ class _Compiled:
     def output(self, t: float, x: Array, u: Array) -> Array:
         return self.output_at(t, x, u, self._nominal(t))
 
-    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> Array:
-        return self.step_and_jacobian(t_start, x, u, dt)[1]
-
     def step_and_jacobian(self, t_start: float, x: Array, u: Array, dt: float) -> tuple[Array, Array]:
         ahead, by_all = self._step_tangent(t_start, x, u, dt, self._nominal(t_start), 0)
         return ahead, by_all[..., : len(STATES)]
-
-    def output_jacobian(self, t: float, x: Array, u: Array) -> Array:
-        return self.output_and_jacobian(t, x, u)[1]
 
     def output_and_jacobian(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
         y, by_all = self._output_tangent(t, x, u, self._nominal(t), 0)
@@ -181,14 +177,8 @@ class _Compiled:
         z = equations.algebraic(states, parameters, self.parameters_at(t), self.law)
         return np.concatenate([states, z], axis=-1)[:, PICKS].reshape(*batch, PICKS.size)
 
-    def step_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self.step_and_jacobian_at(t_start, x, u, dt, theta)[1]
-
     def step_and_jacobian_at(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
         return self._step_tangent(t_start, x, u, dt, theta, theta.shape[-1])
-
-    def output_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> Array:
-        return self.output_and_jacobian_at(t, x, u, theta)[1]
 
     def output_and_jacobian_at(self, t: float, x: Array, u: Array, theta: Array) -> tuple[Array, Array]:
         return self._output_tangent(t, x, u, theta, theta.shape[-1])
@@ -217,11 +207,10 @@ def _uncertainty(model: _Compiled, c: EngineParameters) -> Uncertainty:
     and turbine area have the correlation -0.96, of the heat of the fuel and the error of its setting -0.80.
     """
     parameters = [SPREAD[name].parameter(name, float(getattr(c, name))) for name in equations.UNKNOWN]
-    return Uncertainty(
-        tuple(parameters), Differentiable(model.step_at, model.step_jacobian_at, model.step_and_jacobian_at),
-        Differentiable(model.output_at, model.output_jacobian_at, model.output_and_jacobian_at), model.step_jacobian_at,
-        model.output_jacobian_at, inputs={"fuel_setting": FUEL_SETTING}, at_rest=True,
-    )  # fmt: skip
+    step = Differentiable(model.step_at, model.step_and_jacobian_at)
+    output = Differentiable(model.output_at, model.output_and_jacobian_at)
+    errors = {"fuel_setting": FUEL_SETTING}
+    return Uncertainty(tuple(parameters), step, output, step.jacobian, output.jacobian, inputs=errors, at_rest=True)
 
 
 def _rows(x: Array, u: Array, theta: Array, kind: Any) -> tuple[Any, ...]:

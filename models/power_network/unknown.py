@@ -64,8 +64,8 @@ def altered(c: NetworkParameters, **values: float) -> NetworkParameters:
 def network_uncertainty(c: NetworkParameters, condition: Callable[[float], NetworkCondition], readout: Array) -> Uncertainty:
     """What a plant of the healthy network, discretised area by area, does not know; readout (N, n): H of its sensors."""
     at = _Areas(c, condition)
-    step = Differentiable(at.step, at.step_jacobian, at.step_and_jacobian)
-    return Uncertainty(unknown_parameters(c), step, None, at.step_jacobian, partial(_readout, readout), inputs=_input_errors(c))
+    step = Differentiable(at.step, at.step_and_jacobian)
+    return Uncertainty(unknown_parameters(c), step, None, step.jacobian, partial(_readout, readout), inputs=_input_errors(c))
 
 
 def rebuilt_uncertainty(plant: Plant, c: NetworkParameters, build: Callable[[NetworkParameters], Plant]) -> Uncertainty:
@@ -121,9 +121,6 @@ class _Areas:
         model = self.condition(t_start).true
         side, stiffness, constants = self.split(model, theta)
         return _after(equations.rows_of(stiffness, constants, model.dt)[..., 0, :, :], self.known(side, x, u))
-
-    def step_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> Array:
-        return self.step_and_jacobian(t_start, x, u, dt, theta)[1]
 
     def step_and_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
         model = self.condition(t_start).true

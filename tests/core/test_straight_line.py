@@ -84,8 +84,8 @@ def test_a_program_has_the_numbers_and_the_derivatives_of_its_functions(decay: b
         return model.output_at(0.7, v[..., :2], v[..., 2:3], v[..., 3:])
 
     for function, found, by in (
-        (step, model.step_at(0.7, x, u, plant.dt, theta), model.step_jacobian_at(0.7, x, u, plant.dt, theta)),
-        (output, model.output_at(0.7, x, u, theta), model.output_jacobian_at(0.7, x, u, theta)),
+        (step, model.step_at(0.7, x, u, plant.dt, theta), model.step_and_jacobian_at(0.7, x, u, plant.dt, theta)[1]),
+        (output, model.output_at(0.7, x, u, theta), model.output_and_jacobian_at(0.7, x, u, theta)[1]),
     ):
         np.testing.assert_allclose(found, function(every + 0j).real, rtol=1e-12)  # z settles to 1e-13
         np.testing.assert_allclose(by, complex_step_jacobian(function, every), rtol=1e-11, atol=1e-13)
