@@ -41,18 +41,12 @@ class AreaArrays(NamedTuple):
     side_terms: Array
 
     @classmethod
-    def of(
-        cls, matrices: Array, slope: Array, closed: Array, process_variance: Array, noise: Array, shared_noise: Array,
-        start: Array, opposite: Array, reader: Array,
-    ) -> AreaArrays:  # fmt: skip
-        """The arrays of areas of which no terms are known."""
-        count, n = noise.shape
+    def without_terms(cls, *model: Array) -> AreaArrays:
+        """The arrays of areas of which no terms are known; model: matrices to reader."""
+        (count, n, _), start = model[0].shape, model[cls._fields.index("start")]
         most = int(np.diff(start).max())
-        terms = np.empty((count + 1, 1 + 2 * n)), np.empty((int(start[-1]) + most, 2))
-        known = np.zeros(count, bool)
-        return cls(
-            matrices, slope, closed, process_variance, noise, shared_noise, start, opposite, reader, known, *terms
-        )  # fmt: skip
+        terms = np.zeros(count, bool), np.empty((count + 1, 1 + 2 * n)), np.empty((int(start[-1]) + most, 2))
+        return cls(*(*model, *terms))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +117,7 @@ class Areas:
         """The arrays for compiled steps in a mode, with the terms that its steps keep. Not copies: see `forget`."""
         if mode not in self._arrays:
             at = self.network.topology
-            self._arrays[mode] = AreaArrays.of(
+            self._arrays[mode] = AreaArrays.without_terms(
                 self.matrices, self.slope, self.network.closed, self.process_variance, self.noise, self.shared_noise, at.start,
                 at.opposite, at.neighbour,
             )  # fmt: skip

@@ -96,7 +96,7 @@ class Part:
     def __init__(self, layout: PartLayout, state: Diagnosers, alpha: float, lam: float, printed: bool) -> None:
         self.layout, self.alpha, self.lam, self.printed = layout, alpha, lam, printed
         self._now, self._before = state, Diagnosers(*map(np.zeros_like, state))
-        self._arrays = AreaArrays.of(*layout[:9])
+        self._arrays = AreaArrays.without_terms(*layout[:9])
 
     def step(self, received: Array, given: NetworkReadings) -> tuple[Array, Array, Array]:
         """Return alarms of its areas (B, M), alarms of the copies read in other parts (B, K), and the results for these (4, B,
