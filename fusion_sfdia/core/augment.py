@@ -157,7 +157,9 @@ class _Unknown:
         """The Jacobian of the step (..., n + p + e, n + p + e) from the derivatives of x with respect to (x, u, theta)."""
         n = by_all.shape[-2]
         found = np.zeros((*by_all.shape[:-2], z.shape[-1], z.shape[-1]))
-        found[..., :n, :] = by_all[..., self.columns]
+        of_inputs = n + len(self.plant.inputs)
+        found[..., :n, :n], found[..., :n, n : n + self.counts[1]] = by_all[..., :n], by_all[..., of_inputs:]
+        found[..., :n, n + self.counts[1] :] = by_all[..., n + self.erring]
         on_diagonal(found)[..., n:] = 1.0
         return found
 

@@ -182,6 +182,35 @@ def rows_of(stiffness: Array, constants: Array, dt: float, along: Sequence[int] 
 
 
 @compiled
+def by_all(held: Any, v: Any, x: Any, slope: Any, start: Any, neighbour: Any, link: Any, closed: Any, ties: int) -> Any:
+    """Derivatives (B, 4 N, 8 N + E) of the states after a step: by states, references, loads, slopes, inertias and droops.
+
+    held (B, N, 4, 4, 6): `rows_of` along stiffness, inertia and droop; v (B, N, 6): what they act on; x (B, 4 N). slope
+    (B, 2E) to closed: of the sides of the E ties.
+    """
+    n = held.shape[1]
+    found = np.zeros((x.shape[0], 4 * n, 8 * n + ties))
+    for b in range(x.shape[0]):
+        for i in range(n):
+            for r in range(4):
+                row, area = found[b, 4 * i + r], held[b, i]
+                gain, by_stiffness, by_inertia, by_droop = area[0, r, 5], 0.0, 0.0, 0.0
+                for c in range(6):
+                    by_stiffness += area[1, r, c] * v[b, i, c]
+                    by_inertia += area[2, r, c] * v[b, i, c]
+                    by_droop += area[3, r, c] * v[b, i, c]
+                for c in range(4):
+                    row[4 * i + c] = area[0, r, c]
+                row[4 * n + i], row[5 * n + i] = area[0, r, 4], -gain
+                row[6 * n + ties + i], row[7 * n + ties + i] = by_inertia, by_droop
+                for side in range(start[i], start[i + 1]):
+                    if closed[side]:
+                        row[4 * neighbour[side]] = slope[b, side] * gain
+                        row[6 * n + link[side]] = by_stiffness + gain * x[b, 4 * neighbour[side]]
+    return found
+
+
+@compiled
 def advance(x: Any, reference: Any, load: Any, area: Any, start: Any, neighbour: Any, slope: Any) -> Any:
     """One step of all areas, the neighbours' angles held: x (B, N, 4), reference and load (B, N) give (B, N, 4).
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.differentiable import Differentiable
+from fusion_sfdia.core.equation import plain
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.uncertainty import Parameter, Uncertainty, by_states_alone, secants
 from fusion_sfdia.models.power_network import equations
@@ -125,25 +126,22 @@ class _Areas:
     def step_and_jacobian(self, t_start: float, x: Array, u: Array, dt: float, theta: Array) -> tuple[Array, Array]:
         model = self.condition(t_start).true
         n, e = self.counts
-        at, every = self.c.topology, np.arange(n)
+        at = self.c.topology
         side, stiffness, constants = self.split(model, theta)
         v = self.known(side, x, u)
         held = equations.rows_of(stiffness, constants, model.dt, (0, 1 + INERTIA, 1 + DROOP))
-        rows, slopes = held[..., 0, :, :], held[..., 1:, :, :]
-        gain = rows[..., 5]  # of the power from outside
-        by_stiffness, by_inertia, by_droop = np.moveaxis((slopes @ v[..., None, :, None])[..., 0], -2, 0)
-        by_side = by_stiffness[..., at.node, :] + gain[..., at.node, :] * x[..., 4 * at.neighbour, None]
-        # columns: 4 n states, n references, n loads, e slopes, n inertias, n droops; each with the 4 states of its areas
-        found = np.zeros((*v.shape[:-2], n, 8 * n + e, 4))
-        for k in range(4):
-            found[..., every, 4 * every + k, :] = rows[..., k]
-        found[..., at.node, 4 * at.neighbour, :] = side[..., None] * gain[..., at.node, :]
-        found[..., every, 4 * n + every, :] = rows[..., 4]
-        found[..., every, 5 * n + every, :] = -gain
-        found[..., at.node, 6 * n + at.link, :] = by_side * model.network.closed[:, None]
-        found[..., every, 6 * n + e + every, :] = by_inertia
-        found[..., every, 7 * n + e + every, :] = by_droop
-        return _after(rows, v), np.swapaxes(found, -1, -2).reshape(*v.shape[:-2], 4 * n, -1)
+        batch = v.shape[:-2]
+        found = equations.by_all(
+            _of_runs(held, batch, (n, 4, 4, 6)), _of_runs(v, batch, (n, 6)), _of_runs(x, batch, (4 * n,)),
+            _of_runs(side, batch, (2 * e,)), at.start, at.neighbour, at.link, model.network.closed, e,
+        )  # fmt: skip
+        return _after(held[..., 0, :, :], v), found.reshape(*batch, 4 * n, 8 * n + e)
+
+
+def _of_runs(a: Array, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
+    """The array (..., *shape) for each run of the batch: (B, *shape)."""
+    whole = a if a.shape == (*batch, *shape) else np.broadcast_to(a, (*batch, *shape))
+    return plain(whole.reshape(-1, *shape))
 
 
 def _after(rows: Array, v: Array) -> Array:
