@@ -34,7 +34,8 @@ def network_step(
     if out is None:
         out = Diagnosers(*map(np.empty_like, state))
     alarm = np.zeros(reference.shape, bool)
-    if any(map(is_, state, out)) or not consensus_equations.step_areas(
+    misread = len(own) != len(reference) or any(map(is_, state, out))  # without any readings the loop would only predict
+    if misread or not consensus_equations.step_areas(
         *state, reference, load, lam, mode == "paper", *areas.arrays(mode), alpha, own, shared, *out, alarm
     ):
         raise _misfit(areas, state, given, out)

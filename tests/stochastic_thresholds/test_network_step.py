@@ -120,6 +120,8 @@ def test_wrong_shapes_are_rejected() -> None:
         with pytest.raises(ValueError, match="have the shapes"):
             network_step(areas, state, given._replace(**{name: array[..., :-1]}), ALPHA, LAM)
     with pytest.raises(ValueError, match="have the shapes"):
+        network_step(areas, state, given._replace(own=given.own[:0], shared=given.shared[:0]), ALPHA, LAM)
+    with pytest.raises(ValueError, match="have the shapes"):
         network_step(NETWORKS["dense"], state, given, ALPHA, LAM)
     with pytest.raises(ValueError, match="mode is 'papr'; known: corrected, paper"):
         network_step(areas, state, given, ALPHA, LAM, mode="papr")
