@@ -22,6 +22,7 @@ from fusion_sfdia.benchmarks.speed import (
     network,
     own,
     peers,
+    roofline,
     scaling,
     start,
     stream,
@@ -46,22 +47,26 @@ PARTS = {
     "workers": workers,
     "peers": peers,
     "growth": growth,
+    "roofline": roofline,
 }
+ON_REQUEST = ("roofline",)  # takes minutes
 UNITS = {"step_time": (1e3, " ms"), "peak_memory": (1e-6, " MB")}
 
 
 def run(parts: Sequence[str], out: Path | None = None, seconds: float = SECONDS, *, force: bool = False) -> list[Row]:
-    """Return the rows of some parts (none: all), each call timed for about `seconds`; into out/metrics.csv where out is given.
+    """Return the rows of some parts, each call timed for about `seconds`; into out/metrics.csv where out is given.
 
-    Raises ValueError for an unknown part and where the folder is not free (see output.require_free).
+    No parts: all but those ON_REQUEST. Raises ValueError for an unknown part and where the folder is not free (see
+    output.require_free).
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
         raise ValueError(f"unknown part {', '.join(unknown)} of the benchmark; known: {', '.join(PARTS)}")
     if out is not None:
         require_free(out, force=force)
+    chosen = parts or [part for part in PARTS if part not in ON_REQUEST]
     with threadpool_limits(1):
-        rows = [row for part in parts or PARTS for row in PARTS[part].measure(seconds)]
+        rows = [row for part in chosen for row in PARTS[part].measure(seconds)]
     if out is not None:
         write_rows(out / "metrics.csv", rows)
     return rows

@@ -13,8 +13,10 @@ from fusion_sfdia.core.numerals import decimal
 def add_bench(commands: Any) -> None:
     """Add `bench`."""
     one = commands.add_parser("bench", help="measure the speed on this machine, on one thread", allow_abbrev=False)
-    parts = "bank, model, scaling, lorenz, engine, stream, own, network, campaigns, logs, start, workers, peers, growth"
-    one.add_argument("part", nargs="*", help=f"{parts} (default: all)")
+    parts = (
+        "bank, model, scaling, lorenz, engine, stream, own, network, campaigns, logs, start, workers, peers, growth, roofline"
+    )
+    one.add_argument("part", nargs="*", help=f"{parts} (default: all but roofline)")
     one.add_argument("--seconds", type=decimal, default=2.0, metavar="S", help="for each thing that is timed (default: 2)")
     one.add_argument("--out", type=Path, metavar="DIR", help="folder for metrics.csv")
     one.add_argument("--force", action="store_true", help="write into a folder that is in use")

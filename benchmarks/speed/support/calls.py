@@ -12,7 +12,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from fusion_sfdia.core.detector import Detector
+from fusion_sfdia.core.detector import Decision, Detector
+from fusion_sfdia.core.state import State
 from fusion_sfdia.evaluation.metrics import NOTHING
 from fusion_sfdia.evaluation.results import Row, row_of
 from fusion_sfdia.evaluation.simulate import simulate
@@ -28,12 +29,16 @@ SETTLED = 16  # steps before the one that is timed: the window of the likelihood
 QUIET, ALARMING = 10.0, 1e-9  # thresholds in sigma of the sensors: never crossed and always crossed
 
 
-def repeated_step(detector: Detector) -> Call:
-    """A call that repeats one step of the detector, on healthy readings, always from the same settled state."""
+def repeated_step(detector: Detector, runs: int | None = None) -> Callable[[], tuple[State, Decision]]:
+    """A call that repeats one step of the detector, on healthy readings, always from the same settled state.
+
+    runs: of a batch, each with noise of its own; None for a single run.
+    """
     plant = detector.plant
-    healthy = simulate(plant, SETTLED + 1, [1], truth="model")
-    y, u = healthy.y[:, 0], healthy.u_of_runs[:, 0]
-    state = detector.init((), float(healthy.t[0]) - plant.dt)
+    healthy = simulate(plant, SETTLED + 1, range(1, (runs or 1) + 1), truth="model")
+    of = 0 if runs is None else slice(None)
+    y, u = healthy.y[:, of], healthy.u_of_runs[:, of]
+    state = detector.init(() if runs is None else (runs,), float(healthy.t[0]) - plant.dt)
     for time, reading, applied in zip(healthy.t[:-1], y[:-1], u[:-1], strict=True):
         state, _ = detector.step(state, float(time), reading, applied)
     last = float(healthy.t[-1])

@@ -16,9 +16,12 @@ from __future__ import annotations
 import ast
 import builtins
 import math
+import operator
 import sys
 import tracemalloc
+from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from types import CodeType, FrameType, ModuleType
@@ -26,14 +29,25 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from scipy.linalg import blas
 
-FACTORISATIONS = ("cholesky", "eigh", "eigvals", "eigvalsh", "inv", "lstsq", "pinv", "qr", "solve", "svd")
+FACTORISATIONS = {  # multiply-adds over N^3, or over rows N^2: the least of usual methods
+    "cholesky": 1 / 6,
+    "eigh": 2 / 3,
+    "eigvals": 5 / 3,
+    "eigvalsh": 2 / 3,
+    "inv": 1.0,
+    "lstsq": 2 / 3,
+    "pinv": 2 / 3,
+    "qr": 2 / 3,
+    "svd": 2 / 3,
+}
 ELEMENT = 8  # bytes
 LEAST = 0.01  # of a count: a smaller difference is no growth
 PRODUCT = "_counted_product"  # the name of `_product` in counted modules
 
 _compiled: set[CodeType] = set()
-_multiply_adds = 0
+multiply_adds: Counter[int] = Counter()  # of matrices, by the bytes of a number
 
 
 class Work(NamedTuple):
@@ -46,7 +60,6 @@ class Work(NamedTuple):
 
 def counted(call: Callable[[], object]) -> Work:
     """Count a call; it is called once before, so that what is built once is not counted."""
-    global _multiply_adds
     call()
     python = inside = elements = depth = last = peak = 0
     traced, reset = tracemalloc.get_traced_memory, tracemalloc.reset_peak
@@ -71,7 +84,8 @@ def counted(call: Callable[[], object]) -> Work:
 
     before = sys.gettrace()
     tracemalloc.start()
-    _multiply_adds, first = 0, traced()[0]
+    multiply_adds.clear()
+    first = traced()[0]
     last = peak = first
     sys.settrace(trace)
     try:
@@ -79,7 +93,7 @@ def counted(call: Callable[[], object]) -> Work:
     finally:
         sys.settrace(before)
         tracemalloc.stop()
-    return Work(python, inside + _multiply_adds + elements // ELEMENT, peak - first)
+    return Work(python, inside + multiply_adds.total() + elements // ELEMENT, peak - first)
 
 
 def growth(one: float, two: float, four: float) -> float:
@@ -96,15 +110,25 @@ def install(package: str = "fusion_sfdia") -> None:
 
     RuntimeError where modules with numerical code of it are imported already.
     """
+    count_matrices(package, Products())
+    numba.njit, np.dot = _left_in_python, counted_dot
+
+
+def count_matrices(package: str, rewriting: ast.NodeTransformer) -> None:
+    """Count multiply-adds of matrices in modules that are imported from now on, those of the package rewritten.
+
+    All but those of np.dot, which compiled functions call. RuntimeError as of `install`.
+    """
     if known := [name for name in sys.modules if name.startswith((f"{package}.core", f"{package}.models"))]:
         raise RuntimeError(f"{known[0]} is imported already; call install before anything of {package}")
     setattr(builtins, PRODUCT, _product)
-    numba.njit = _left_in_python
-    for name in FACTORISATIONS:
-        setattr(np.linalg, name, _counting(getattr(np.linalg, name), _cubic))
-    np.matmul = _counting(np.matmul, lambda a, b, **_: _of_product(np.asarray(a), np.asarray(b)))
+    for name, share in FACTORISATIONS.items():
+        setattr(np.linalg, name, _counting(getattr(np.linalg, name), partial(_cubic, share)))
+    np.linalg.solve = _counting(np.linalg.solve, _of_solve)
+    np.matmul = _counting(np.matmul, _of_product)
     np.einsum = _counting(np.einsum, _of_sum)
-    sys.meta_path.insert(0, _Finder(package))
+    blas.dtrsm = _counting(blas.dtrsm, lambda alpha, a, b, **_: len(a) * np.size(b) // 2)
+    sys.meta_path.insert(0, _Finder(package, rewriting))
 
 
 def _left_in_python(**_: object) -> Callable[[Any], Any]:
@@ -117,29 +141,35 @@ def _left_in_python(**_: object) -> Callable[[Any], Any]:
 
 def _counting(function: Any, amount: Callable[..., int]) -> Any:
     def call(*arguments: Any, **options: Any) -> Any:
-        global _multiply_adds
-        _multiply_adds += amount(*arguments, **options)
+        kind = np.result_type(np.float32, *(a for a in arguments if isinstance(a, np.ndarray)))
+        multiply_adds[kind.itemsize] += amount(*arguments, **options)
         return function(*arguments, **options)
 
     return call
 
 
 def _product(a: Any, b: Any) -> Any:
-    """A @ b (..., n, m) over k: n m k multiply-adds for each of the batch."""
-    global _multiply_adds
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        _multiply_adds += _of_product(a, b)
-    return a @ b
+    """A @ b, counted where both are arrays."""
+    return _matmul(a, b) if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) else a @ b
 
 
-def _of_product(a: np.ndarray[Any, Any], b: np.ndarray[Any, Any]) -> int:
+def _of_product(a: Any, b: Any, *_: object, **__: object) -> int:
+    """A (..., n, k) times b (..., k, m): n m k for each of the batch."""
+    a, b = np.asarray(a), np.asarray(b)
+    if not (a.ndim and b.ndim):
+        return int(a.size * b.size)
     rows, columns = (a.shape[-2] if a.ndim > 1 else 1), (b.shape[-1] if b.ndim > 1 else 1)
     return math.prod((*np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), rows, columns, a.shape[-1]))
 
 
-def _cubic(a: Any, *_: object, **__: object) -> int:
-    """N^3 for each matrix of a batch; the factor depends on the method."""
-    return int(np.size(a) * np.shape(a)[-1])
+def _cubic(share: float, a: Any, *_: object, **__: object) -> int:
+    """That share of N^3 for each matrix of a batch."""
+    return int(share * np.size(a) * np.shape(a)[-1])
+
+
+def _of_solve(a: Any, b: Any) -> int:
+    """Triangular factors of each matrix, and both solved for each column of b."""
+    return _cubic(1 / 3, a) + int(np.size(b) * np.shape(a)[-1])
 
 
 def _of_sum(subscripts: str, *operands: Any, **_: object) -> int:
@@ -153,7 +183,13 @@ def _of_sum(subscripts: str, *operands: Any, **_: object) -> int:
     return math.prod(lengths.values())
 
 
-class _Products(ast.NodeTransformer):
+_matmul = _counting(operator.matmul, _of_product)
+counted_dot = _counting(np.dot, _of_product)
+
+
+class Products(ast.NodeTransformer):
+    """A module in which products of matrices are counted."""
+
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         self.generic_visit(node)
         if not isinstance(node.op, ast.MatMult):
@@ -162,9 +198,13 @@ class _Products(ast.NodeTransformer):
 
 
 class _Loader(SourceFileLoader):
+    def __init__(self, name: str, path: str, rewriting: ast.NodeTransformer) -> None:
+        super().__init__(name, path)
+        self.rewriting = rewriting
+
     def get_code(self, fullname: str) -> CodeType:
         path = self.get_filename(fullname)
-        tree = _Products().visit(ast.parse(self.get_data(path)))
+        tree = self.rewriting.visit(ast.parse(self.get_data(path)))
         code: CodeType = compile(ast.fix_missing_locations(tree), path, "exec", dont_inherit=True)
         return code
 
@@ -172,8 +212,8 @@ class _Loader(SourceFileLoader):
 class _Finder(MetaPathFinder):
     """Finds what the other finders find; the modules of the package get `_Loader`."""
 
-    def __init__(self, package: str) -> None:
-        self.package = package
+    def __init__(self, package: str, rewriting: ast.NodeTransformer) -> None:
+        self.package, self.rewriting = package, rewriting
 
     def find_spec(self, name: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
         if not name.startswith(f"{self.package}."):
@@ -181,6 +221,6 @@ class _Finder(MetaPathFinder):
         for finder in sys.meta_path:
             if finder is not self and (spec := finder.find_spec(name, path, target)) is not None:
                 if isinstance(spec.loader, SourceFileLoader) and spec.origin:
-                    spec.loader = _Loader(name, spec.origin)
+                    spec.loader = _Loader(name, spec.origin, self.rewriting)
                 return spec
         return None
