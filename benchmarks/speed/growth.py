@@ -8,13 +8,12 @@ loop where arrays stood, a matrix of everything with everything, a product in th
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
 from fusion_sfdia.benchmarks.speed.support.counting import Work, counted, growth
+from fusion_sfdia.benchmarks.speed.support.processes import printed
 from fusion_sfdia.evaluation.metrics import NOTHING
 from fusion_sfdia.evaluation.results import Row, row_of
 
@@ -99,9 +98,8 @@ def print_growth(cases: Sequence[Case] = CASES) -> None:
 
 def measure(seconds: float) -> list[Row]:
     """The exponents of all cases. Nothing is timed: the seconds have no effect."""
-    done = subprocess.run((sys.executable, "-c", COMMAND), stdout=subprocess.PIPE, check=True)
     rows = []
-    for case, exponents in zip(CASES, json.loads(done.stdout), strict=True):
+    for case, exponents in zip(CASES, printed(COMMAND), strict=True):
         for what, exponent in exponents.items():
             found = NOTHING._replace(value=exponent, n=3)
             rows.append(row_of("-", "bench/growth", case.detector, "none", case.quantity, "growth", found, condition=what))

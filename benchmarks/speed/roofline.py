@@ -17,8 +17,6 @@ the measured time to the product of 256, and to the least time. With the detecto
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -29,6 +27,7 @@ from numpy.typing import NDArray
 from fusion_sfdia import registry
 from fusion_sfdia.benchmarks.speed.support.arithmetic import arithmetic
 from fusion_sfdia.benchmarks.speed.support.calls import COPY, Call, reference, repeated_step, time_row, timed, timed_rows
+from fusion_sfdia.benchmarks.speed.support.processes import printed
 from fusion_sfdia.core.alike import single
 from fusion_sfdia.core.detector import Detector, NotApplicableError
 from fusion_sfdia.core.equation import compiled
@@ -40,11 +39,12 @@ Array = NDArray[Any]
 
 RUNS, FEW, MANY = 32, 2, 4
 PART = 0.1  # of the seconds: of each detector
-SIZE, NUMBERS, REPEATS = 256, 1024, 100  # of matrices; numbers of polynomials in the first cache, and how often
+SIZE, COPIED = 256, 2 * 64e6  # of the references: rows and columns of the product; bytes that a copy reads and writes
+NUMBERS, REPEATS = 1024, 100  # of polynomials in the first cache, and how often
 LEAST = "least time"
 COMMAND = (
-    "import sys; from fusion_sfdia.benchmarks.speed.support.arithmetic import install; install(); "
-    "from fusion_sfdia.benchmarks.speed.roofline import print_work; print_work(*map(str.split, sys.argv[1:]))"
+    "import json, sys; from fusion_sfdia.benchmarks.speed.support.arithmetic import install; install(); "
+    "from fusion_sfdia.benchmarks.speed.roofline import print_work; print_work(*json.loads(sys.argv[1]))"
 )
 
 
@@ -81,19 +81,18 @@ def polynomials(x: Array, y: Array, repeats: int) -> None:
 
 def rates(seconds: float) -> Work:
     """Least seconds on this machine of each kind of work."""
-    calls: dict[str, Call] = {"copy": reference(COPY)}
-    for name, kind in (("double", np.float64), ("single", np.float32)):
-        square, x = np.full((SIZE, SIZE), 0.5, kind), np.full(NUMBERS, 0.5, kind)
-        calls[f"{name} products"] = partial(np.matmul, square, square, out=np.empty_like(square))
-        calls[f"{name} operations"] = partial(polynomials, x, np.empty_like(x), REPEATS)
-    best = {name: time.best for name, time in timed(calls, seconds).items()}
-    return Work(
-        products=best["double products"] / SIZE**3,
-        single_products=best["single products"] / SIZE**3,
-        operations=best["double operations"] / (16 * NUMBERS * REPEATS),
-        single_operations=best["single operations"] / (16 * NUMBERS * REPEATS),
-        state=best["copy"] / 128e6,
-    )
+    square = np.full((SIZE, SIZE), 0.5, np.float32)
+    double, short = np.full(NUMBERS, 0.5), np.full(NUMBERS, 0.5, np.float32)
+    calls: dict[str, Call] = {
+        "single_products": partial(np.matmul, square, square, out=np.empty_like(square)),
+        "operations": partial(polynomials, double, np.empty_like(double), REPEATS),
+        "single_operations": partial(polynomials, short, np.empty_like(short), REPEATS),
+        "state": reference(COPY),
+    }
+    times = timed(calls, seconds)  # the reference is the product in double precision
+    best = {"products": times["state"].base} | {what: time.best for what, time in times.items()}
+    amount = Work(SIZE**3, SIZE**3, 16 * NUMBERS * REPEATS, 16 * NUMBERS * REPEATS, COPIED)
+    return Work(**{what: best[what] / of for what, of in amount._asdict().items()})
 
 
 def least(work: Work, rate: Work) -> Least:
@@ -135,9 +134,8 @@ def print_work(plants: list[str], detectors: list[str]) -> None:
 
 def counted_work(plants: list[str], detectors: list[str]) -> dict[tuple[str, str], tuple[Work, Work]]:
     """What all runs share and what each adds, by plant and detector, counted in a process of its own."""
-    arguments = (sys.executable, "-c", COMMAND, " ".join(plants), " ".join(detectors))
-    done = subprocess.run(arguments, stdout=subprocess.PIPE, check=True)
-    return {(plant, name): (Work(*shared), Work(*own)) for plant, name, shared, own in json.loads(done.stdout)}
+    found = printed(COMMAND, json.dumps([plants, detectors]))
+    return {(plant, name): (Work(*shared), Work(*own)) for plant, name, shared, own in found}
 
 
 def measure(seconds: float) -> list[Row]:

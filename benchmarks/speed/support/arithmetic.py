@@ -6,8 +6,8 @@ are imported after `install` these operators are rewritten; compiled functions s
 counted call only, so that what prepares it takes its usual time.
 
 Less is counted than is done: no comparisons, elementary functions, sums and other functions of NumPy, random numbers, nor what
-other packages do; a factorisation by the usual method of the
-fewest operations, and of a dual number its value and its slope as one operation each.
+other packages do; a factorisation by the usual method of the fewest operations, and of a dual number its value and its slope as
+one operation each.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Commands of the package in processes of their own: seconds on the clock and the largest memory."""
+"""Processes of their own: seconds on the clock and the largest memory of commands, and what a piece of Python prints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import fusion_sfdia
 
@@ -47,6 +47,11 @@ def timed_process(arguments: Sequence[str], variables: Mapping[str, str] | None 
     if code:
         raise RuntimeError(f"{' '.join(arguments)} ended with {code}: {done.stderr.strip()[-500:]}")
     return Process(seconds, float(memory))
+
+
+def printed(code: str, *arguments: str) -> Any:
+    """What Python code prints as JSON, given arguments (sys.argv[1:]); CalledProcessError where it fails."""
+    return json.loads(subprocess.run((sys.executable, "-c", code, *arguments), stdout=subprocess.PIPE, check=True).stdout)
 
 
 def command(*arguments: str) -> list[str]:
