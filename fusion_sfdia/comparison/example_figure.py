@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from fusion_sfdia.comparison.cell import ComparisonCell
@@ -22,6 +21,7 @@ from fusion_sfdia.comparison.rows import exact_isolation
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.experiments.scenario import Settings
 from fusion_sfdia.report.content import Figure
+from fusion_sfdia.report.plots import number_decades
 
 Array = NDArray[Any]
 
@@ -72,8 +72,7 @@ def draw_example(plant: Plant, examples: Mapping[str, Mapping[str, Array]], name
         scores.plot([], [], color=GREY, label=OTHERS)
     scores.axhline(1.0, color="black", linewidth=1.0)
     scores.set_yscale("log")
-    scores.yaxis.set_major_formatter("{x:g}")
-    scores.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # labels where decades are few
+    number_decades(scores.yaxis)
     for axis in (readings, restored, scores):
         acting = t[some[f"{PREFIX}active"] > 0]
         if acting.size:

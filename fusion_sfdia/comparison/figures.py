@@ -18,7 +18,7 @@ from fusion_sfdia.comparison.protocol import GRADED, HEALTHY, LENGTH, PROCESS
 from fusion_sfdia.comparison.rows import Measure, confusion
 from fusion_sfdia.evaluation import detection_metrics as metrics
 from fusion_sfdia.evaluation.metrics import Estimate
-from fusion_sfdia.report.plots import panels
+from fusion_sfdia.report.plots import number_decades, panels
 
 Array = NDArray[Any]
 Cells = Mapping[tuple[str, str], ComparisonCell]
@@ -222,7 +222,6 @@ def draw_cost(cells: Mapping[str, ComparisonCell], score: Mapping[str, Estimate]
             mfc=style["color"] if filled else "white", label=detector, **style,
         )  # fmt: skip
     axis.set(xscale="log", ylim=(-0.03, 1.03), xlabel="processor time of a step (ms)", ylabel="samples with exact isolation")
-    axis.xaxis.set_major_formatter("{x:g}")
-    axis.xaxis.set_minor_formatter(NullFormatter())
+    number_decades(axis.xaxis)
     legend_columns(figure)
     return figure

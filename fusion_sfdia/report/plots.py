@@ -13,6 +13,7 @@ import matplotlib
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import PolyCollection
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
@@ -190,9 +191,21 @@ def bars(axes: Axes, groups: Sequence[str], series: Sequence[Bars], *, ylabel: s
     axes.set_ylabel(ylabel)
     if log:
         axes.set_yscale("log")
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # labels where decades are few
+        number_decades(axes.yaxis)
     axes.grid(visible=False, axis="x")
+
+
+class _BetweenDecades(LogFormatter):
+    """Plain numbers between powers of ten, where decades are few."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def number_decades(axis: Axis) -> None:
+    """Numbers at the ticks of a logarithmic axis, between powers of ten too where it spans few."""
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(_BetweenDecades(minor_thresholds=(1.5, 0.5)))
 
 
 def legend_above(figure: Figure) -> None:

@@ -18,7 +18,17 @@ from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.runner import run_scenarios
 from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.page import inline, number
-from fusion_sfdia.report.plots import COLOURS, Bars, bars, isolation_matrix, legend_above, panels, roc_curves, write_figure
+from fusion_sfdia.report.plots import (
+    COLOURS,
+    Bars,
+    bars,
+    isolation_matrix,
+    legend_above,
+    number_decades,
+    panels,
+    roc_curves,
+    write_figure,
+)
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 
@@ -227,3 +237,15 @@ def test_curves_differ_in_published_colours_and_in_their_lines() -> None:
     grid = np.linspace(0, 1, 3)
     roc_curves(axes, {name: (grid, grid) for name in "abcd"})
     assert len({line.get_linestyle() for line in axes.lines[:4]}) == 4
+
+
+def test_a_logarithmic_axis_has_plain_numbers_within_a_decade_too() -> None:
+    def numbers(low: float, high: float) -> list[str]:
+        figure, (axes,) = panels([""], height=3.0)
+        axes.set(xscale="log", xlim=(low, high))
+        number_decades(axes.xaxis)
+        figure.draw_without_rendering()
+        return [text for minor in (False, True) for tick in axes.get_xticklabels(minor=minor) if (text := tick.get_text())]
+
+    assert {"0.3", "0.4", "0.5"} <= set(numbers(0.22, 0.61))
+    assert {"0.1", "1", "10"} <= set(numbers(0.05, 30.0)) and "0.2" not in numbers(0.05, 30.0)
