@@ -34,6 +34,7 @@ Array = NDArray[Any]
 STATES = ("fuel", "p_receiver", "p_charge")
 ALGEBRAIC = ("p_cylinder", "T_cylinder", "torque", "T_receiver", "T_turbine", "T_charge", "T_compressor")
 LEAST_SQUARE = 1e-6  # of the nozzle function, whose slope is infinite at equal pressures; our choice
+LANES = 64  # runs for which modules are evaluated at once: their operations overlap, and their boxes fit the first cache
 CHORDS = 5  # steps of the chord method for the torque: to rounding, also from a quarter off in the states
 
 
@@ -641,56 +642,110 @@ def variables_tangent(states: Any, theta: Any, count: int, c: EngineParameters, 
     return found, result
 
 
-@equation
-def value_at(variable: int, v: Array, c: EngineParameters, law: bool) -> Any:
-    """The equation of a variable, by its place in (*STATES, *ALGEBRAIC), at v (11,): these variables and the fuel setting."""
-    fuel, p_receiver, p_charge, p_cylinder, T_cylinder, torque, T_receiver, _, T_charge, _, setting = v
+@compiled
+def values_at(variable: int, v: Array, found: Array, n: int, c: EngineParameters, law: bool) -> None:
+    """Write the equation of a variable, by its place in (*STATES, *ALGEBRAIC), for the first n of v (11, L): these variables
+    and the fuel setting of L runs.
+    """
+    if variable in (1, 2, 6, 9):
+        for k in range(n):
+            found[k] = slip_law(v[5, k], v[1, k], v[2, k], v[8, k], c) if law else c.slip_nominal
     if variable == 0:
-        return fuel_inflow(setting, c)
-    if variable == 3:
-        return cylinder_pressure(fuel, torque, p_charge, c)
-    if variable == 4:
-        return cylinder_temperature(fuel, torque, p_charge, T_charge, c)
-    if variable == 5:
-        return shaft_torque(fuel, T_cylinder, torque, p_charge, T_charge, c)
-    if variable == 7:
-        return turbine_temperature(p_receiver, T_receiver, p_charge, c)
-    if variable == 8:
-        return charge_temperature(c)
-    slip = slip_law(torque, p_receiver, p_charge, T_charge, c) if law else c.slip_nominal
-    if variable == 1:
-        return receiver_inflow_at(fuel, torque, slip, T_receiver, p_charge, T_charge, c)
-    if variable == 2:
-        return charge_inflow_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
-    if variable == 6:
-        return receiver_temperature_at(fuel, p_cylinder, T_cylinder, slip, p_receiver, p_charge, T_charge, c)
-    return compressor_temperature_at(fuel, slip, p_receiver, T_receiver, p_charge, T_charge, c)
-
-
-@equation
-def bounds_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineParameters, law: bool) -> Any:
-    """Lower and upper bound of an equation, by its place, over a box (11,): corner_bounds, compiled. v (11,): to work in."""
-    slack = 0.0
-    for j in range(11):
-        v[j] = middle[j] - s.signs[e, j] * radius[j]
-        slack += s.unproved[e, j] * radius[j]
-    lower = value_at(e, v, c, law)
-    for j in range(11):
-        v[j] = middle[j] + s.signs[e, j] * radius[j]
-    upper = value_at(e, v, c, law)
-    slack += s.rounding * max(abs(lower), abs(upper))
-    return lower - slack, upper + slack
+        for k in range(n):
+            found[k] = fuel_inflow(v[10, k], c)
+    elif variable == 1:
+        for k in range(n):
+            found[k] = receiver_inflow_at(v[0, k], v[5, k], found[k], v[6, k], v[2, k], v[8, k], c)
+    elif variable == 2:
+        for k in range(n):
+            found[k] = charge_inflow_at(v[0, k], found[k], v[1, k], v[6, k], v[2, k], v[8, k], c)
+    elif variable == 3:
+        for k in range(n):
+            found[k] = cylinder_pressure(v[0, k], v[5, k], v[2, k], c)
+    elif variable == 4:
+        for k in range(n):
+            found[k] = cylinder_temperature(v[0, k], v[5, k], v[2, k], v[8, k], c)
+    elif variable == 5:
+        for k in range(n):
+            found[k] = shaft_torque(v[0, k], v[4, k], v[5, k], v[2, k], v[8, k], c)
+    elif variable == 6:
+        for k in range(n):
+            found[k] = receiver_temperature_at(v[0, k], v[3, k], v[4, k], found[k], v[1, k], v[2, k], v[8, k], c)
+    elif variable == 7:
+        for k in range(n):
+            found[k] = turbine_temperature(v[1, k], v[6, k], v[2, k], c)
+    elif variable == 8:
+        for k in range(n):
+            found[k] = charge_temperature(c)
+    else:
+        for k in range(n):
+            found[k] = compressor_temperature_at(v[0, k], found[k], v[1, k], v[6, k], v[2, k], v[8, k], c)
 
 
 @compiled
-def inside_at(e: int, middle: Array, radius: Array, v: Array, s: Any, c: EngineParameters, law: bool) -> Any:
-    """The same over the box moved into the envelope."""
-    middle, radius = middle.copy(), radius.copy()
+def bounds_at(
+    e: int, middle: Array, radius: Array, v: Array, lower: Array, upper: Array, n: int, s: Any, c: EngineParameters, law: bool
+) -> None:
+    """Write lower and upper bounds of an equation, by its place, over the first n of boxes (11, L): corner_bounds, compiled.
+
+    v (11, L): to work in.
+    """
+    for j in range(11):
+        for k in range(n):
+            v[j, k] = middle[j, k] - s.signs[e, j] * radius[j, k]
+    values_at(e, v, lower, n, c, law)
+    for j in range(11):
+        for k in range(n):
+            v[j, k] = middle[j, k] + s.signs[e, j] * radius[j, k]
+    values_at(e, v, upper, n, c, law)
+    slack = v[0]
+    for k in range(n):
+        slack[k] = 0.0
+    for j in range(11):
+        if s.unproved[e, j] != 0.0:
+            for k in range(n):
+                slack[k] += s.unproved[e, j] * radius[j, k]
+    for k in range(n):
+        slack[k] += s.rounding * max(abs(lower[k]), abs(upper[k]))
+        lower[k] -= slack[k]
+        upper[k] += slack[k]
+
+
+@compiled
+def inside_at(e: int, k: int, middle: Array, radius: Array, s: Any, c: EngineParameters, law: bool) -> Any:
+    """The same over the k-th box moved into the envelope: its lower and upper bound."""
+    own, wide, v = np.empty((11, 1)), np.empty((11, 1)), np.empty((11, 1))
+    lower, upper = np.empty(1), np.empty(1)
+    own[10, 0], wide[10, 0] = middle[10, k], radius[10, k]
     for j in range(10):
         least, most = s.nominal[j] - s.half_width[j], s.nominal[j] + s.half_width[j]
-        low, high = min(max(middle[j] - radius[j], least), most), min(max(middle[j] + radius[j], least), most)
-        middle[j], radius[j] = (low + high) / 2, (high - low) / 2
-    return bounds_at(e, middle, radius, v, s, c, law)
+        low = min(max(middle[j, k] - radius[j, k], least), most)
+        high = min(max(middle[j, k] + radius[j, k], least), most)
+        own[j, 0], wide[j, 0] = (low + high) / 2, (high - low) / 2
+    bounds_at(e, own, wide, v, lower, upper, 1, s, c, law)
+    return lower[0], upper[0]
+
+
+@equation
+def boxes(before: Array, reading: Array, u: Array, runs: Array, s: Any, middle: Array, radius: Array) -> None:
+    """Write middle and radius (11, L) of the boxes of runs between two readings (B, 10), the envelope for a missing one."""
+    for k in range(runs.size):
+        b = runs[k]
+        middle[10, k], radius[10, k] = u[b, 0], 0.0
+        for j in range(10):
+            y0, y1 = before[b, j], reading[b, j]
+            missing = np.isnan(y0) or np.isnan(y1)
+            middle[j, k] = s.nominal[j] if missing else (y0 + y1) / 2
+            radius[j, k] = s.half_width[j] if missing else abs(y1 - y0) / 2 + s.bound[min(b, len(s.bound) - 1), j]
+
+
+@equation
+def any_asks(of: Array, runs: Array, e: int) -> bool:
+    """Whether one of the runs asks for an equation."""
+    for b in runs:
+        if of[min(b, len(of) - 1), e]:
+            return True
+    return False
 
 
 @compiled
@@ -705,58 +760,65 @@ def monitor(
     c: EngineParameters,
     law: bool,
     of: Array,
+    order: Array,
 ) -> Any:
     """The result of monitoring.monitor, compiled, for the equations `of` (.., 10) bool; of the other variables, the envelope.
 
-    `of`, and of s the bound (.., 10) and the gains (.., 3), are those of all runs (1, ..) or of each one (B, ..).
+    `of`, and of s the bound (.., 10) and the gains (.., 3), are those of all runs (1, ..) or of each one (B, ..). An equation
+    is evaluated for LANES runs at a time, which follow each other in `order` (B,), where one of them asks for it.
     """
     size = x.shape[0]
-    ahead, bound = np.empty((size, 3)), np.empty((size, 3))
-    lower, upper = np.empty((size, 7)), np.empty((size, 7))
-    middle, radius, v = np.empty(11), np.empty(11), np.empty(11)
-    for b in range(size):
-        noise, correction, own = s.bound[min(b, len(s.bound) - 1)], s.gains[min(b, len(s.gains) - 1)], of[min(b, len(of) - 1)]
-        middle[10], radius[10] = u[b, 0], 0.0
-        for j in range(10):
-            y0, y1 = before[b, j], reading[b, j]
-            missing = np.isnan(y0) or np.isnan(y1)
-            middle[j] = s.nominal[j] if missing else (y0 + y1) / 2
-            radius[j] = s.half_width[j] if missing else abs(y1 - y0) / 2 + noise[j]
+    ahead, bound, lower, upper = np.empty((size, 3)), np.empty((size, 3)), np.empty((size, 7)), np.empty((size, 7))
+    middle, radius, v = np.empty((11, LANES)), np.empty((11, LANES)), np.empty((11, LANES))
+    at, m, r, low, high = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    for first in range(0, size, LANES):
+        runs = order[first : first + LANES]
+        n = runs.size
+        boxes(before, reading, u, runs, s, middle, radius)
         for e in range(3):
-            if not own[e]:
-                ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
-                continue
-            m, r = middle[e], radius[e]
-            middle[e] = x[b, e]
-            h = value_at(e, middle, c, law)
-            low, high = min(m - r, x[b, e]), max(m + r, x[b, e])  # contains the truth and the estimate
-            middle[e], radius[e] = (low + high) / 2, (high - low) / 2
-            least, most = bounds_at(e, middle, radius, v, s, c, law)
-            if not np.isfinite(h + least + most):
-                least, most = inside_at(e, middle, radius, v, s, c, law)
-                h = (least + most) / 2
-            middle[e], radius[e] = m, r
-            known = not np.isnan(before[b, e])
-            gain = correction[e] if known else 0.0
-            rate = s.rates[e]
-            a = rate + gain
-            lam = np.exp(-a * dt)
-            held = (1 - lam) / a if a > 0 else dt
-            ahead[b, e] = lam * x[b, e] + held * (h + gain * (before[b, e] if known else 0.0))
-            speed = max(abs(most - rate * x[b, e]), abs(least - rate * x[b, e])) + rate * error[b, e]
-            moved = min(gain * held * s.drift[e] * dt, gain * (dt - held) / a * speed if a > 0 else 0.0)
-            grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * noise[e]) + moved
-            bound[b, e] = min(grown, abs(ahead[b, e] - s.nominal[e]) + s.half_width[e])
-        for j in range(10):
-            missing = np.isnan(reading[b, j])
-            middle[j] = s.nominal[j] if missing else reading[b, j]
-            radius[j] = s.half_width[j] if missing else noise[j]
+            asked = any_asks(of, runs, e)
+            if asked:
+                for k in range(n):
+                    m[k], r[k] = middle[e, k], radius[e, k]
+                    middle[e, k] = x[runs[k], e]
+                values_at(e, middle, at, n, c, law)
+                for k in range(n):  # contains the truth and the estimate
+                    least, most = min(m[k] - r[k], middle[e, k]), max(m[k] + r[k], middle[e, k])
+                    middle[e, k], radius[e, k] = (least + most) / 2, (most - least) / 2
+                bounds_at(e, middle, radius, v, low, high, n, s, c, law)
+            for k in range(n):
+                b = runs[k]
+                if not of[min(b, len(of) - 1), e]:
+                    ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
+                    continue
+                h, least, most = at[k], low[k], high[k]
+                if not np.isfinite(h + least + most):
+                    least, most = inside_at(e, k, middle, radius, s, c, law)
+                    h = (least + most) / 2
+                known = not np.isnan(before[b, e])
+                noise, gain = s.bound[min(b, len(s.bound) - 1), e], s.gains[min(b, len(s.gains) - 1), e] if known else 0.0
+                rate = s.rates[e]
+                a = rate + gain
+                lam = np.exp(-a * dt)
+                held = (1 - lam) / a if a > 0 else dt
+                ahead[b, e] = lam * x[b, e] + held * (h + gain * (before[b, e] if known else 0.0))
+                speed = max(abs(most - rate * x[b, e]), abs(least - rate * x[b, e])) + rate * error[b, e]
+                moved = min(gain * held * s.drift[e] * dt, gain * (dt - held) / a * speed if a > 0 else 0.0)
+                grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * noise) + moved
+                bound[b, e] = min(grown, abs(ahead[b, e] - s.nominal[e]) + s.half_width[e])
+            if asked:
+                for k in range(n):
+                    middle[e, k], radius[e, k] = m[k], r[k]
+        boxes(reading, reading, u, runs, s, middle, radius)
         for e in range(3, 10):
-            if not own[e]:
-                lower[b, e - 3], upper[b, e - 3] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]
-                continue
-            least, most = bounds_at(e, middle, radius, v, s, c, law)
-            if not np.isfinite(least + most):
-                least, most = inside_at(e, middle, radius, v, s, c, law)
-            lower[b, e - 3], upper[b, e - 3] = least, most
+            if any_asks(of, runs, e):
+                bounds_at(e, middle, radius, v, low, high, n, s, c, law)
+            for k in range(n):
+                b, i = runs[k], e - 3
+                if not of[min(b, len(of) - 1), e]:
+                    lower[b, i], upper[b, i] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]
+                elif np.isfinite(low[k] + high[k]):
+                    lower[b, i], upper[b, i] = low[k], high[k]
+                else:
+                    lower[b, i], upper[b, i] = inside_at(e, k, middle, radius, s, c, law)
     return ahead, bound, lower, upper

@@ -77,7 +77,8 @@ def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -
 def _monitor(c: EngineParameters, law: bool, *arguments: Any, of: NDArray[Any] = EVERY) -> Any:
     *before, s = arguments
     of_runs = s._replace(bound=np.atleast_2d(s.bound), gains=np.atleast_2d(s.gains))
-    return equations.monitor(*before, of_runs, c, law, of)  # type: ignore[call-arg]
+    order = np.arange(len(before[0])) if len(of) == 1 else np.argsort(of.argmax(axis=1), kind="stable")
+    return equations.monitor(*before, of_runs, c, law, of, order)  # type: ignore[call-arg]
 
 
 def alone(modules: Modules, variables: Sequence[str]) -> Modules:

@@ -45,7 +45,7 @@ DRIVES = {
     "step": "100 to 80 % load in one step",
 }
 FINER = 4  # substeps of the truth in one of the detector's
-DRAWN = 500  # samples of noise drawn at once
+DRAWN = 100  # samples of noise drawn at once
 ROOM = 1.2  # margin of the drifts over those in the transients
 
 
@@ -83,8 +83,11 @@ def noise(plant: Plant, steps: int, seeds: Sequence[int]) -> Iterator[Array]:
     bound = np.array([s.noise_bound for s in plant.sensors])
     streams = [stream(s, "measurement noise") for s in seeds]
     for first in range(0, steps, DRAWN):
-        block = [r.uniform(-bound, bound, (min(DRAWN, steps - first), bound.size)) for r in streams]
-        yield from np.stack(block, axis=1)
+        block = np.empty((len(streams), min(DRAWN, steps - first), bound.size))
+        for r, own in zip(streams, block, strict=True):
+            r.random(out=own)
+        for k in range(block.shape[1]):
+            yield 2 * bound * block[:, k] - bound  # as `uniform` draws them, in less than half its time
 
 
 def default_envelope(level: float) -> float:
