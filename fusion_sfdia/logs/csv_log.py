@@ -17,6 +17,7 @@ from fusion_sfdia.core.log import TIME, Log
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.signals import Sensor, Signal
 from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.plain import plain_lines
 from fusion_sfdia.logs.reading import load_log
 
 Array = NDArray[Any]
@@ -43,10 +44,7 @@ def write_log(
     header, names = [f"{c.name} [{c.unit}]" for c in named], np.array(plant.sensor_names)
 
     def lines(rows: slice) -> Iterable[str]:
-        values = np.column_stack([t[rows], y[rows], u[rows]])
-        numbers = [",".join(map(repr, row)) for row in values.tolist()]
-        if np.isnan(values).any():
-            numbers = [row.replace("nan", "") for row in numbers]
+        numbers = plain_lines(np.column_stack([t[rows], y[rows], u[rows]]))
         if replaced is None:
             return numbers
         texts = [","] * len(numbers)

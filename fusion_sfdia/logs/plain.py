@@ -1,4 +1,8 @@
-"""CSV files of plain numbers, such as `simulate` writes: read a block at a time, without a copy of all cells as text."""
+"""CSV files of plain numbers, such as `simulate` writes: read a block at a time, without a copy of all cells as text.
+
+Numbers between commas are, in brackets, an array in JSON, with null for an empty cell: compiled code of orjson reads and
+writes it, each number as the shortest text that is read back to the same bits.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
 BLOCK = 1 << 20  # bytes
-COMMA, LINE = b",\n"
-ALLOWED = np.isin(np.arange(256), [*b"0123456789+-.eE,\n"])
+ALLOWED = b"0123456789+-.eE,\n"
+TENS = np.array([float(f"1e{k}") for k in range(23)])  # all powers of ten that are floating-point numbers
 
 
 def plain_table(path: Path) -> tuple[list[str], Array] | None:
@@ -34,23 +39,51 @@ def plain_table(path: Path) -> tuple[list[str], Array] | None:
         while block := file.read(BLOCK) or (rest and b"\n"):  # the last line may lack its end
             whole, end, rest = (rest + block).replace(b"\r\n", b"\n").rpartition(b"\n")
             if end:
-                if (rows := _rows(whole + end, len(titles))) is None:
+                if (rows := _rows(whole, len(titles))) is None:
                     return None
                 parts.append(rows)
     return (titles, np.concatenate(parts)) if parts else None
 
 
-def _rows(text: bytes, width: int) -> Array | None:
+def plain_lines(values: Array) -> list[str]:
+    """The rows (K, columns) of numbers as lines, NaN as empty cells."""
+    if np.isinf(values).any():  # not in JSON
+        return [",".join(map(repr, row)).replace("nan", "") for row in values.tolist()]
+    text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY).decode()
+    return text[2:-2].replace("null", "").split("],[") if len(values) else []
+
+
+def shortened(values: Array, digits: int) -> Array:
+    """The values to so many significant digits, at most 22 of them behind the point.
+
+    A whole number times or over a power of ten, both exact, is the nearest to its decimal, so that it is written in few digits.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        exponent = np.floor(np.log10(np.abs(values)))
+    places = digits - 1 - np.where(np.isfinite(exponent), exponent, 0.0).astype(int)
+    power = TENS[np.minimum(np.abs(places), TENS.size - 1)]
+    found: Array = np.where(places < 0, np.rint(values / power) * power, np.rint(values * power) / power)
+    return found
+
+
+def _rows(lines: bytes, width: int) -> Array | None:
     """The numbers (K, width) of whole lines; None where they are anything else."""
-    found = np.frombuffer(text, np.uint8)
-    if not ALLOWED[found].all():
-        return None
-    commas = np.searchsorted(np.flatnonzero(found == COMMA), np.flatnonzero(found == LINE))
-    if np.any(np.diff(commas, prepend=0) != width - 1):
+    if lines.translate(None, ALLOWED) or {line.count(b",") for line in lines.split(b"\n")} != {width - 1}:
         return None
     try:
-        cells = [float(cell) if cell else math.nan for cell in text.decode().replace("\n", ",").split(",")[:-1]]
+        values = np.array(_cells(lines.replace(b"\n", b",")), dtype=float).reshape(-1, width)
     except ValueError:
         return None
-    values = np.array(cells).reshape(-1, width)
     return None if np.isinf(values).any() or np.isnan(values).all(axis=1).any() else values
+
+
+def _cells(text: bytes) -> list[float | None]:
+    """The numbers between commas, None or NaN in empty cells; ValueError where a cell is no number."""
+    array = b"[" + text + b"]"
+    if b",," in array or array.startswith(b"[,") or array.endswith(b",]"):
+        array = array.replace(b",,", b",null,").replace(b",,", b",null,").replace(b"[,", b"[null,").replace(b",]", b",null]")
+    try:
+        found: list[float | None] = orjson.loads(array)
+        return found
+    except orjson.JSONDecodeError:  # numbers such as +1, .5 and 007 are not in JSON
+        return [float(cell) if cell else math.nan for cell in text.decode().split(",")]

@@ -24,6 +24,7 @@ from fusion_sfdia.logs.check import check_log, checked, without_suspects
 from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
+from fusion_sfdia.logs.plain import plain_lines, shortened
 from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
@@ -31,6 +32,7 @@ from fusion_sfdia.report.plots import panels, time_series, write_figure
 
 FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
 MOST_PANELS = 6
+DIGITS = 4  # of a score
 UNNAMED = About("a log", "a detector")
 
 
@@ -114,17 +116,15 @@ def write_diagnosis(
 
 def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
     """Of each sample: its time, and of each sensor the score and the residual in standard deviations, empty where unknown."""
-    names, form = plant.sensor_names, ",".join(["%r", "%s", *["%.4g"] * 2 * len(plant.sensors)])
+    names = plant.sensor_names
     header = ("time_s", "time", *(f"{name} score" for name in names), *(f"{name} residual [sd]" for name in names))
 
     def lines(rows: slice) -> list[str]:
-        scores = chosen(found.decisions, rows).scores
+        scores, t = chosen(found.decisions, rows).scores, found.t[rows]
         with np.errstate(invalid="ignore"):
             residuals = found.after.error[rows] / found.after.sd[rows] if found.after else np.full(scores.shape, np.nan)
-        values = np.concatenate([scores, residuals], axis=1)
-        found_at = zip(found.t[rows].tolist(), values.tolist(), strict=True)
-        texts = [form % (t, found.clock.at(t), *row) for t, row in found_at]
-        return [text.replace("nan", "") for text in texts] if np.isnan(values).any() else texts
+        values = plain_lines(shortened(np.concatenate([scores, residuals], axis=1), DIGITS))
+        return [f"{s},{found.clock.at(at)},{v}" for s, at, v in zip(plain_lines(t[:, None]), t.tolist(), values, strict=True)]
 
     write_lines(path, header, found.t.size, lines)
 

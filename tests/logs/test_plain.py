@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fusion_sfdia.logs import plain
-from fusion_sfdia.logs.plain import plain_table
+from fusion_sfdia.logs.plain import plain_lines, plain_table, shortened
 
 
 def file_of(folder: Path, text: str) -> Path:
@@ -46,3 +46,29 @@ def test_what_needs_a_closer_look(tmp_path: Path, rows: str) -> None:
 @pytest.mark.parametrize("header", ["time\n", "time,\n", '"time,a\n'])
 def test_headers_that_need_one(tmp_path: Path, header: str) -> None:
     assert plain_table(file_of(tmp_path, header + "1,2\n")) is None
+
+
+@pytest.mark.parametrize("number", ["+1.5", ".5", "5.", "007", "-0.0", "1E+05", "123456789012345678901234", "4.9e-324", ""])
+def test_numbers_as_python_reads_them(tmp_path: Path, number: str) -> None:
+    """Also those that JSON does not know, beside empty cells at both ends of a row and next to each other."""
+    found = plain_table(file_of(tmp_path, f"time,a,b,c\n1,{number},,\n,,,2\n"))
+    assert found is not None
+    expected = [[1.0, float(number or "nan"), np.nan, np.nan], [np.nan, np.nan, np.nan, 2.0]]
+    assert found[1].tobytes() == np.array(expected).tobytes()
+
+
+def test_lines_are_read_back() -> None:
+    """As few digits as give the same bits, empty cells for NaN; infinity, which JSON does not know, as Python writes it."""
+    values = np.random.default_rng(1).integers(0, 2**63, (5000, 2)).view(float)
+    values[np.isinf(values)] = np.nan
+    again = [[float(cell or "nan") for cell in line.split(",")] for line in plain_lines(values)]
+    np.testing.assert_array_equal(again, values)
+    assert plain_lines(np.array([[0.1, np.nan, -0.0], [np.nan, 1e22, 3.0]])) == ["0.1,,-0.0", ",1e+22,3.0"]
+    assert plain_lines(np.array([[np.inf, np.nan, -np.inf]])) == ["inf,,-inf"]
+    assert plain_lines(np.empty((0, 2))) == []
+
+
+def test_shortened_is_the_nearest_decimal() -> None:
+    values = np.random.default_rng(2).standard_normal(5000) * 10.0 ** np.random.default_rng(3).integers(-15, 20, 5000)
+    values[:4] = 0.0, np.nan, np.inf, 9.9999
+    np.testing.assert_array_equal(shortened(values, 4), [float(f"{v:.4g}") for v in values])
