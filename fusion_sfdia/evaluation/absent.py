@@ -62,8 +62,8 @@ def repeats(y: Array, healthy: Sequence[int] | None = None) -> list[list[tuple[i
         at, starts, lengths = equal_readings(column)
         usual = LONGER * float(np.median(lengths)) if lengths.size > 1 else 0.0
         least = max(REPEATED, usual if healthy is None else TWICE * healthy[i])
-        ends = starts + lengths - 1
-        found.append([(int(at[a]), int(at[b])) for a, b, n in zip(starts, ends, lengths, strict=True) if n >= least])
+        first, count = starts[lengths >= least], lengths[lengths >= least]
+        found.append(list(zip(at[first].tolist(), at[first + count - 1].tolist(), strict=True)))
     return found
 
 

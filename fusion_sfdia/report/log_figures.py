@@ -121,7 +121,10 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
 
 
 def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> Figure:
-    """Faults of one sensor from near: above its readings (K, N) and what the other sensors predict, below the difference."""
+    """Faults of one sensor from near: above its readings (K, N) and what the other sensors predict, below the difference.
+
+    Readings have dots where all of them are drawn.
+    """
     assert found.after is not None
     i, t, at = plant.sensor_index(events[0].hypothesis), found.t, time_axis(found)
     a, b = (int(np.searchsorted(t, when)) for when in (events[0].start, events[-1].end))
@@ -131,6 +134,7 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     recon = found.decisions.reconstruction[window, i]
     expected = np.where(np.isfinite(error), reading - error, recon)
     shown = thinned(reading)
+    line = ".-" if shown.size == reading.size else "-"
     figure = Figure(figsize=(4.8, 3.9), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     each = [v[shown] for v in (expected - 2 * sd, expected + 2 * sd, expected, reading, error / sd)]
@@ -138,8 +142,8 @@ def zoom(plant: Plant, y: Array, found: Diagnosis, events: Sequence[Event]) -> F
     x = at(times)
     upper.fill_between(x, low, high, color=COLOURS[2], alpha=0.25, lw=0, label="+- 2 sd")
     upper.plot(x, middle, color=COLOURS[2], linewidth=1.2, label="predicted by the others")
-    upper.plot(x, read, ".-", color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
-    lower.plot(x, difference, ".-", color=COLOURS[0], markersize=3, linewidth=0.8)
+    upper.plot(x, read, line, color=COLOURS[0], markersize=3, linewidth=0.8, label="reading")
+    lower.plot(x, difference, line, color=COLOURS[0], markersize=3, linewidth=0.8)
     lower.axhspan(-3, 3, color="0.9", zorder=0)
     step = _step(t)
     for axes in (upper, lower):

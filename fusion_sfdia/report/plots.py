@@ -14,9 +14,10 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.collections import PolyCollection
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
 from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
@@ -219,10 +220,11 @@ def legend_above(figure: Figure) -> None:
 
 
 def shade(axes: Axes, spans: Sequence[tuple[float, float]], **look: Any) -> None:
-    """Shade spans of the horizontal axis from bottom to top, all as one artist: a log may have thousands of events."""
+    """Shade spans of the horizontal axis from bottom to top, all as one outline: a log may have thousands of events."""
     if spans:
-        corners = [[(a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)] for a, b in spans]
-        axes.add_collection(PolyCollection(corners, transform=axes.get_xaxis_transform(), **look), autolim=False)
+        corners = np.array([[(a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)] for a, b in spans])
+        outline = Outline.make_compound_path_from_polys(corners)
+        axes.add_artist(PathPatch(outline, transform=axes.get_xaxis_transform(), **look))
 
 
 def time_series(
