@@ -13,7 +13,7 @@ import pytest
 from numba.core import event
 
 from fusion_sfdia.cli import compiling
-from fusion_sfdia.cli.compiling import announced, compile_detector
+from fusion_sfdia.cli.compiling import announced, compile_detector, postponed
 from fusion_sfdia.cli.main import detector_of, parser
 
 COMPILED = """
@@ -75,6 +75,17 @@ def test_a_second_process_compiles_the_detector_where_both_have_a_cache_and_a_co
             with event.trigger_event("numba:compile", data={"dispatcher": compiled}):
                 pass
     assert calls == [{"target": compile_detector, "args": ("a",), "daemon": True}, "start", "terminate", "join"][: 4 * started]
+
+
+def test_what_is_postponed_runs_as_python_and_is_listed_once_in_the_order_of_the_calls() -> None:
+    one, two = numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2)
+    with postponed() as wanted:
+        assert (two(1), one(1), two(3), two(1.0)) == (3, 2, 5, 3.0)
+        assert not one.signatures and not two.signatures
+    assert list(wanted) == [(two, (numba.int64,)), (one, (numba.int64,)), (two, (numba.float64,))]
+    for function, signature in reversed(wanted):
+        function.compile(signature)
+    assert (len(two.signatures), len(one.signatures)) == (2, 1)
 
 
 def test_what_the_second_process_compiles_is_what_a_large_plant_calls() -> None:
