@@ -80,6 +80,7 @@ def _rows(lines: bytes, width: int) -> Array | None:
 def _cells(text: bytes) -> list[float | None]:
     """The numbers between commas, None or NaN in empty cells; ValueError where a cell is no number."""
     array = b"[" + text + b"]"
+    # of three commas in a row, the first pass sees two: hence a second
     if b",," in array or array.startswith(b"[,") or array.endswith(b",]"):
         array = array.replace(b",,", b",null,").replace(b",,", b",null,").replace(b"[,", b"[null,").replace(b",]", b",null]")
     try:

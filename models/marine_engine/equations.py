@@ -647,7 +647,7 @@ def values_at(variable: int, v: Array, found: Array, n: int, c: EngineParameters
     """Write the equation of a variable, by its place in (*STATES, *ALGEBRAIC), for the first n of v (11, L): these variables
     and the fuel setting of L runs.
     """
-    if variable in (1, 2, 6, 9):
+    if variable in (1, 2, 6, 9):  # the slip first, where the result will be
         for k in range(n):
             found[k] = slip_law(v[5, k], v[1, k], v[2, k], v[8, k], c) if law else c.slip_nominal
     if variable == 0:
@@ -769,6 +769,8 @@ def monitor(
     """
     size = x.shape[0]
     ahead, bound, lower, upper = np.empty((size, 3)), np.empty((size, 3)), np.empty((size, 7)), np.empty((size, 7))
+    ahead[:], bound[:] = s.nominal[:3], s.half_width[:3]
+    lower[:], upper[:] = s.nominal[3:] - s.half_width[3:], s.nominal[3:] + s.half_width[3:]
     middle, radius, v = np.empty((11, LANES)), np.empty((11, LANES)), np.empty((11, LANES))
     at, m, r, low, high = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
     for first in range(0, size, LANES):
@@ -776,22 +778,20 @@ def monitor(
         n = runs.size
         boxes(before, reading, u, runs, s, middle, radius)
         for e in range(3):
-            asked = any_asks(of, runs, e)
-            if asked:
-                for k in range(n):
-                    m[k], r[k] = middle[e, k], radius[e, k]
-                    middle[e, k] = x[runs[k], e]
-                values_at(e, middle, at, n, c, law)
-                for k in range(n):  # contains the truth and the estimate
-                    least, most = min(m[k] - r[k], middle[e, k]), max(m[k] + r[k], middle[e, k])
-                    middle[e, k], radius[e, k] = (least + most) / 2, (most - least) / 2
-                bounds_at(e, middle, radius, v, low, high, n, s, c, law)
+            if not any_asks(of, runs, e):
+                continue
             for k in range(n):
-                b = runs[k]
+                m[k], r[k] = middle[e, k], radius[e, k]
+                middle[e, k] = x[runs[k], e]
+            values_at(e, middle, at, n, c, law)
+            for k in range(n):  # contains the truth and the estimate
+                least, most = min(m[k] - r[k], middle[e, k]), max(m[k] + r[k], middle[e, k])
+                middle[e, k], radius[e, k] = (least + most) / 2, (most - least) / 2
+            bounds_at(e, middle, radius, v, low, high, n, s, c, law)
+            for k in range(n):
+                b, h, least, most = runs[k], at[k], low[k], high[k]
                 if not of[min(b, len(of) - 1), e]:
-                    ahead[b, e], bound[b, e] = s.nominal[e], s.half_width[e]
                     continue
-                h, least, most = at[k], low[k], high[k]
                 if not np.isfinite(h + least + most):
                     least, most = inside_at(e, k, middle, radius, s, c, law)
                     h = (least + most) / 2
@@ -806,19 +806,17 @@ def monitor(
                 moved = min(gain * held * s.drift[e] * dt, gain * (dt - held) / a * speed if a > 0 else 0.0)
                 grown = lam * error[b, e] + held * (max(most - h, h - least) + gain * noise) + moved
                 bound[b, e] = min(grown, abs(ahead[b, e] - s.nominal[e]) + s.half_width[e])
-            if asked:
-                for k in range(n):
-                    middle[e, k], radius[e, k] = m[k], r[k]
+            for k in range(n):
+                middle[e, k], radius[e, k] = m[k], r[k]
         boxes(reading, reading, u, runs, s, middle, radius)
         for e in range(3, 10):
-            if any_asks(of, runs, e):
-                bounds_at(e, middle, radius, v, low, high, n, s, c, law)
+            if not any_asks(of, runs, e):
+                continue
+            bounds_at(e, middle, radius, v, low, high, n, s, c, law)
             for k in range(n):
-                b, i = runs[k], e - 3
-                if not of[min(b, len(of) - 1), e]:
-                    lower[b, i], upper[b, i] = s.nominal[e] - s.half_width[e], s.nominal[e] + s.half_width[e]
-                elif np.isfinite(low[k] + high[k]):
-                    lower[b, i], upper[b, i] = low[k], high[k]
-                else:
-                    lower[b, i], upper[b, i] = inside_at(e, k, middle, radius, s, c, law)
+                if not of[min(runs[k], len(of) - 1), e]:
+                    continue
+                if not np.isfinite(low[k] + high[k]):
+                    low[k], high[k] = inside_at(e, k, middle, radius, s, c, law)
+                lower[runs[k], e - 3], upper[runs[k], e - 3] = low[k], high[k]
     return ahead, bound, lower, upper
