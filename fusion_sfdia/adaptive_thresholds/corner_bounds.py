@@ -44,7 +44,7 @@ def slopes(function: Callable[..., Any], low: Array, high: Array, budget: int = 
     def bounds(lo: Array, hi: Array, argument: int) -> tuple[Array, Array]:
         values = expression.evaluate([Interval(lo[:, i], hi[:, i]) for i in range(n)])
         # they overestimate differently: backward multiplies by the outer slopes first, forward by the inner ones
-        found = gradient(expression, values)[argument].intersection(derivative(expression, values, argument))
+        found = gradient(expression, values, argument)[argument].intersection(derivative(expression, values, argument))
         return np.broadcast_to(found.lo, len(lo)), np.broadcast_to(found.hi, len(lo))
 
     whole = gradient(expression, expression.evaluate([Interval(lo, hi) for lo, hi in zip(low, high, strict=True)]))

@@ -40,6 +40,13 @@ class Expression:
     def is_constant(self, index: int) -> bool:
         return isinstance(self.slots[index], Interval)
 
+    def depends_on(self, argument: int | None) -> list[bool]:
+        """Whether the value of each slot depends on an argument; on any of them where that is None."""
+        found = [i < self.n_arguments and argument in (None, i) for i in range(len(self.slots))]
+        for i, _, operands in self.operations:
+            found[i] = any(found[k] for k in operands)
+        return found
+
     def evaluate(self, arguments: Sequence[Interval]) -> list[Interval]:
         """Return the value of every slot: the natural inclusion of each intermediate result."""
         if len(arguments) != self.n_arguments:

@@ -19,20 +19,22 @@ from fusion_sfdia.intervals.interval import Interval, select
 Array = NDArray[Any]
 
 
-def gradient(expression: Expression, values: Sequence[Interval]) -> list[Interval]:
+def gradient(expression: Expression, values: Sequence[Interval], argument: int | None = None) -> list[Interval]:
     """Return d f / d x_i over the box that the values of `expression.evaluate` belong to, accumulated backward.
 
-    At a kink of f (abs, minimum, maximum) it contains every slope. Valid where f is defined on the whole box.
+    At a kink of f (abs, minimum, maximum) it contains every slope. Valid where f is defined on the whole box. argument: the only
+    one whose slope is computed, None for all.
     """
     zero = Interval(0.0)
     slopes = [zero] * len(values)
-    slopes[expression.outputs[0]] = Interval(1.0)
+    slopes[expression.outputs[0]] = _ONE
+    varies = expression.depends_on(argument)
     for i, ufunc, operands in reversed(expression.operations):
         if slopes[i] is zero:
             continue
         for k, derivative in zip(operands, DERIVATIVES[ufunc], strict=True):
-            if not expression.is_constant(k):
-                term = slopes[i] * derivative(values[i], *(values[j] for j in operands))
+            if varies[k]:
+                term = _times(slopes[i], derivative(values[i], *(values[j] for j in operands)))
                 slopes[k] = term if slopes[k] is zero else slopes[k] + term
     return slopes[: expression.n_arguments]
 
@@ -41,13 +43,20 @@ def derivative(expression: Expression, values: Sequence[Interval], argument: int
     """Return d f / d x_i for one argument over the box of the values, accumulated forward; otherwise as `gradient`."""
     zero = Interval(0.0)
     slopes = [zero] * len(values)
-    slopes[argument] = Interval(1.0)
+    slopes[argument] = _ONE
     for i, ufunc, operands in expression.operations:
         for k, partial in zip(operands, DERIVATIVES[ufunc], strict=True):
             if slopes[k] is not zero:
-                term = slopes[k] * partial(values[i], *(values[j] for j in operands))
+                term = _times(slopes[k], partial(values[i], *(values[j] for j in operands)))
                 slopes[i] = term if slopes[i] is zero else slopes[i] + term
     return slopes[expression.outputs[0]]
+
+
+def _times(slope: Interval, factor: Interval) -> Interval:
+    """Their product: exact, without outward rounding, where one of them is 1, or the factor -1, by its rule."""
+    if factor is _ONE or slope is _ONE:
+        return slope if factor is _ONE else factor
+    return -slope if factor is _MINUS_ONE else slope * factor
 
 
 def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, pieces: int = 1) -> Interval:
@@ -139,13 +148,13 @@ def _step(difference: Interval) -> Interval:
     return Interval.unchecked(np.where(difference.lo > 0, 1.0, 0.0), np.where(difference.hi < 0, 0.0, 1.0))
 
 
-_ONE = Interval(1.0)
+_ONE, _MINUS_ONE = Interval(1.0), Interval(-1.0)
 # for z = f(x, ...): the partial derivative by each argument, as a function of (z, x, ...)
 DERIVATIVES: dict[np.ufunc, tuple[Callable[..., Interval], ...]] = {
     np.positive: (lambda z, x: _ONE,),
-    np.negative: (lambda z, x: -_ONE,),
+    np.negative: (lambda z, x: _MINUS_ONE,),
     np.add: (lambda z, x, y: _ONE, lambda z, x, y: _ONE),
-    np.subtract: (lambda z, x, y: _ONE, lambda z, x, y: -_ONE),
+    np.subtract: (lambda z, x, y: _ONE, lambda z, x, y: _MINUS_ONE),
     np.multiply: (lambda z, x, y: y, lambda z, x, y: x),
     np.divide: (lambda z, x, y: 1 / y, lambda z, x, y: -z / y),
     np.reciprocal: (lambda z, x: -np.square(z),),
