@@ -65,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     if arguments is None:
         _collect_less()
+        os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is imported: matrices are small, threads would wait
     chosen = parser().parse_args(arguments)
     quiet = arguments is not None or chosen.command == "list"
     with _terminated_as_interrupted(), nullcontext() if quiet else announced(detector_of(chosen)):

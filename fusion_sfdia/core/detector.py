@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.core.arguments import floats
 from fusion_sfdia.core.border import possible
@@ -164,9 +165,10 @@ def run(detector: Detector, state: State, *data: Any, covariance: bool = False) 
         raise ValueError(f"{detector.__name__} is a class; build it on a plant first, as in {detector.__name__}(plant)")
     t, y, u = as_log(detector.plant, *data)
     decisions = []
-    for time, reading, applied in zip(t, y, u, strict=True):
-        state, decision = detector.step(state, float(time), reading, applied)
-        decisions.append(decision)
+    with threadpool_limits(1):  # of linear algebra: matrices are small, threads would wait for each other
+        for time, reading, applied in zip(t, y, u, strict=True):
+            state, decision = detector.step(state, float(time), reading, applied)
+            decisions.append(decision)
     return state, stack(decisions, covariance=covariance)
 
 

@@ -22,8 +22,8 @@ Array = NDArray[Any]
 def gradient(expression: Expression, values: Sequence[Interval], argument: int | None = None) -> list[Interval]:
     """Return d f / d x_i over the box that the values of `expression.evaluate` belong to, accumulated backward.
 
-    At a kink of f (abs, minimum, maximum) it contains every slope. Valid where f is defined on the whole box. argument: the only
-    one whose slope is computed, None for all.
+    At a kink of f (abs, minimum, maximum) it contains every slope. Valid where f is defined on the whole box. argument: the
+    only one whose slope is computed, None for all.
     """
     zero = Interval(0.0)
     slopes = [zero] * len(values)

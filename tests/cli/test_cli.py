@@ -461,3 +461,16 @@ def test_inputs_that_a_log_lacks_are_assumed_only_when_asked_for(capsys, tmp_pat
     code, out, err = call(capsys, *command, "--nominal-inputs")
     assert code == 0 and "8 readings" in out
     assert err.startswith("fusion-sfdia: warning: log.csv: no column for the inputs 'inflow'; the nominal values")
+
+
+def test_commands_use_one_thread_of_linear_algebra() -> None:
+    program = (
+        "import os, sys; os.environ.pop('OMP_NUM_THREADS', None); os.environ.pop('OPENBLAS_NUM_THREADS', None)\n"
+        "sys.argv = ['fusion-sfdia', 'list', 'plants']\n"
+        "from fusion_sfdia.cli.main import main\n"
+        "main()\n"
+        "import numpy, threadpoolctl\n"
+        "print([pool['num_threads'] for pool in threadpoolctl.threadpool_info()])"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert set(json.loads(found.stdout.splitlines()[-1])) == {1}

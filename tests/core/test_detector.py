@@ -1,12 +1,14 @@
 """Decisions and the loop over readings."""
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 from toy_plants import chain, readings, tanks
 
-from fusion_sfdia import registry
+from fusion_sfdia import diagnose, registry
 from fusion_sfdia.core.detector import Decision, MissingPackageError, NotApplicableError, check_reading, run, stack
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
@@ -64,6 +66,22 @@ def test_a_run_may_be_cut_anywhere() -> None:
         if getattr(whole, f.name) is not None:
             joined = np.concatenate([getattr(first, f.name), getattr(second, f.name)])
             np.testing.assert_array_equal(joined, getattr(whole, f.name))
+
+
+def test_a_run_and_a_diagnosis_use_one_thread_of_linear_algebra(monkeypatch: pytest.MonkeyPatch) -> None:
+    plant, seen = chain(3), set[int]()
+    detector, (t, _, y, u) = LeaveOneOutBank(plant), readings(plant, 6, 1, seed=0)
+    step = LeaveOneOutBank.step
+
+    def watched(*arguments: Any) -> Any:
+        seen.update(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        return step(*arguments)
+
+    monkeypatch.setattr(LeaveOneOutBank, "step", watched)
+    with threadpool_limits(2):
+        run(detector, detector.init(()), t, y[:, 0], u[:, 0])
+        diagnose(detector, t, y[:, 0], u[:, 0])
+    assert seen == {1}
 
 
 def test_a_run_of_nothing_or_of_unlike_lengths_is_refused() -> None:
