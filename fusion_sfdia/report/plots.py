@@ -14,6 +14,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
@@ -30,6 +31,8 @@ Array = NDArray[Any]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", "--", "-.", ":")
+
+SVG_DPI = 72  # of matplotlib's SVG, whose unit is the point
 
 STYLE: dict[Any, Any] = {
     "axes.prop_cycle": cycler(color=COLOURS),
@@ -108,11 +111,21 @@ def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = N
     svg = io.BytesIO()
     with style(name):
         figure = draw()
+        _lay_out(figure)
         figure.savefig(svg, format="svg", metadata={"Date": None})
         if png is not None:
-            figure.set_layout_engine("none")  # as the SVG is laid out, which takes as long as drawing
             figure.savefig(png, format="png", dpi=160)
     return svg.getvalue().decode()
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place the parts of a figure for good, as its SVG would have them: to save it would draw it once more for that."""
+    if (engine := figure.get_layout_engine()) is not None:
+        FigureCanvasSVG(figure)
+        dpi, figure.dpi = figure.dpi, SVG_DPI
+        engine.execute(figure)
+        figure.dpi = dpi
+        figure.set_layout_engine(None)
 
 
 def panels(titles: Sequence[str], *, columns: int = 2, width: float = 7.2, height: float = 2.8) -> tuple[Figure, list[Axes]]:
