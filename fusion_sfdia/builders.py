@@ -1,30 +1,32 @@
-"""Builders of the named detectors for any plant: usual settings, and healthy data for those that learn."""
+"""Builders of the named detectors for any plant: usual settings, and healthy data for those that learn.
+
+A builder imports its detector when it is called: to import all of them, and SciPy for them, takes longer than to build one.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
 from fusion_sfdia.core.covariance import diagonal
 from fusion_sfdia.core.detector import Detector
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
-from fusion_sfdia.data_driven.fixed_limits import FixedLimits
-from fusion_sfdia.data_driven.one_class import OneClass
-from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.detectors import FALSE_ALARM
 from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.filters.estimators import Ensemble, Estimator, Extended, Unscented
-from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
-from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
-from fusion_sfdia.kalman_banks.sequential_rules import Cusum, Ewma, SequentialRule, Shewhart, SumOfSquares
-from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
-from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
-from fusion_sfdia.structural_residuals.structure import modules_of
+
+if TYPE_CHECKING:
+    from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+    from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
+    from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+    from fusion_sfdia.data_driven.one_class import OneClass
+    from fusion_sfdia.data_driven.pca import PrincipalComponents
+    from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+    from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+    from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 
 Array = NDArray[Any]
 
@@ -37,7 +39,6 @@ PAPER_PROCESS = {
 PAPER_UNITS = {"Pa": 1e6}  # Shaheen 2024 computes in MPa, kg/s, K: its residual (20) adds these units
 
 PAPER_FILTERS: dict[str, Estimator] = {"ekf": Extended(), "ukf": Unscented(redraw=False), "enkf": Ensemble()}
-RULES: dict[str, SequentialRule] = {"window": SumOfSquares(15), "cusum": Cusum(1.0), "ewma": Ewma(0.2)}
 
 
 def as_printed(plant: Plant) -> Plant:
@@ -66,6 +67,8 @@ def fusing_bank(plant: Plant, kind: str, healthy: Any = None, false_alarm: float
 
     None for simulated runs of the filters' own model; they are longer for more quantities.
     """
+    from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
+
     scale = tuple(PAPER_UNITS.get(s.unit, 1.0) for s in plant.states)
     if healthy is None:
         expected = len(plant.quantities) / false_alarm / len(CALIBRATION_SEEDS)
@@ -106,12 +109,17 @@ def structural_residuals(plant: Plant, healthy: Any = None, false_alarm: float =
 
     NotApplicableError for a plant without scalar equations, MissingPackageError without faultdiagnosistoolbox.
     """
+    from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
+    from fusion_sfdia.structural_residuals.structure import modules_of
+
     modules_of(plant)  # refuses a plant without scalar equations before the simulation
     return StructuralResiduals.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
 def bounded(plant: Plant) -> Detector:
     """Thresholds that bounded noise cannot cross, on a plant's monitoring modules or else on predicted readings."""
+    from fusion_sfdia.stochastic_thresholds.chebyshev import Chebyshev
+
     if plant.structure.modules is None:
         return Chebyshev(plant, lam=0.0, rule="bound", moments=Extended())
     return adaptive_threshold(plant, "valid")
@@ -119,6 +127,8 @@ def bounded(plant: Plant) -> Detector:
 
 def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
     """Monitoring modules with thresholds "valid", "paper" or "calibrated"; NotApplicableError for a plant without modules."""
+    from fusion_sfdia.adaptive_thresholds.adaptive_threshold import AdaptiveThreshold
+
     detector = AdaptiveThreshold(plant)  # refuses a plant without modules
     assert plant.structure.modules is not None
     if mode == "paper":
@@ -128,16 +138,24 @@ def adaptive_threshold(plant: Plant, mode: str) -> AdaptiveThreshold:
 
 def sequential(plant: Plant, rule: str, *, leave_one_out: bool = False) -> SequentialBank:
     """A sequential test and a test of the present sample for each sensor of a plant, at FALSE_ALARM."""
-    return SequentialBank(plant, (Shewhart(), RULES[rule]), leave_one_out, false_alarm=FALSE_ALARM)
+    from fusion_sfdia.kalman_banks.sequential_bank import SequentialBank
+    from fusion_sfdia.kalman_banks.sequential_rules import Cusum, Ewma, SequentialRule, Shewhart, SumOfSquares
+
+    rules: dict[str, SequentialRule] = {"window": SumOfSquares(15), "cusum": Cusum(1.0), "ewma": Ewma(0.2)}
+    return SequentialBank(plant, (Shewhart(), rules[rule]), leave_one_out, false_alarm=FALSE_ALARM)
 
 
 def fixed_limits(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> FixedLimits:
     """Limits of readings and of their changes, from healthy readings, None for simulated runs."""
+    from fusion_sfdia.data_driven.fixed_limits import FixedLimits
+
     return FixedLimits.fit(plant, healthy_data(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 
 def ewma_limits(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> EwmaLimits:
     """Limits of readings, of their changes and of their moving averages, from healthy readings, None for simulated runs."""
+    from fusion_sfdia.data_driven.ewma_limits import EwmaLimits
+
     return EwmaLimits.fit(plant, healthy_data(plant, false_alarm, checks=3) if healthy is None else healthy, false_alarm)
 
 
@@ -145,12 +163,16 @@ def principal_components(
     plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM, *, lags: int = 0
 ) -> PrincipalComponents:
     """Principal components of present readings and of `lags` before them, from healthy readings, None for simulated runs."""
+    from fusion_sfdia.data_driven.pca import PrincipalComponents
+
     data = settled_readings(plant, false_alarm) if healthy is None else healthy
     return PrincipalComponents.fit(plant, data, false_alarm, lags=lags)
 
 
 def one_class(plant: Plant, healthy: Any = None, false_alarm: float = FALSE_ALARM) -> OneClass:
     """A one-class support vector machine, from healthy readings, None for simulated runs."""
+    from fusion_sfdia.data_driven.one_class import OneClass
+
     return OneClass.fit(plant, settled_readings(plant, false_alarm) if healthy is None else healthy, false_alarm)
 
 

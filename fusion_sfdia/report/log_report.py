@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -12,8 +13,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
 
 from fusion_sfdia.core.detector import Detector, chosen
 from fusion_sfdia.core.files import all_or_none, atomic_write, require_free
@@ -77,8 +76,12 @@ def diagnose_log(
 
 def progress(steps: Sequence[int]) -> Iterable[int]:
     """The steps, with a bar on stderr while they last, where that is a terminal."""
-    console = Console(stderr=True)
-    return track(steps, "diagnosing", console=console, transient=True) if console.is_terminal else steps
+    if not sys.stderr.isatty():
+        return steps
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(steps, "diagnosing", console=Console(stderr=True), transient=True)
 
 
 def as_text(found: Diagnosis, detector: str) -> str:

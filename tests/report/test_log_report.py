@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import re
+import sys
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -225,7 +226,7 @@ def test_a_long_line_is_drawn_with_its_extremes() -> None:
 
 def test_progress_is_shown_on_a_terminal_alone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(progress(range(3))) == [0, 1, 2] and capsys.readouterr().err == ""
-    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes any stream for a terminal
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert list(progress(range(3))) == [0, 1, 2] and "diagnosing" in capsys.readouterr().err
 
 
