@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.any_time import ANY_TIME
 from fusion_sfdia.core.gaps import Track
+from fusion_sfdia.core.limits import finite
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import condition
@@ -63,11 +64,9 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
     found, start, steps = unknown(count, n), begun(model), _Steps(track, out)
     with np.errstate(all="ignore"):
         first, core = 0, start
-        if track.t.size >= FEWEST * SHORTEST:
-            first, core, forgets = _in_parts(model, steps, 0, 2, start, found, iter)
-            if forgets:
-                parts = min((track.t.size - first) // SHORTEST, MOST_PARTS, max(1, MOST_ELEMENTS // start.P.size))
-                first, core, _ = _in_parts(model, steps, first, parts, core, found, each)
+        if track.t.size >= FEWEST * SHORTEST and _forgets(model, steps, found):
+            parts = min(track.t.size // SHORTEST, MOST_PARTS, max(1, MOST_ELEMENTS // start.P.size))
+            first, core = _in_parts(model, steps, parts, found, each)
         for s in each(range(first, track.t.size)):
             if np.isfinite(track.begins[s]):
                 core = start
@@ -135,11 +134,12 @@ def _seen(model: Plant, core: GaussianState, before: Any, now: Any, dt: float, y
     prior = FILTER.predict(model, core, before, u, dt, NO_DRAWS)
     joint = FILTER.joint(model, prior, now, u)
     after = condition(joint, y, use)
-    sound = ~prior.lost & np.all(np.isfinite(after.x), axis=-1) & np.all(np.isfinite(after.P), axis=(-2, -1))
+    sound = ~prior.lost & finite(after.x) & finite(after.P.reshape(*after.x.shape[:-1], -1))
     w = np.where(use, np.diagonal(after.inverse, axis1=-2, axis2=-1), np.nan)
     d = np.where(use, after.innovation, 0.0)
     error, variance = (after.inverse @ d[..., None])[..., 0] / w, 1 / w
-    if np.any(left := ~np.all(use, axis=-1)):
+    if not use.all():
+        left = ~np.all(use, axis=-1)
         x, P, given, unused = after.x[left], after.P[left], u[left], ~use[left]
         h = model.output_jacobian_at(now, x, given)
         error[left] = np.where(unused, y[left] - model.output(now, x, given), error[left])
@@ -154,39 +154,45 @@ def _keep(found: Hindsight, samples: Any, seen: _Seen, own: Any = ...) -> None:
         values[samples] = row[own]
 
 
-def _in_parts(
-    model: Plant,
-    steps: _Steps,
-    first: int,
-    parts: int,
-    core: GaussianState,
-    found: Hindsight,
-    each: Callable[[Sequence[int]], Iterable[int]],
-) -> tuple[int, GaussianState, bool]:
-    """Filter parts of equal length from step `first` and state `core` on as a batch; return the next step and its state.
+def _forgets(model: Plant, steps: _Steps, found: Hindsight) -> bool:
+    """Whether two filters, of which one begins a standard deviation away and less certain, come to the same in SHORTEST steps.
 
-    A first sweep starts all parts but the first from the plant's x0. A second one starts them from the end of the part before,
+    They begin after the first reading. Not so for a model that depends on time, or has no finite value.
+    """
+    x, P = FILTER.start(model, (2,), NO_DRAWS)
+    x[1] += np.sqrt(np.diagonal(P[1]))
+    now: GaussianState | None = GaussianState(x, np.stack([P[0], 4 * P[1]]))
+    for k in range(1, SHORTEST):
+        if (now := _batch_step(model, steps, np.array([k, k]), now, found)) is None:
+            return False
+        if _same(GaussianState(now.x[0], now.P[0]), GaussianState(now.x[1], now.P[1])):
+            return True
+    return False
+
+
+def _in_parts(
+    model: Plant, steps: _Steps, parts: int, found: Hindsight, each: Callable[[Sequence[int]], Iterable[int]]
+) -> tuple[int, GaussianState]:
+    """Filter parts of equal length as a batch; return the next step and its state.
+
+    A first sweep starts all parts from the plant's x0. A second one starts all but the first from the end of the part before,
     until they have come to what the first sweep found, within SAME standard deviations: from there on the filter has forgotten
     where it began. Further sweeps do so where a part had not forgotten by its end (Lions, Maday and Turinici 2001, with x0 in
-    place of a coarse solver). The first part that has not after SWEEPS, and all after it, are left. Also returned: whether
-    none had to go to its end again. A model that depends on time, so that parts cannot be one batch, or has no finite value,
-    is left from `first` on.
+    place of a coarse solver). The first part that has not after SWEEPS, and all after it, are left; all, where the model has
+    no finite value.
     """
-    length = (steps.track.t.size - first) // parts if first else SHORTEST
+    length = steps.track.t.size // parts
     x, P = (value.copy() for value in FILTER.start(model, (parts,), NO_DRAWS))
-    x[0], P[0] = core
+    start = GaussianState(x[0].copy(), P[0].copy())
     ends = GaussianState(x.copy(), P.copy())
     marks: dict[int, GaussianState] = {}
-    which, at, forgets = np.arange(parts), set(np.geomspace(8, length, MARKS).astype(int).tolist()), True
+    which, at = np.arange(parts), set(np.geomspace(8, length, MARKS).astype(int).tolist())
     for sweep in range(SWEEPS):
         now, running = GaussianState(x[which], P[which]), which
         for k in each(range(length)) if sweep == 0 else range(length):
-            try:
-                after = _batch_step(model, steps, first + running * length + k, now, found)
-            except Exception:  # whatever a model of numbers raises for a time that is none
-                return first, core, False
+            after = _batch_step(model, steps, running * length + k, now, found)
             if after is None:
-                return first, core, False
+                return 0, start
             now = after
             if k + 1 in at:
                 old = marks.setdefault(k, GaussianState(np.full_like(x, np.nan), np.full_like(P, np.nan)))
@@ -197,17 +203,16 @@ def _in_parts(
                     if not running.size:
                         break
         ends.x[running], ends.P[running] = now
-        forgets &= sweep == 0 or not running.size
         which = running[running < parts - 1] + 1  # those whose beginning has changed
         if not which.size:
             break
         x[which], P[which] = ends.x[which - 1], ends.P[which - 1]
     done = int(which.min()) if which.size else parts
-    return first + done * length, GaussianState(ends.x[done - 1], ends.P[done - 1]), forgets
+    return done * length, GaussianState(ends.x[done - 1], ends.P[done - 1])
 
 
 def _batch_step(model: Plant, steps: _Steps, s: Array, core: GaussianState, found: Hindsight) -> GaussianState | None:
-    """The steps s (B,) of a batch, at once those of one length; None where one has no finite value."""
+    """The steps s (B,) of a batch, at once those of one length; None where one has no finite value, or depends on time."""
     track, (x, P) = steps.track, core
     if np.any(fresh := np.isfinite(track.begins[s])):
         start = FILTER.start(model, (), NO_DRAWS)
@@ -218,7 +223,10 @@ def _batch_step(model: Plant, steps: _Steps, s: Array, core: GaussianState, foun
     for same in of_one:
         here, part = s[same], GaussianState(x[same], P[same])
         dt = float(lengths[same][0])
-        seen = _seen(model, part, ANY_TIME, ANY_TIME, dt, track.y[here], track.u[here], steps.use[here])
+        try:
+            seen = _seen(model, part, ANY_TIME, ANY_TIME, dt, track.y[here], track.u[here], steps.use[here])
+        except Exception:  # whatever a model of numbers raises for a time that is none
+            return None
         if not seen.sound.all():
             return None
         ahead.x[same], ahead.P[same] = seen.core
