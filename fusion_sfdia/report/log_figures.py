@@ -91,8 +91,9 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     z[~(np.isfinite(y) & np.isfinite(z))] = -1.0
     edges = np.linspace(found.t[0], found.t[-1] + step, min(len(found.t), MOST_COLUMNS) + 1)
     which = np.clip(np.searchsorted(edges, found.t, side="right") - 1, 0, edges.size - 2)
+    first = np.flatnonzero(np.diff(which, prepend=-1))  # of each cell that has samples
     cells = np.full((edges.size - 1, len(names)), -1.0)
-    np.maximum.at(cells, which, z)
+    cells[which[first]] = np.maximum.reduceat(z, first)
     height = max(1.8, 0.9 + len(names) * (0.17 if len(names) <= MOST_LABELS else 0.06))
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots()
@@ -168,10 +169,17 @@ def thinned(values: Array) -> Array:
     """Positions (k,) among values (K,) that keep lowest and highest of each of many parts."""
     if values.size <= MOST_POINTS:
         return np.arange(values.size)
-    parts = np.array_split(np.arange(values.size), MOST_POINTS // 2)
-    low = [p[int(np.argmin(np.where(np.isfinite(values[p]), values[p], np.inf)))] for p in parts]
-    high = [p[int(np.argmax(np.where(np.isfinite(values[p]), values[p], -np.inf)))] for p in parts]
+    part, (length, longer) = np.arange(MOST_POINTS // 2), divmod(values.size, MOST_POINTS // 2)
+    starts = part * length + np.minimum(part, longer)
+    low, high = (_first_lowest(np.where(np.isfinite(values), sign * values, np.inf), starts) for sign in (1, -1))
     return np.unique([0, values.size - 1, *low, *high])
+
+
+def _first_lowest(values: Array, starts: Array) -> Array:
+    """Positions of the first of the lowest among values (K,) in each of the parts that begin at `starts`, at 0 first."""
+    lengths = np.diff(starts, append=values.size)
+    lowest = np.flatnonzero(values == np.repeat(np.minimum.reduceat(values, starts), lengths))
+    return lowest[np.searchsorted(lowest, starts)]
 
 
 def process_size(axes: Axes, found: Diagnosis, name: str) -> None:

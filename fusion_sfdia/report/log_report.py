@@ -127,7 +127,7 @@ def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
         with np.errstate(invalid="ignore"):
             residuals = found.after.error[rows] / found.after.sd[rows] if found.after else np.full(scores.shape, np.nan)
         values = plain_lines(shortened(np.concatenate([scores, residuals], axis=1), DIGITS))
-        return [f"{s},{found.clock.at(at)},{v}" for s, at, v in zip(plain_lines(t[:, None]), t.tolist(), values, strict=True)]
+        return [f"{s},{at},{v}" for s, at, v in zip(plain_lines(t[:, None]), found.clock.each(t.tolist()), values, strict=True)]
 
     write_lines(path, header, found.t.size, lines)
 
