@@ -20,6 +20,8 @@ from fusion_sfdia.data_driven.healthy_limits import healthy_readings, noise_floo
 
 Array = NDArray[Any]
 
+BLOCK = 10_000  # samples: what is computed in between takes as much memory again
+
 
 class FixedLimitsMemory(NamedTuple):
     """For each sensor (..., N): the last reading, NaN where missing, and the last within its limits, at first the centre."""
@@ -117,17 +119,22 @@ class FixedLimits(BatchDetector):
         u = applied.copy()
         for k in np.flatnonzero(np.any((u < limits.low) | (u > limits.high), axis=-1)):
             u[k] = limits.applied(float(times[k]), float(gaps[k]), applied[k])
+        residual, threshold, reconstruction, isolated = (np.empty(y.shape, kind) for kind in (float, float, float, bool))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            residual, threshold, isolated = self._checked(np.concatenate([memory.last[None], y[:-1]]), y)
-            good = np.isfinite(y) & ~isolated
-            latest = np.maximum.accumulate(np.where(good, np.arange(len(t))[:, None], -1), axis=0)
-            known = np.take_along_axis(y, np.maximum(latest, 0), axis=0)
-            reconstruction = np.where(latest >= 0, known, memory.trusted)
+            for k in range(0, len(t), BLOCK):
+                part, now = slice(k, k + BLOCK), y[k : k + BLOCK]
+                before = np.concatenate([memory.last[None], now[:-1]])
+                residual[part], threshold[part], isolated[part] = self._checked(before, now)
+                good = np.isfinite(now) & ~isolated[part]
+                latest = np.maximum.accumulate(np.where(good, np.arange(len(now))[:, None], -1), axis=0)
+                known = np.take_along_axis(now, np.maximum(latest, 0), axis=0)
+                reconstruction[part] = np.where(latest >= 0, known, memory.trusted)
+                memory = FixedLimitsMemory(now[-1], reconstruction[part][-1])
             decision = without_model(self.plant, y, reconstruction, residual, threshold, isolated)
         found = replace(
             decision, capped=np.zeros(len(t), bool), absurd=np.isnan(y) & ~np.isnan(given), absurd_input=u != applied
         )
-        after = FixedLimitsMemory(y[-1].copy(), reconstruction[-1].copy())
+        after = FixedLimitsMemory(memory.last.copy(), memory.trusted.copy())
         return State(state.seed, np.array(state.steps + len(t)), np.array(times[-1]), state.diverged, after), found
 
 

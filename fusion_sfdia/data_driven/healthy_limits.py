@@ -34,7 +34,7 @@ def without_model(
         fault_size=np.where(isolated, y - reconstruction, np.nan),
         diverged=np.zeros(batch, bool),
         guarded=np.zeros(batch, bool),
-        nis=np.full(batch, np.nan),
+        nis=np.broadcast_to(np.nan, batch),
     )
 
 

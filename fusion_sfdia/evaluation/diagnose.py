@@ -27,7 +27,7 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import LASTING, Event, ProcessEvent, events_of, spans, throughout, verdict
-from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
+from fusion_sfdia.evaluation.hindsight import Residuals, hindsight, left_out
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, explained
 
@@ -56,7 +56,7 @@ class Diagnosis:
     clock: Clock = SECONDS
     gaps: tuple[Gap, ...] = ()
     health: Health | None = None
-    after: Hindsight | None = None
+    after: Residuals | None = None
     limit: str = ""
 
     @property
@@ -183,7 +183,7 @@ def diagnose_run(
     names, rate = detector.plant.sensor_names, alarm_rate_of(detector)
     health = health_of(names, after, starts, rate, against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
-    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
+    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after.residuals, _limit(detector))
 
 
 def present(y: Array, decisions: Decision) -> Array:
@@ -255,8 +255,8 @@ def _warn(detector: Detector, log: Log, decisions: Decision, gaps: Sequence[Gap]
         some = ", ".join(silent[:8]) + (f" and {len(silent) - 8} more" if len(silent) > 8 else "")
         whole = ": the diagnosis is only the model's prediction" if len(silent) == y.shape[1] else ""
         remarks.append(f"no readings of {some}{whole}; fill their columns to have them tested")
-    thresholds = decisions.threshold[np.isfinite(decisions.residual)]
-    if thresholds.size and np.all(np.isinf(thresholds)):
+    known = np.isfinite(decisions.residual)
+    if known.any() and np.all(np.isinf(decisions.threshold), where=known):
         remarks.append(
             f"{type(detector).__name__} cannot raise an alarm: its thresholds are infinite; set them with "
             "fit_thresholds(healthy)"

@@ -29,6 +29,13 @@ SWEEPS = 3  # over parts, before what has not forgotten is filtered in order
 FILTER, NO_DRAWS = Extended(), step_stream(0, 0)
 
 
+class Residuals(NamedTuple):
+    """Of each sample and sensor (K, N) the error and its sd, as a Hindsight has them."""
+
+    error: Array
+    sd: Array
+
+
 class Hindsight(NamedTuple):
     """Of each sample and sensor (K, N): error, the reading less its estimate from the other sensors, sd of that without a
     fault, and normal, the innovation over its standard deviation where the reading is used. nis (K,): normalised innovation
@@ -40,6 +47,10 @@ class Hindsight(NamedTuple):
     normal: Array
     nis: Array
     used: Array
+
+    @property
+    def residuals(self) -> Residuals:
+        return Residuals(self.error, self.sd)
 
 
 def left_out(isolated: Array, lead: int = LEAD) -> Array:
@@ -70,14 +81,15 @@ def hindsight(model: Plant, track: Track, out: Array, each: Callable[[Sequence[i
         for s in each(range(first, track.t.size)):
             if np.isfinite(track.begins[s]):
                 core = start
-            seen = _seen(model, core, steps.before[s], track.t[s], steps.dt[s], track.y[s], track.u[s], steps.use[s])
+            before, now = steps.before(s), track.t[s]
+            seen = _seen(model, core, before, now, now - before, track.y[s], track.u[s], steps.use[s])
             if not seen.sound:
                 for values, none in zip(found, (np.nan, np.nan, np.nan, np.nan, 0), strict=True):
-                    values[steps.sample[s] :] = none
+                    values[steps.sample(s) :] = none
                 break
             core = seen.core
             if track.own[s]:
-                _keep(found, steps.sample[s], seen)
+                _keep(found, steps.sample(s), seen)
     return found
 
 
@@ -106,19 +118,26 @@ def looked(
 
 
 class _Steps:
-    """Of each step of a track (S,): the time before (s), its length dt (s), also without rounding errors (even), its sample,
-    and which readings (S, N) are used.
-    """
+    """Of each step of a track (S,): its length without rounding errors (even, s), and which readings (S, N) are used."""
 
     def __init__(self, track: Track, out: Array) -> None:
         self.track = track
-        self.before = np.where(np.isfinite(track.begins), track.begins, np.concatenate([[np.nan], track.t[:-1]]))
-        self.dt = track.t - self.before
-        usual = float(np.median(self.dt))  # with one rounding error, in place of those of all times
-        self.even = np.where(np.abs(self.dt - usual) <= 1e-9 * usual, usual, self.dt)
-        self.sample = np.maximum(np.cumsum(track.own) - track.own, 0)
+        dt = track.t - np.where(np.isfinite(track.begins), track.begins, np.concatenate([[np.nan], track.t[:-1]]))
+        usual = float(np.median(dt))  # with one rounding error, in place of those of all times
+        as_usual = np.abs(dt - usual) <= 1e-9 * usual
+        self.even = np.broadcast_to(usual, dt.shape) if as_usual.all() else np.where(as_usual, usual, dt)
         self.use = np.isfinite(track.y)
         self.use[track.own] &= ~out
+        self._sample = None if track.own.all() else np.maximum(np.cumsum(track.own) - track.own, 0)
+
+    def before(self, s: int) -> float:
+        """The time before a step (s)."""
+        begins = self.track.begins[s]
+        return float(begins if np.isfinite(begins) else self.track.t[s - 1])
+
+    def sample(self, s: Any) -> Any:
+        """The sample of a step, or of several."""
+        return s if self._sample is None else self._sample[s]
 
 
 class _Seen(NamedTuple):
@@ -231,7 +250,7 @@ def _batch_step(model: Plant, steps: _Steps, s: Array, core: GaussianState, foun
             return None
         ahead.x[same], ahead.P[same] = seen.core
         own = track.own[here]
-        _keep(found, steps.sample[here[own]], seen, own)
+        _keep(found, steps.sample(here[own]), seen, own)
     return ahead
 
 

@@ -88,10 +88,9 @@ def health_of(names: tuple[str, ...], after: Hindsight, starts: Array, false_ala
     count = float(np.sum(after.used[use]))
     nis = float(np.sum(after.nis[use] * after.used[use]) / count) if count else np.nan
     sure = max(SURE, float(-ndtri(1e-3 / len(names))))
-    z = np.where(settled[:, None], after.normal, np.nan)
     excess = {}
-    for name, column in zip(names, z.T, strict=True):
-        v, rho, n = _spread(column)
+    for name, column in zip(names, after.normal.T, strict=True):
+        v, rho, n = _spread(np.where(settled, column, np.nan))
         with np.errstate(divide="ignore"):
             inflation = v * (1 + rho) / (1 - rho)
             error = np.sqrt(2 / n + 4 / (n * (1 - rho**2))) if n else np.inf

@@ -75,7 +75,8 @@ class Numbers:
         kind = getattr(getattr(cells, "dtype", None), "kind", "O")
         if kind in "biuf":
             to_numpy = getattr(cells, "to_numpy", None)
-            values = np.array(to_numpy(dtype=float, na_value=np.nan) if to_numpy else cells, dtype=float)
+            # a frame keeps its own; an array has been read for this
+            values = np.array(to_numpy(dtype=float, na_value=np.nan)) if to_numpy else np.asarray(cells, dtype=float)
             if (infinite := np.isinf(values)).any():
                 raise NotANumberError(int(np.argmax(infinite)), float(values[np.argmax(infinite)]))
         else:

@@ -7,9 +7,10 @@ writes it, each number as the shortest text that is read back to the same bits.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import orjson
@@ -23,26 +24,30 @@ TENS = np.array([float(f"1e{k}") for k in range(23)])  # all powers of ten that 
 
 
 def plain_table(path: Path) -> tuple[list[str], Array] | None:
-    """Return titles and numbers (K, columns), NaN in empty cells; None for a file that needs a closer look.
+    """Return titles and numbers (K, columns), NaN in empty cells, each column of them in one piece; None for a file that needs
+    a closer look.
 
     That is one with other characters below the header than those of numbers, a row of another length than the header, an empty
     row, or a cell that is no finite number: `tables` names what is wrong.
     """
-    with path.open("rb") as file:
+    with path.open("rb") as opened:
+        file = opened if opened.seekable() else io.BytesIO(opened.read())  # a pipe is read once
         try:
             header = next(csv.reader([file.readline().decode("utf-8-sig")], strict=True))
         except (UnicodeError, csv.Error, StopIteration):
             return None
-        titles, parts, rest = [title.strip() for title in header], [], b""
+        titles, rest, count = [title.strip() for title in header], b"", 0
         if len(titles) < 2 or not all(titles):
             return None
+        columns = np.empty((len(titles), _lines_below(file)))
         while block := file.read(BLOCK) or (rest and b"\n"):  # the last line may lack its end
             whole, end, rest = (rest + block).replace(b"\r\n", b"\n").rpartition(b"\n")
             if end:
                 if (rows := _rows(whole, len(titles))) is None:
                     return None
-                parts.append(rows)
-    return (titles, np.concatenate(parts)) if parts else None
+                columns[:, count : count + len(rows)] = rows.T
+                count += len(rows)
+    return (titles, columns[:, :count].T) if count else None
 
 
 def plain_lines(values: Array) -> list[str]:
@@ -64,6 +69,15 @@ def shortened(values: Array, digits: int) -> Array:
     power = TENS[np.minimum(np.abs(places), TENS.size - 1)]
     found: Array = np.where(places < 0, np.rint(values / power) * power, np.rint(values * power) / power)
     return found
+
+
+def _lines_below(file: IO[bytes]) -> int:
+    """The number of lines from where a file is open on, at most one too many."""
+    here, count = file.tell(), 1
+    while block := file.read(BLOCK):
+        count += block.count(b"\n")
+    file.seek(here)
+    return count
 
 
 def _rows(lines: bytes, width: int) -> Array | None:

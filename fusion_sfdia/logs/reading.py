@@ -111,4 +111,5 @@ def _log(
         raise ValueError(
             f"{where}: no row with all inputs; give each input a value, or --nominal-inputs for one without a column"
         )
-    return Log(rows.t[~left_out], y[~left_out], u[~left_out])
+    kept = np.flatnonzero(~left_out) if left_out.any() else slice(None)
+    return Log(rows.t[kept].copy(), y[kept], u[kept])  # of the table that was read nothing is kept

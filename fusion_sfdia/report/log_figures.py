@@ -85,15 +85,15 @@ def overview(plant: Plant, y: Array, found: Diagnosis) -> Figure:
     """
     assert found.after is not None
     at, names, step = time_axis(found), plant.sensor_names, _step(found.t)
-    with np.errstate(invalid="ignore"):
-        z = found.after.error / found.after.sd
-    np.abs(z, out=z)
-    z[~(np.isfinite(y) & np.isfinite(z))] = -1.0
     edges = np.linspace(found.t[0], found.t[-1] + step, min(len(found.t), MOST_COLUMNS) + 1)
     which = np.clip(np.searchsorted(edges, found.t, side="right") - 1, 0, edges.size - 2)
     first = np.flatnonzero(np.diff(which, prepend=-1))  # of each cell that has samples
     cells = np.full((edges.size - 1, len(names)), -1.0)
-    cells[which[first]] = np.maximum.reduceat(z, first)
+    with np.errstate(invalid="ignore"):
+        for i, (error, sd) in enumerate(zip(found.after.error.T, found.after.sd.T, strict=True)):
+            z = np.abs(error / sd)
+            z[~(np.isfinite(y[:, i]) & np.isfinite(z))] = -1.0
+            cells[which[first], i] = np.maximum.reduceat(z, first)
     height = max(1.8, 0.9 + len(names) * (0.17 if len(names) <= MOST_LABELS else 0.06))
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots()
