@@ -121,8 +121,9 @@ class FixedLimits(BatchDetector):
             u[k] = limits.applied(float(times[k]), float(gaps[k]), applied[k])
         residual, threshold, reconstruction, isolated = (np.empty(y.shape, kind) for kind in (float, float, float, bool))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for k in range(0, len(t), BLOCK):
-                part, now = slice(k, k + BLOCK), y[k : k + BLOCK]
+            for begin in range(0, len(t), BLOCK):
+                part = slice(begin, begin + BLOCK)
+                now = y[part]
                 before = np.concatenate([memory.last[None], now[:-1]])
                 residual[part], threshold[part], isolated[part] = self._checked(before, now)
                 good = np.isfinite(now) & ~isolated[part]

@@ -27,7 +27,8 @@ from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.redundancy import redundancy
 from fusion_sfdia.evaluation.absent import repeats
 from fusion_sfdia.evaluation.events import LASTING, Event, ProcessEvent, events_of, spans, throughout, verdict
-from fusion_sfdia.evaluation.hindsight import Residuals, hindsight, left_out
+from fusion_sfdia.evaluation.hindsight import hindsight, left_out
+from fusion_sfdia.evaluation.hindsight_steps import Residuals
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import alarm_rate_of, explained
 

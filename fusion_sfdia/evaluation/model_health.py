@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from fusion_sfdia.evaluation.hindsight import Hindsight
+from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 
 Array = NDArray[Any]
 

@@ -16,7 +16,7 @@ from fusion_sfdia.core.detector import Decision, Detector, chosen
 from fusion_sfdia.evaluation.absent import dropouts
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
-from fusion_sfdia.evaluation.hindsight import Hindsight
+from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 
 Array = NDArray[Any]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from fusion_sfdia.experiments.workers import in_processes
 from fusion_sfdia.report.content import Figure
-from fusion_sfdia.report.plots import write_figure
+from fusion_sfdia.report.figure_files import write_figure
 
 
 class _Asked(NamedTuple):

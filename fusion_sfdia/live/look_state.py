@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.detector import Decision, Detector
 from fusion_sfdia.evaluation.events import Event
-from fusion_sfdia.evaluation.hindsight import Hindsight
+from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 from fusion_sfdia.filters.estimators import GaussianState
 from fusion_sfdia.live.second_look import NamedEvent, SecondLook, Seen
 

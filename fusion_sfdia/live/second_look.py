@@ -16,7 +16,8 @@ from fusion_sfdia.core.detector import Decision, Detector, stack
 from fusion_sfdia.evaluation.absent import DUE, REPEATED, repeats
 from fusion_sfdia.evaluation.diagnose import against_the_model
 from fusion_sfdia.evaluation.events import Event, events_of, spans
-from fusion_sfdia.evaluation.hindsight import LEAD, Hindsight, begun, looked
+from fusion_sfdia.evaluation.hindsight import LEAD, looked
+from fusion_sfdia.evaluation.hindsight_steps import Hindsight, begun
 from fusion_sfdia.evaluation.model_health import Health, health_of
 from fusion_sfdia.evaluation.sensor_events import TOGETHER, alarm_rate_of, explained
 from fusion_sfdia.filters.estimators import GaussianState

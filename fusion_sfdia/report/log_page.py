@@ -19,9 +19,10 @@ from fusion_sfdia.core.files import atomic_write
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.evaluation.diagnose import Diagnosis
 from fusion_sfdia.evaluation.events import Event, ProcessEvent, with_spread, with_unit
+from fusion_sfdia.report.figure_files import figure_svg
 from fusion_sfdia.report.log_figures import overview, time_line, zoom
 from fusion_sfdia.report.page import inline, part
-from fusion_sfdia.report.plots import figure_svg, panels
+from fusion_sfdia.report.plots import panels
 
 MOST_EVENTS = 200
 MOST_ZOOMS = 24

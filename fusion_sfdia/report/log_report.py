@@ -24,10 +24,11 @@ from fusion_sfdia.logs.csv_log import write_lines, write_log
 from fusion_sfdia.logs.findings import LoadedLog
 from fusion_sfdia.logs.log_map import LogMap
 from fusion_sfdia.logs.plain import plain_lines, shortened
+from fusion_sfdia.report.figure_files import write_figure
 from fusion_sfdia.report.log_figures import broken, process_size, thinned, time_axis, time_line
 from fusion_sfdia.report.log_page import About, write_page
 from fusion_sfdia.report.log_units import LogUnits
-from fusion_sfdia.report.plots import panels, time_series, write_figure
+from fusion_sfdia.report.plots import panels, time_series
 
 FILES = ("report.html", "events.csv", "reconstructed.csv", "scores.csv", "diagnosis.svg", "diagnosis.png")
 MOST_PANELS = 6

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import matplotlib
@@ -14,7 +12,6 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
@@ -23,7 +20,6 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.clock import Clock
-from fusion_sfdia.core.files import atomic_write
 
 Array = NDArray[Any]
 
@@ -31,8 +27,6 @@ Array = NDArray[Any]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", "--", "-.", ":")
-
-SVG_DPI = 72  # of matplotlib's SVG, whose unit is the point
 
 STYLE: dict[Any, Any] = {
     "axes.prop_cycle": cycler(color=COLOURS),
@@ -94,38 +88,6 @@ def style(salt: str = "fusion-sfdia") -> Iterator[None]:
         matplotlib.rcdefaults()
         matplotlib.rcParams.update({**STYLE, "svg.hashsalt": salt})
         yield
-
-
-def write_figure(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
-    """Draw a figure, write folder/name.svg and folder/name.png, and return the SVG's text."""
-    png = io.BytesIO()
-    svg = figure_svg(name, draw, png)
-    for kind, content in (("svg", svg.encode()), ("png", png.getvalue())):
-        with atomic_write(folder / f"{name}.{kind}", "wb") as file:
-            file.write(content)
-    return svg
-
-
-def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = None) -> str:
-    """Draw a figure and return its SVG; png: where its PNG is written to, too."""
-    svg = io.BytesIO()
-    with style(name):
-        figure = draw()
-        _lay_out(figure)
-        figure.savefig(svg, format="svg", metadata={"Date": None})
-        if png is not None:
-            figure.savefig(png, format="png", dpi=160)
-    return svg.getvalue().decode()
-
-
-def _lay_out(figure: Figure) -> None:
-    """Place the parts of a figure for good, as its SVG would have them: to save it would draw it once more for that."""
-    if (engine := figure.get_layout_engine()) is not None:
-        FigureCanvasSVG(figure)
-        dpi, figure.dpi = figure.dpi, SVG_DPI
-        engine.execute(figure)
-        figure.dpi = dpi
-        figure.set_layout_engine(None)
 
 
 def panels(titles: Sequence[str], *, columns: int = 2, width: float = 7.2, height: float = 2.8) -> tuple[Figure, list[Axes]]:

@@ -14,8 +14,9 @@ from toy_plants import readings, tanks
 from fusion_sfdia.core.gaps import Track, bridged
 from fusion_sfdia.core.log import Log
 from fusion_sfdia.core.plant import Plant
-from fusion_sfdia.evaluation.hindsight import Hindsight, hindsight, left_out
-from fusion_sfdia.evaluation.hindsight import _batch_step as batch_step
+from fusion_sfdia.evaluation.hindsight import hindsight, left_out
+from fusion_sfdia.evaluation.hindsight_parts import _batch_step as batch_step
+from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 from fusion_sfdia.evaluation.simulate import simulate
 from fusion_sfdia.filters.estimators import Extended, GaussianState, step_stream
 from fusion_sfdia.filters.gaussian import condition
@@ -84,7 +85,7 @@ def test_after_the_filter_breaks_down_nothing_is_known() -> None:
 
 def of_parts(monkeypatch: pytest.MonkeyPatch, plant: Plant, track: Track, out: Array) -> tuple[Hindsight, Hindsight, int]:
     """In parts and in order, and how many steps were batches."""
-    module, batches = "fusion_sfdia.evaluation.hindsight", []
+    module, batches = "fusion_sfdia.evaluation.hindsight_parts", []
 
     def counted(*arguments: Any) -> Any:
         batches.append(1)

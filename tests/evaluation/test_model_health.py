@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from fusion_sfdia.evaluation.hindsight import Hindsight
+from fusion_sfdia.evaluation.hindsight_steps import Hindsight
 from fusion_sfdia.evaluation.model_health import Health, health_of, limit_of
 
 NAMES = ("a", "b", "c", "d")

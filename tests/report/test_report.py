@@ -16,6 +16,7 @@ from toy_scenario import NASTY, TOY
 
 from fusion_sfdia.evaluation.results import Row
 from fusion_sfdia.experiments.runner import run_scenarios
+from fusion_sfdia.report.figure_files import write_figure
 from fusion_sfdia.report.findings import left_out, listed, pick, span
 from fusion_sfdia.report.page import inline, number
 from fusion_sfdia.report.plots import (
@@ -27,7 +28,6 @@ from fusion_sfdia.report.plots import (
     number_decades,
     panels,
     roc_curves,
-    write_figure,
 )
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
