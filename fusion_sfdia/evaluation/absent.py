@@ -24,9 +24,10 @@ def dropouts(y: Array) -> list[list[tuple[int, int]]]:
     the stretch goes from the first sample that is overdue to the last. Of a sensor that misses a tenth of its readings at
     random half of 20 are missing with a probability of 7e-6. Samples without any reading are a gap of the log and do not count.
     """
-    rows = np.flatnonzero(np.any(np.isfinite(y), axis=1))
+    known = np.isfinite(y)
+    rows = np.flatnonzero(np.any(known, axis=1))
     found: list[list[tuple[int, int]]] = []
-    for column in np.isfinite(y[rows]).T:
+    for column in known[rows].T:
         at = np.flatnonzero(column)
         if at.size < 2:
             found.append([(0, len(y) - 1)] if at.size < column.size else [])

@@ -176,15 +176,16 @@ def diagnose_run(
         for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)):
             track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
     model = getattr(detector, "model", None)  # of principal components it is no plant
-    after = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
+    look = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
+    starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
+    health, after = health_of(detector.plant.sensor_names, look, starts, alarm_rate_of(detector), ()), look.residuals
+    del look, track, out  # of a long log as much memory as its readings, twice
     events = explained(detector, t, y, decisions, events_of(detector, t, decisions, gap), after, frozen)
     events = tuple(e for e in events if e.kind != "sensor" or e.hypothesis not in unread)
     _warn(detector, log, decisions, gaps, clock)
-    starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
-    names, rate = detector.plant.sensor_names, alarm_rate_of(detector)
-    health = health_of(names, after, starts, rate, against_the_model(events, decisions, t, clock))
+    health = health._replace(remarks=against_the_model(events, decisions, t, clock))
     tested: tuple[ProcessHypothesis, ...] = getattr(detector, "process_hypotheses", ())
-    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after.residuals, _limit(detector))
+    return Diagnosis(events, decisions, t, tested, clock, gaps, health, after, _limit(detector))
 
 
 def present(y: Array, decisions: Decision) -> Array:

@@ -96,21 +96,32 @@ def _batch_step(model: Plant, steps: Steps, s: Array, core: GaussianState, found
         start = FILTER.start(model, (), NO_DRAWS)
         x, P = np.where(fresh[:, None], start.x, x), np.where(fresh[:, None, None], start.P, P)
     lengths = steps.even[s]
+    if (lengths == lengths[0]).all():
+        return _equal_step(model, steps, s, GaussianState(x, P), found)
     ahead = GaussianState(np.empty_like(x), np.empty_like(P))
-    of_one = [slice(None)] if (lengths == lengths[0]).all() else [lengths == dt for dt in np.unique(lengths)]
-    for same in of_one:
-        here, part = s[same], GaussianState(x[same], P[same])
-        dt = float(lengths[same][0])
-        try:
-            seen = seen_at(model, part, ANY_TIME, ANY_TIME, dt, track.y[here], track.u[here], steps.use[here])
-        except Exception:  # whatever a model of numbers raises for a time that is none
+    for dt in np.unique(lengths):
+        same = lengths == dt
+        if (part := _equal_step(model, steps, s[same], GaussianState(x[same], P[same]), found)) is None:
             return None
-        if not seen.sound.all():
-            return None
-        ahead.x[same], ahead.P[same] = seen.core
-        own = track.own[here]
-        keep(found, steps.sample(here[own]), seen, own)
+        ahead.x[same], ahead.P[same] = part
     return ahead
+
+
+def _equal_step(model: Plant, steps: Steps, s: Array, core: GaussianState, found: Hindsight) -> GaussianState | None:
+    """The same of steps of one length."""
+    track = steps.track
+    try:
+        seen = seen_at(model, core, ANY_TIME, ANY_TIME, float(steps.even[s[0]]), track.y[s], track.u[s], steps.use[s])
+    except Exception:  # whatever a model of numbers raises for a time that is none
+        return None
+    if not seen.sound.all():
+        return None
+    own = track.own[s]
+    if own.all():
+        keep(found, steps.sample(s), seen)
+    else:
+        keep(found, steps.sample(s[own]), seen, own)
+    return seen.core
 
 
 def _same(one: GaussianState, other: GaussianState) -> Array:

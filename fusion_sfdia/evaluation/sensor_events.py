@@ -16,7 +16,7 @@ from fusion_sfdia.core.detector import Decision, Detector, chosen
 from fusion_sfdia.evaluation.absent import dropouts
 from fusion_sfdia.evaluation.events import Event
 from fusion_sfdia.evaluation.fault_kinds import POSSIBLE, Named, name, resized
-from fusion_sfdia.evaluation.hindsight_steps import Hindsight
+from fusion_sfdia.evaluation.hindsight_steps import Residuals
 
 Array = NDArray[Any]
 
@@ -43,7 +43,7 @@ def explained(
     y: Array,
     decisions: Decision,
     events: Sequence[Event],
-    after: Hindsight,
+    after: Residuals,
     frozen: Sequence[Sequence[tuple[int, int]]],
 ) -> tuple[Event, ...]:
     """Return the events with those of sensors explained, and with those of sensors that are silent or `frozen` (of each

@@ -193,7 +193,8 @@ class SecondLook:
         t, y = np.array([s.t for s in rows]), np.array([s.y for s in rows])
         decisions = stack([s.decision for s in rows])
         after = Hindsight(*(np.array(v) for v in zip(*(s.after for s in rows if s.after is not None), strict=True)))
-        found = explained(self.detector, t, y, decisions, events_of(self.detector, t, decisions, self.gap), after, repeats(y))
+        first = events_of(self.detector, t, decisions, self.gap)
+        found = explained(self.detector, t, y, decisions, first, after.residuals, repeats(y))
         names = self.detector.plant.sensor_names
         events = [e for e in found if e.kind != "sensor" or self.read[names.index(e.hypothesis)]]
         starts = np.flatnonzero(np.isfinite([s.begins for s in rows]))
