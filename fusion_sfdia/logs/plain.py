@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 
-BLOCK = 1 << 20  # bytes
+BLOCK = 1 << 18  # bytes, of which the numbers take twenty times as much memory while they are read
 ALLOWED = b"0123456789+-.eE,\n"
 TENS = np.array([float(f"1e{k}") for k in range(23)])  # all powers of ten that are floating-point numbers
 

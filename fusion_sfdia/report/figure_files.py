@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,8 @@ def figure_svg(name: str, draw: Callable[[], Figure], png: io.BytesIO | None = N
         figure.savefig(svg, format="svg", metadata={"Date": None})
         if png is not None:
             figure.savefig(png, format="png", dpi=160)
+    del figure
+    gc.collect(0)  # thousands of objects that refer to each other, and a picture of megabytes
     return svg.getvalue().decode()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from toy_plants import Array, chain, tanks
 from fusion_sfdia.core.detector import Decision, joined, run
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.state import leaves
+from fusion_sfdia.data_driven import fixed_limits
 from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.healthy_limits import upper_limit
 
@@ -182,8 +184,20 @@ def test_what_is_refused() -> None:
             replace(DETECTOR, **change)
 
 
-def test_a_run_at_once_has_the_bits_of_its_steps() -> None:
+def test_a_run_at_once_takes_little_more_memory_than_its_result() -> None:
+    y, u = noise(PLANT, 100_000), np.tile(PLANT.input_at(0.0), (100_000, 1))
+    t = PLANT.dt * np.arange(1, 100_001)
+    tracemalloc.start()
+    _, found = DETECTOR.steps(DETECTOR.init(), t, y, u)
+    kept, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.isolated.any() and most < 1.5 * kept
+
+
+@pytest.mark.parametrize("block", [7, 10_000])
+def test_a_run_at_once_has_the_bits_of_its_steps(monkeypatch: pytest.MonkeyPatch, block: int) -> None:
     """Missing, absurd and faulty readings, an input beyond its limits, in two runs of steps after another."""
+    monkeypatch.setattr(fixed_limits, "BLOCK", block)
     y = noise(PLANT, 60)
     y[3, 1], y[10:14], y[20:30, 0], y[40, 2], y[0] = np.nan, np.nan, 2.0, 1e30, np.nan
     t, u = PLANT.dt * np.arange(1, 61), np.tile(PLANT.input_at(0.0), (60, 1))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import threading
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +58,29 @@ def test_numbers_as_python_reads_them(tmp_path: Path, number: str) -> None:
     assert found is not None
     expected = [[1.0, float(number or "nan"), np.nan, np.nan], [np.nan, np.nan, np.nan, 2.0]]
     assert found[1].tobytes() == np.array(expected).tobytes()
+
+
+def test_a_table_is_read_into_place(tmp_path: Path) -> None:
+    """Beside the numbers no more memory than a few blocks take as text and as Python's numbers."""
+    path = file_of(tmp_path, "time,a,b,c\n" + "1.25,2.5,,3.75\n" * 200_000)
+    tracemalloc.start()
+    found = plain_table(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found is not None and most < found[1].nbytes + 32 * plain.BLOCK
+    assert found[1].shape == (200_000, 4) and all(column.flags.c_contiguous for column in found[1].T)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_table_is_read_from_a_pipe(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_text, args=("time,a\n1,2\n3,4\n",))
+    writer.start()
+    found = plain_table(pipe)
+    writer.join()
+    assert found is not None
+    np.testing.assert_array_equal(found[1], [[1, 2], [3, 4]])
 
 
 def test_lines_are_read_back() -> None:
