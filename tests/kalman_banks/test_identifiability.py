@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -45,12 +45,20 @@ def uncertain_engine() -> Plant:
     return replace(plant, uncertainty=Uncertainty(inputs={s.name: 0.02 * abs(s.nominal) for s in plant.inputs}))
 
 
-def filtered(plant: Plant, y: Array) -> tuple[Array, Array]:
-    """Innovations (K, B, N) of the readings y (K, B, N), and the inverses of their covariances (K, B, N, N)."""
+class Filtered(NamedTuple):
+    """Innovations (K, B, N) of readings, the inverses of their covariances (K, B, N, N), and the state after the last."""
+
+    innovations: Array
+    inverses: Array
+    end: GaussianState
+
+
+def filtered(plant: Plant, y: Array, start: GaussianState | None = None, first: int = 0) -> Filtered:
+    """The filter on readings y (K, B, N) from the sample `first`, which goes on from `start` or begins as the plant states."""
     estimator, none = Extended(), step_stream(0, 0)
-    state = estimator.start(plant, y.shape[1:2], none)
+    state = estimator.start(plant, y.shape[1:2], none) if start is None else start
     innovations, inverses = [], []
-    for k, now in enumerate(y):
+    for k, now in enumerate(y, first):
         t, u = k * plant.dt, np.broadcast_to(plant.input_at(k * plant.dt), (y.shape[1], len(plant.inputs)))
         prior = estimator.predict(plant, state, t, u, plant.dt, none)
         joint = estimator.joint(plant, prior, t + plant.dt, u)
@@ -58,7 +66,7 @@ def filtered(plant: Plant, y: Array) -> tuple[Array, Array]:
         innovations.append(now - joint.y)
         inverses.append(found.inverse)
         state = GaussianState(*posterior(joint, found))
-    return np.stack(innovations), np.stack(inverses)
+    return Filtered(np.stack(innovations), np.stack(inverses), state)
 
 
 def readings(plant: Plant, jump: Array | None = None, rng: np.random.Generator | None = None, runs: int = 1) -> Array:
@@ -87,7 +95,7 @@ def faults(plant: Plant, kind: str) -> Array:
 
 def signature(plant: Plant, above: Array, below: Array) -> Array:
     """Half the difference of the innovations (SAMPLES, B, N) of readings (K, B, N) over the size of a small fault in both."""
-    one, two = np.split(filtered(plant, np.concatenate([above, below], axis=1))[0][SETTLE:], 2, axis=1)
+    one, two = np.split(filtered(plant, np.concatenate([above, below], axis=1)).innovations[SETTLE:], 2, axis=1)
     return np.asarray((one - two) / (2 * SMALL))
 
 
@@ -103,7 +111,7 @@ def of_jump(plant: Plant, jump: Array) -> Array:
 
 
 def inverses(plant: Plant) -> Array:
-    return filtered(plant, readings(plant))[1][SETTLE:, 0]
+    return filtered(plant, readings(plant)).inverses[SETTLE:, 0]
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -134,13 +142,22 @@ def test_rho_is_that_of_the_filter_itself() -> None:
         np.testing.assert_allclose(found.rho[:, j], rho, rtol=0, atol=1e-7)
 
 
-def require_mean_of_5(plant: Plant, M: Array, y: Array) -> None:
-    """The statistic a / sqrt(b) of readings y (K, RUNS, N) for a signature M (SAMPLES, N) has mean 5 and variance 1.
+@cache
+def runs_of(stated: Callable[[], Plant]) -> tuple[Array, GaussianState]:
+    """Readings (K, RUNS, N) whose parameters and inputs are drawn from what the plant states, and the filter after SETTLE."""
+    plant = augment(stated())
+    healthy = readings(plant, rng=np.random.default_rng(1), runs=RUNS)
+    return healthy, filtered(plant, healthy[:SETTLE]).end
 
-    It is above thresholds of 3.29 and 5 in shares of Phi(5 - h) of the runs, within 3.5 standard errors of a binomial share.
+
+def require_mean_of_5(plant: Plant, M: Array, settled: GaussianState, y: Array) -> None:
+    """The statistic a / sqrt(b) of readings y (SAMPLES, RUNS, N) for a signature M (SAMPLES, N) has mean 5 and variance 1.
+
+    The filter goes on from its state after the SETTLE samples before. The statistic is above thresholds of 3.29 and 5 in shares
+    of Phi(5 - h) of the runs, within 3.5 standard errors of a binomial share.
     """
     weight = inverses(plant)
-    a = np.einsum("ki,kij,kbj->b", M, weight, filtered(plant, y)[0][SETTLE:])
+    a = np.einsum("ki,kij,kbj->b", M, weight, filtered(plant, y, settled, SETTLE).innovations)
     found = a / np.sqrt(np.einsum("ki,kij,kj", M, weight, M))
     for threshold, expected in ((3.29, ndtr(NEEDED - 3.29)), (5.0, 0.5)):
         share = np.mean(np.abs(found) > threshold)
@@ -156,9 +173,9 @@ def require_mean_of_5(plant: Plant, M: Array, y: Array) -> None:
 def test_the_smallest_detectable_faults_are_detected(stated: Callable[[], Plant], sensors: Iterable[int], kind: str) -> None:
     """In runs whose parameters and inputs are drawn from what the plant states."""
     plant, sizes = augment(stated()), getattr(identifiability(stated(), SAMPLES, SETTLE), kind)
-    healthy, M = readings(plant, rng=np.random.default_rng(1), runs=RUNS), of_sensors(plant, kind)
+    (healthy, settled), M = runs_of(stated), of_sensors(plant, kind)
     for i in sensors:
-        require_mean_of_5(plant, M[i], healthy + sizes[i] * faults(plant, kind)[i])
+        require_mean_of_5(plant, M[i], settled, (healthy + sizes[i] * faults(plant, kind)[i])[SETTLE:])
 
 
 @pytest.mark.parametrize(
@@ -192,9 +209,10 @@ def test_what_can_be_told_apart_is_detected_beside_its_rival() -> None:
     b = np.einsum("ki,kij,kj", N, weight, N)
     assert np.sqrt(b) > NEEDED
     y = readings(plant, jump, np.random.default_rng(2), RUNS)
+    settled = filtered(plant, y[:SETTLE]).end
     for i in range(4):
         apart = M[i] - N * np.einsum("ki,kij,kj", M[i], weight, N) / b
-        require_mean_of_5(plant, apart, y + found.told_apart[i] * faults(plant, "bias")[i])
+        require_mean_of_5(plant, apart, settled, (y + found.told_apart[i] * faults(plant, "bias")[i])[SETTLE:])
 
 
 def test_an_absorbed_bias_has_the_limit_of_the_scalar_filter() -> None:

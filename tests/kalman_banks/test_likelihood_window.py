@@ -389,11 +389,15 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
     steps_seen = {max(o, r) for k in range(1, LONG + 1) for r in (1, restart + 1) for o in grid.onsets(k)}
     checked = 0
     for column, hypothesis in enumerate(SLOW if slow else RECENT):
-        alone = {}
+        alone, terms = {}, {}
         for onset in sorted(o for o in steps_seen if o <= LONG):
             z, read = differing(hypothesis, onset, LONG)
             read[np.isnan(y[:, 0])] = np.nan
-            alone[onset] = z, filtered(read, np.zeros(z.shape[-1]), AUGMENTED.P0, AUGMENTED)
+            alone[onset] = z, (steps := filtered(read, np.zeros(z.shape[-1]), AUGMENTED.P0, AUGMENTED))
+            whitened = [np.linalg.solve(one.S, step.d) for one, step in zip(healthy, steps, strict=True)]
+            terms[onset] = [
+                (float(w @ one.d), float(w @ step.d)) for w, one, step in zip(whitened, healthy, steps, strict=True)
+            ]  # of each step, of a and of b
         largest = max(np.abs(s.d).max(initial=0.0) for _, steps in alone.values() for s in steps)
         # each number is a sum over the steps and over readings and states, of terms as large as the largest effect
         near = rounding(condition * max(largest, 1.0), LONG * 4 * (SENSORS + len(MODEL.states)))
@@ -407,10 +411,7 @@ def test_every_hypothesis_is_the_filter_on_a_plant_of_which_it_is_true(grid: Gri
                 assert weighed.age[0, slot] == step - onset + 1
                 np.testing.assert_allclose(weighed.eta[0, slot, :, column], of.x - z[step - 1], rtol=0, atol=near)
                 np.testing.assert_allclose(weighed.M[0, slot, used, column], of.d, rtol=0, atol=near)
-                since = range(onset - 1, step)
-                whitened = [np.linalg.solve(healthy[k].S, steps[k].d) for k in since]
-                a = sum(float(w @ healthy[k].d) for w, k in zip(whitened, since, strict=True))
-                b = sum(float(w @ steps[k].d) for w, k in zip(whitened, since, strict=True))
+                a, b = map(sum, zip(*terms[onset][onset - 1 : step], strict=True))
                 assert weighed.a[0, slot, column] == pytest.approx(a, rel=0, abs=near * max(1.0, largest) * 10), (step, slot)
                 assert weighed.b[0, slot, column] == pytest.approx(b, rel=0, abs=near * max(1.0, largest)), (step, slot)
                 checked += 1

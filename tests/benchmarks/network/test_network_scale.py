@@ -65,15 +65,8 @@ def test_timed_steps_continue_the_run() -> None:
 
 
 @pytest.mark.skipif(not all(map(find_spec, network_scale.CLUSTER)), reason="needs distributed and cryptography")
-def test_two_processes_are_compared_with_one() -> None:
-    summary = run(areas=(15,), parts=(30,))
-    found = {(r.quantity, r.condition, r.metric): r.value for r in summary.rows}
-    assert found["30 areas", "2 processes", "step_time"] > 0 and found["30 areas", "2 processes", "speedup"] < 1
-    assert found["areas in a part", "two free cores", "break_even"] > 0
-
-
-@pytest.mark.skipif(not all(map(find_spec, network_scale.CLUSTER)), reason="needs distributed and cryptography")
-def test_the_cluster_accepts_connections_with_its_certificate_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_are_compared_with_one_and_accept_their_certificate_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One cluster for both: of the sizes on two processes the smallest alone is run."""
     import distributed
 
     seen: list[Any] = []
@@ -84,7 +77,13 @@ def test_the_cluster_accepts_connections_with_its_certificate_only(monkeypatch: 
             seen.extend((self.scheduler_address, *(w.address for w in self.workers.values()), self.security.require_encryption))
 
     monkeypatch.setattr(distributed, "LocalCluster", Watched)
-    network_scale.in_parts(15, 1e-3)
+    settings = {**SCALE.settings, "seconds": 1e-3, "areas": (15,), "parts": (30,), "robust": ()}
+    tasks = SCALE.tasks(settings, 1)
+    assert [(t["kind"], t["areas"]) for t in tasks] == [("one", 15), ("parts", 15), ("parts", 30)]
+    summary = SCALE.summarise(settings, [(task, SCALE.work(task)) for task in tasks[:2]])
+    found = {(r.quantity, r.condition, r.metric): r.value for r in summary.rows}
+    assert found["15 areas", "2 processes", "step_time"] > 0 and found["15 areas", "2 processes", "speedup"] < 1
+    assert found["areas in a part", "two free cores", "break_even"] > 0
     *addresses, encrypted = seen
     assert encrypted and len(addresses) == 3 and all(a.startswith("tls://127.0.0.1:") for a in addresses)
 
