@@ -63,6 +63,16 @@ def shared_fixtures() -> Path:
 
 
 @pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures of this process are empty: for tests of other things, which take most of their time to draw."""
+    from fusion_sfdia.experiments import drawing
+    from fusion_sfdia.report import log_page, log_report
+
+    for module, name in ((drawing, "write_figure"), (log_report, "write_figure"), (log_page, "figure_svg")):
+        monkeypatch.setattr(module, name, lambda *_: "<svg></svg>")
+
+
+@pytest.fixture
 def registrations(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a test registers is forgotten after it."""
     for kind, known in (("_PLANTS", registry.plants()), ("_DETECTORS", registry.detectors())):

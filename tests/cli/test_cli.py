@@ -331,6 +331,7 @@ INLET = 1 + len(PLANT.sensors)  # the column of p_inlet
     ],
     ids=["silent", "sensor", "gap", "guarded", "inlet", "order", "years"],
 )
+@pytest.mark.usefixtures("undrawn")
 def test_what_a_diagnosis_cannot_judge_is_reported(
     capsys: pytest.CaptureFixture[str], change: Callable[[list[list[str]]], object], exits: int, reported: str
 ) -> None:

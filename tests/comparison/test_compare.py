@@ -85,6 +85,7 @@ def test_a_plant_and_a_detector_of_ones_own_with_any_number_of_workers(tmp_path:
     assert numbers(one.rows) == numbers(two.rows)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_is_registered_meanwhile_is_compared_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
     mine = {"my-chain": NamedPlant("my-chain", "tanks in a row", my_chain, source=f"{__name__}:my_chain")}
     monkeypatch.setattr(registry, "plants", lambda: mine)
@@ -93,12 +94,14 @@ def test_what_is_registered_meanwhile_is_compared_by_default(monkeypatch: pytest
     assert not found.failures and {r.plant for r in found.rows} == {"my-chain"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_plant_without_cases_is_compared_with_generic_faults() -> None:
     found = compare(chain(4), [Cautious], workers=1, **TINY)
     assert not found.failures and {r.plant for r in found.rows} == {"chain"}
     assert {r.fault for r in found.rows} == {"none", "bias-30-sigma", "graded-30-sigma", "large", "ranked"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_has_the_same_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     here = compare("two-tanks", ["limits", "kf-chi2"], out=tmp_path / "here", workers=1, **TINY)
     settings = [f"--set={k}={','.join(map(str, v)) if isinstance(v, tuple) else v}" for k, v in TINY.items()
@@ -129,6 +132,7 @@ def resumed(out: Path) -> int:
     return int(json.loads((out / "manifest.json").read_text(encoding="utf-8"))["scenarios"][0]["resumed"])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_changed_plant_never_takes_up_old_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "helper_of_tank.py").write_text("SIGMA = 0.1\n", encoding="utf-8")
@@ -159,6 +163,7 @@ def test_the_registered_plant_as_an_object_has_its_cases_under_its_name() -> Non
     assert used.sensor_names and compared_plant(used) == named  # what a cached property keeps does not count
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_another_plant_of_a_registered_name_is_compared_without_cases_and_noted() -> None:
     plant = replace(two_tanks(), dt=2 * two_tanks().dt)
     found = compare(plant, "limits", workers=1, **TINY)
@@ -308,6 +313,7 @@ class Unscaled:
         return state, None
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_detector_whose_thresholds_have_no_scale_fails_with_the_cure() -> None:
     found = compare(my_chain, [Unscaled, Cautious], workers=1, **TINY)
     [line] = found.failures
@@ -316,6 +322,7 @@ def test_a_detector_whose_thresholds_have_no_scale_fails_with_the_cure() -> None
     assert {r.detector for r in found.rows if r.metric == "auc"} == {"Cautious"}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_frame_has_the_columns_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
     found = compare(my_chain, Cautious, workers=1, **TINY)
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=list))

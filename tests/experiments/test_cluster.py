@@ -74,6 +74,7 @@ def test_work_that_fails_on_a_worker_is_reported(tmp_path: Path, cluster: Any) -
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_comparison_that_loses_a_worker_is_that_of_one_machine(
     tmp_path: Path, cluster: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
