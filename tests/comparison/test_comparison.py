@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,7 @@ def cells_of(settings: dict[str, Any], found: list[tuple[Any, Any]]) -> dict[tup
     return gather(Subjects(), settings, found)[0]
 
 
+@cache
 def cases(plant: str) -> ComparisonCases:
     return cases_of(compared_plant(plant))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,7 @@ MODULES = {
 }
 
 
+@cache
 def imports(path: Path, *, top_level: bool = False) -> set[str]:
     """Full names of what a file imports; top_level: only what is imported when the file is."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
