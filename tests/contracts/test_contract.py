@@ -16,8 +16,8 @@ import pytest
 from scipy.stats import betabinom, binom
 from toy_plants import Array, chain
 
-from fusion_sfdia import registry
-from fusion_sfdia.builders import CALIBRATION_SEEDS, CALIBRATION_STEPS, WARM_UP
+from fusion_sfdia import builders, registry
+from fusion_sfdia.builders import CALIBRATION_SEEDS, CALIBRATION_STEPS, WARM_UP, healthy_data
 from fusion_sfdia.checks.detectors import DETECTOR_CHECKS
 from fusion_sfdia.checks.plants import PLANT_CHECKS
 from fusion_sfdia.checks.readings import Healthy, healthy_readings
@@ -31,7 +31,7 @@ from fusion_sfdia.data_driven.fixed_limits import FixedLimits
 from fusion_sfdia.data_driven.one_class import OneClass
 from fusion_sfdia.data_driven.pca import PrincipalComponents
 from fusion_sfdia.detectors import FALSE_ALARM
-from fusion_sfdia.evaluation.simulate import simulate
+from fusion_sfdia.evaluation.simulate import Recording, simulate
 from fusion_sfdia.kalman_banks.fusing_bank import FusingBank
 from fusion_sfdia.structural_residuals.structural_residuals import StructuralResiduals
 
@@ -78,6 +78,8 @@ MISSED = {
 FITTED = (FusingBank, FixedLimits, EwmaLimits, PrincipalComponents, OneClass, StructuralResiduals)  # limits from healthy data
 NAMELESS = {"chebyshev:corrected", "chebyshev:paper"}  # as published it detects a fault and does not isolate its sensor
 SETTLED = 20  # samples in which the filters forget their initial covariance
+UNIT = 1e-5  # of another unit
+KEPT = 4  # simulations of healthy readings
 LATER = {("power-network", "dynamic-pca"): 40}  # more of them: it learns from a network whose disturbances have built up
 
 
@@ -111,6 +113,30 @@ def pairs() -> Iterator[object]:
 
 
 every_pair = pytest.mark.parametrize("pair", list(pairs()), scope="module")  # one pair after the other: one process builds it
+
+
+@cache
+def in_another_unit(plant: str) -> Plant:
+    """The plant with the readings of its first quantity in another unit: Pa as bar."""
+    of = plant_of(plant)
+    return of.in_units({of.sensors[i].name: ("other", UNIT) for i in next(iter(of.quantities.values()))})
+
+
+@pytest.fixture(scope="module", autouse=True)
+def learnt_from_one_simulation() -> Iterator[None]:
+    """Detectors that learn from as many healthy readings of a plant share them: each would simulate the same."""
+    made: dict[tuple[int, float, int], tuple[Plant, Recording]] = {}  # with the plant, so that no other gets its id
+
+    def once(plant: Plant, false_alarm: float = FALSE_ALARM, checks: int = 2) -> Recording:
+        if (key := (id(plant), false_alarm, checks)) not in made:
+            if len(made) == KEPT:
+                made.pop(next(iter(made)))
+            made[key] = plant, healthy_data(plant, false_alarm, checks)
+        return made[key][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(builders, "healthy_data", once)
+        yield
 
 
 @cache
@@ -220,14 +246,14 @@ def test_decisions_do_not_change_with_the_unit_of_a_quantity_read(pair: tuple[st
     plant, detector = plant_of(pair[0]), detector_of(*pair)
     chosen = next(iter(plant.quantities.values()))
     factor = np.ones(len(plant.sensors))
-    factor[chosen] = 1e-5  # Pa as bar
-    units = {plant.sensors[i].name: ("other", 1e-5) for i in chosen}
+    factor[chosen] = UNIT
     if isinstance(detector, FusingBank):  # test_fusing_bank_thresholds holds that its thresholds follow the unit
+        units = {plant.sensors[i].name: ("other", UNIT) for i in chosen}
         other: Detector = replace(
             detector, plant=detector.plant.in_units(units), thresholds=tuple(np.array(detector.thresholds) * factor)
         )
     else:
-        other = registry.detector(pair[1], plant.in_units(units))
+        other = registry.detector(pair[1], in_another_unit(pair[0]))
     t, y, u = healthy(pair[0], 60, 2)
     y = y.copy()
     y[35:55, 0, chosen[0]] += 30 * plant.sensor_sigma[chosen[0]]
