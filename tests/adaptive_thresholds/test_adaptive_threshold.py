@@ -40,7 +40,10 @@ def test_corners_enclose_the_engine_over_the_envelope() -> None:
     settings = DETECTOR._settings
     centre = DETECTOR.nominal + (settings.half_width - settings.bound) * rng.uniform(-1, 1, (100, 10))
     u = np.ones((100, 1))
-    _, _, lower, upper = DETECTOR._monitor(centre[:, :3], np.zeros((100, 3)), centre, centre, u, 0.01, settings)
+    given = [np.array(a) for a in (centre[:, :3], np.zeros((100, 3)), centre, centre, u)]
+    for a in given:
+        a.flags.writeable = False  # as those of a run are: it is compiled for each type of arguments
+    _, _, lower, upper = DETECTOR._monitor(*given, 0.01, settings)
     for _ in range(100):
         at = dict(zip(m.equations, (centre + settings.bound * rng.uniform(-1, 1, centre.shape)).T, strict=True))
         for k, (name, function) in enumerate(list(m.equations.items())[3:]):
