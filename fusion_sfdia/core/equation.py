@@ -30,7 +30,7 @@ def equation(function: F) -> F:
 
     There it is always inlined; otherwise loops over it would not become vector instructions.
     """
-    return register_jitable(forceinline=True)(function)  # type: ignore[no-any-return]
+    return register_jitable(forceinline=True, no_cfunc_wrapper=True)(function)  # type: ignore[no-any-return]
 
 
 def compiled(function: F) -> F:
@@ -41,9 +41,17 @@ def compiled(function: F) -> F:
     module; where that folder cannot be written to, in the user's cache, and where that cannot either, nowhere.
     """
     try:
-        return njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+        return njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)  # type: ignore[no-any-return]
     except RuntimeError:  # numba finds no folder
-        return njit(error_model="numpy")(function)  # type: ignore[no-any-return]
+        return njit(error_model="numpy", no_cfunc_wrapper=True)(function)  # type: ignore[no-any-return]
+
+
+def part(function: F) -> F:
+    """Mark a loop that stands in compiled loops of the same file: its statements become theirs before anything is compiled.
+
+    What is compiled by itself instead is optimised once more within each of its callers, which takes longer.
+    """
+    return njit(inline="always", error_model="numpy")(function)  # type: ignore[no-any-return]
 
 
 def plain(a: Array) -> Array:

@@ -10,18 +10,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import compiled, equation
+from fusion_sfdia.core.equation import compiled, part
 
 Array = NDArray[Any]
 
 
 @compiled
 def half_inverses(A: Array, used: Array) -> None:
-    """`half_inverse` of matrices A (B, n, n), in place; used (B, n), or (1, n) for all."""
+    """A <- U with U U' = A^-1 of symmetric A (B, n, n), in place; NaN where A is not positive definite and finite.
+
+    used (B, n), or (1, n) for all: rows and columns to take; the others are left out as if they did not exist, and 0 in U.
+    """
     n = A.shape[1]
-    X, factor = np.zeros((n, n)), np.empty(n)
+    X, factor = np.empty((n, n)), np.empty(n)
+    for i in range(n):
+        for j in range(n):
+            X[i, j] = 0.0
     for b in range(A.shape[0]):
-        half_inverse(A[b], used[b % used.shape[0]], X, factor)
+        of, take = A[b], used[b % used.shape[0]]
+        for i in range(n):
+            if not take[i]:
+                for j in range(n):
+                    of[i, j] = of[j, i] = 0.0
+                of[i, i] = 1.0
+        if factorise(of):
+            invert(of, X, factor)
+        else:
+            for i in range(n):
+                for j in range(n):
+                    of[i, j] = np.nan
+        for i in range(n):
+            if not take[i]:
+                for j in range(n):
+                    of[i, j] = 0.0
 
 
 @compiled
@@ -33,12 +54,12 @@ def inverted(S: Array, d: Array, used: Array) -> tuple[Array, Array, Array, Arra
     B, N = d.shape
     half, inverse = np.empty((B, N, N)), np.empty((B, N, N))
     scores, whitened, weight = np.empty((B, N)), np.empty((B, N)), np.empty((B, N))
-    X, factor = np.zeros((N, N)), np.empty(N)
     for r in range(B):
         for i in range(N):
             for j in range(N):
                 half[r, i, j] = S[r % S.shape[0], i, j]
-        half_inverse(half[r], used[r], X, factor)
+    half_inverses(half, used)
+    for r in range(B):
         for i in range(N):
             for j in range(i + 1):
                 total = 0.0
@@ -79,32 +100,7 @@ def squares_of_rows(U: Array) -> Array:
     return found
 
 
-@equation
-def half_inverse(A: Any, used: Any, X: Any, factor: Any) -> None:
-    """A <- U with U U' = A^-1 of symmetric A (n, n), in place; NaN where A is not positive definite and finite.
-
-    used (n,): rows and columns to take; the others are left out as if they did not exist, and 0 in U. X (n, n), 0 above its
-    diagonal, and factor (n,) are workspace.
-    """
-    n = A.shape[0]
-    for i in range(n):
-        if not used[i]:
-            for j in range(n):
-                A[i, j] = A[j, i] = 0.0
-            A[i, i] = 1.0
-    if factorise(A):
-        invert(A, X, factor)
-    else:
-        for i in range(n):
-            for j in range(n):
-                A[i, j] = np.nan
-    for i in range(n):
-        if not used[i]:
-            for j in range(n):
-                A[i, j] = 0.0
-
-
-@equation
+@part
 def factorise(R: Any) -> Any:
     """R <- upper triangular R with R' R = the given matrix, of which the upper triangle counts; whether there is a finite one.
 
@@ -136,7 +132,7 @@ def factorise(R: Any) -> Any:
     return True
 
 
-@equation
+@part
 def invert(R: Any, X: Any, factor: Any) -> None:
     """R <- R^-1 of upper triangular R; X (n, n), 0 above its diagonal, and factor (n,) are workspace.
 

@@ -366,6 +366,25 @@ COLUMNS = 16  # lanes of the second pass
 OWN = 9  # directions before those of the parameters
 
 
+@equation
+def taken(w: Any, value: int, slope: int, k: int) -> Any:
+    """The dual number of a lane k whose value and slope are in these rows of w."""
+    return dual(w[value * LANES + k], w[slope * LANES + k])
+
+
+@equation
+def put(w: Any, value: int, slope: int, k: int, number: Any) -> None:
+    """Write a dual number of a lane k to w, its value and slope to these rows."""
+    w[value * LANES + k] = number.value
+    w[slope * LANES + k] = number.slope
+
+
+@equation
+def sums_of(w: Any, k: int) -> tuple[Any, ...]:
+    """The sums over powers of the pressure of a lane k: see `local_derivatives`."""
+    return taken(w, 30, 35, k), taken(w, 31, 36, k), taken(w, 32, 37, k), taken(w, 33, 38, k), taken(w, 34, 39, k)
+
+
 @compiled
 def local_derivatives(
     x: Any, given: Any, theta: Any, which: Any, c: PipelineParameters, stencil: Array, w: Any, rate: Any, J: Any
@@ -397,84 +416,75 @@ def local_derivatives(
                     + stencil[row, 4] * x[at + 4]
                 )
         for a in range(OWN + which.shape[0]):
-            of[:] = 0.0
+            for j in range(OWN + 4):
+                of[j] = 0.0
             of[a if a < OWN else OWN + which[a - OWN]] = 1.0
             unknown = dual(theta[0], of[9]), dual(theta[1], of[10]), dual(theta[2], of[11]), dual(theta[3], of[12])
-            e, of_p, of_m, of_T, of_p_s, of_m_s, of_T_s = with_unknown(c, unknown), of[0], of[1], of[2], of[3], of[4], of[5]
+            e = with_unknown(c, unknown)
+            of_p, of_m, of_T = of[0], of[1], of[2]
             of_f = 1.0 if a == 1 or of[OWN] else 0.0  # friction depends on m and, of the parameters, on the roughness
             if a == 0 or of[OWN]:
                 for k in range(lanes):
-                    f = friction_factor(dual(w[LANES + k], 1.0 if a == 0 else 0.0), e)
-                    w[6 * LANES + k], w[7 * LANES + k] = f.value, f.slope
+                    put(w, 6, 7, k, friction_factor(dual(w[LANES + k], 1.0 if a == 0 else 0.0), e))
             if a == 0 or a == 2:
                 for j in range(POWERS_OF_PRESSURE):
                     for k in range(lanes):
                         p, T = dual(w[k], of_p), dual(w[2 * LANES + k], of_T)
                         sums = no_powers(p)
                         if j > 0:
-                            sums = (
-                                dual(w[30 * LANES + k], w[35 * LANES + k]), dual(w[31 * LANES + k], w[36 * LANES + k]),
-                                dual(w[32 * LANES + k], w[37 * LANES + k]), dual(w[33 * LANES + k], w[38 * LANES + k]),
-                                dual(w[34 * LANES + k], w[39 * LANES + k]),
-                            )  # fmt: skip
+                            sums = sums_of(w, k)
                         power, z, p_z_p, z_tau, curvature = with_power(j, p, T, sums, e)
-                        w[30 * LANES + k], w[35 * LANES + k] = power.value, power.slope
-                        w[31 * LANES + k], w[36 * LANES + k] = z.value, z.slope
-                        w[32 * LANES + k], w[37 * LANES + k] = p_z_p.value, p_z_p.slope
-                        w[33 * LANES + k], w[38 * LANES + k] = z_tau.value, z_tau.slope
-                        w[34 * LANES + k], w[39 * LANES + k] = curvature.value, curvature.slope
+                        put(w, 30, 35, k, power)
+                        put(w, 31, 36, k, z)
+                        put(w, 32, 37, k, p_z_p)
+                        put(w, 33, 38, k, z_tau)
+                        put(w, 34, 39, k, curvature)
             elif a == 1 or a == OWN:
-                w[35 * LANES : 40 * LANES] = 0.0
+                for k in range(35 * LANES, 40 * LANES):
+                    w[k] = 0.0
             if a < 3 or a >= OWN:
                 for k in range(lanes):
                     p, m, T = dual(w[k], of_p), dual(w[LANES + k], of_m), dual(w[2 * LANES + k], of_T)
-                    sums = (
-                        dual(w[30 * LANES + k], w[35 * LANES + k]), dual(w[31 * LANES + k], w[36 * LANES + k]),
-                        dual(w[32 * LANES + k], w[37 * LANES + k]), dual(w[33 * LANES + k], w[38 * LANES + k]),
-                        dual(w[34 * LANES + k], w[39 * LANES + k]),
-                    )  # fmt: skip
                     f = dual(w[6 * LANES + k], of_f * w[7 * LANES + k])
-                    v, rho, a2, alpha_1, alpha_2, cp, loss, source = flow(p, m, T, f, of_powers(T, sums), e)
-                    w[8 * LANES + k], w[16 * LANES + k] = v.value, v.slope
-                    w[9 * LANES + k], w[17 * LANES + k] = rho.value, rho.slope
-                    w[10 * LANES + k], w[18 * LANES + k] = a2.value, a2.slope
-                    w[11 * LANES + k], w[19 * LANES + k] = alpha_1.value, alpha_1.slope
-                    w[12 * LANES + k], w[20 * LANES + k] = alpha_2.value, alpha_2.slope
-                    w[13 * LANES + k], w[21 * LANES + k] = cp.value, cp.slope
-                    w[14 * LANES + k], w[22 * LANES + k] = loss.value, loss.slope
-                    w[15 * LANES + k], w[23 * LANES + k] = source.value, source.slope
+                    v, rho, a2, alpha_1, alpha_2, cp, loss, source = flow(p, m, T, f, of_powers(T, sums_of(w, k)), e)
+                    put(w, 8, 16, k, v)
+                    put(w, 9, 17, k, rho)
+                    put(w, 10, 18, k, a2)
+                    put(w, 11, 19, k, alpha_1)
+                    put(w, 12, 20, k, alpha_2)
+                    put(w, 13, 21, k, cp)
+                    put(w, 14, 22, k, loss)
+                    put(w, 15, 23, k, source)
             elif a == 3:  # on gradients and given rates it does not depend
-                w[16 * LANES : 24 * LANES] = 0.0
+                for k in range(16 * LANES, 24 * LANES):
+                    w[k] = 0.0
             for k in range(lanes):
                 p_t, m_t, T_t = rates_along(
                     dual(w[k], of_p), dual(w[LANES + k], of_m), dual(w[2 * LANES + k], of_T),
-                    dual(w[3 * LANES + k], of_p_s), dual(w[4 * LANES + k], of_m_s), dual(w[5 * LANES + k], of_T_s),
+                    dual(w[3 * LANES + k], of[3]), dual(w[4 * LANES + k], of[4]), dual(w[5 * LANES + k], of[5]),
                     (
-                        dual(w[8 * LANES + k], w[16 * LANES + k]), dual(w[9 * LANES + k], w[17 * LANES + k]),
-                        dual(w[10 * LANES + k], w[18 * LANES + k]), dual(w[11 * LANES + k], w[19 * LANES + k]),
-                        dual(w[12 * LANES + k], w[20 * LANES + k]), dual(w[13 * LANES + k], w[21 * LANES + k]),
-                        dual(w[14 * LANES + k], w[22 * LANES + k]), dual(w[15 * LANES + k], w[23 * LANES + k]),
+                        taken(w, 8, 16, k), taken(w, 9, 17, k), taken(w, 10, 18, k), taken(w, 11, 19, k),
+                        taken(w, 12, 20, k), taken(w, 13, 21, k), taken(w, 14, 22, k), taken(w, 15, 23, k),
                     ), e,
                 )  # fmt: skip
-                w[24 * LANES + k], w[25 * LANES + k], w[26 * LANES + k] = p_t.value, m_t.value, T_t.value
-                w[27 * LANES + k], w[28 * LANES + k], w[29 * LANES + k] = p_t.slope, m_t.slope, T_t.slope
+                put(w, 24, 27, k, p_t)
+                put(w, 25, 28, k, m_t)
+                put(w, 26, 29, k, T_t)
             for k in range(nodes):
                 i = begin + k
                 if i == 0 or i == n - 1:
                     here = (
-                        dual(w[24 * LANES + k], w[27 * LANES + k]), dual(w[25 * LANES + k], w[28 * LANES + k]),
-                        dual(w[26 * LANES + k], w[29 * LANES + k]), dual(w[8 * LANES + k], w[16 * LANES + k]),
-                        dual(w[9 * LANES + k], w[17 * LANES + k]), dual(w[10 * LANES + k], w[18 * LANES + k]),
-                        dual(w[11 * LANES + k], w[19 * LANES + k]), dual(w[12 * LANES + k], w[20 * LANES + k]),
-                        dual(w[13 * LANES + k], w[21 * LANES + k]),
+                        taken(w, 24, 27, k), taken(w, 25, 28, k), taken(w, 26, 29, k), taken(w, 8, 16, k), taken(w, 9, 17, k),
+                        taken(w, 10, 18, k), taken(w, 11, 19, k), taken(w, 12, 20, k), taken(w, 13, 21, k),
                     )  # fmt: skip
                     p, T = dual(w[k], of_p), dual(w[2 * LANES + k], of_T)
                     if i == 0:
                         p_t, m_t, T_t = inlet_rates(p, T, here, dual(given[0], of[6]), dual(given[1], of[7]), e)
                     else:
                         p_t, m_t, T_t = outlet_rates(p, T, here, dual(given[2], of[8]), e)
-                    w[24 * LANES + k], w[25 * LANES + k], w[26 * LANES + k] = p_t.value, m_t.value, T_t.value
-                    w[27 * LANES + k], w[28 * LANES + k], w[29 * LANES + k] = p_t.slope, m_t.slope, T_t.slope
+                    put(w, 24, 27, k, p_t)
+                    put(w, 25, 28, k, m_t)
+                    put(w, 26, 29, k, T_t)
                 for v in range(3):
                     J[a, v, i] = w[(27 + v) * LANES + k]
                     if a == 0:
@@ -482,10 +492,10 @@ def local_derivatives(
 
 
 @compiled
-def directional(J: Any, stencil: Array, dgiven: Any, dtheta: Any, along: Any, rate: Any) -> None:
+def directional(J: Any, stencil: Array, dgiven: Any, dtheta: Any, parameters: int, along: Any, rate: Any) -> None:
     """Write to rate (3n COLUMNS,) the derivatives of dx/dt along columns: changes `along` (3n COLUMNS,) of the states, of the
-    rates given (3 COLUMNS,) and of the parameters (p COLUMNS,); J: `local_derivatives`. A node's rows of p, m, T follow each
-    other, so that those of its stencil are at known distances.
+    rates given (3 COLUMNS,) and of the first `parameters` of the parameters (p COLUMNS,); J: `local_derivatives`. A node's rows
+    of p, m, T follow each other, so that those of its stencil are at known distances.
     """
     n = along.shape[0] // (3 * COLUMNS)
     for i in range(n):
@@ -519,80 +529,111 @@ def directional(J: Any, stencil: Array, dgiven: Any, dtheta: Any, along: Any, ra
                 for j in range(3):
                     for k in range(COLUMNS):
                         into[v * COLUMNS + k] += J[6 + j, v, i] * dgiven[j * COLUMNS + k]
-            for j in range(dtheta.shape[0] // COLUMNS):
+            for j in range(parameters):
                 for k in range(COLUMNS):
                     into[v * COLUMNS + k] += J[OWN + j, v, i] * dtheta[j * COLUMNS + k]
 
 
 @compiled
+def tangents_of_stages(
+    states: Any, inputs: Any, theta: Any, which: Any, dt: float, c: PipelineParameters, stencil: Array, reached: Array, J: Array
+) -> None:
+    """Write to `reached` (B, 3n) the states as by `advance`, and to J (B, substeps, 4, 9 + p, 3, n) the derivatives of the
+    rates in each stage: see `local_derivatives`.
+    """
+    size, substeps = states.shape[1], J.shape[1]
+    n = size // 3
+    x, at, rate, total = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    given, w = np.empty(3), np.empty(40 * LANES)
+    h = dt / substeps
+    for b in range(states.shape[0]):
+        own = theta[min(b, theta.shape[0] - 1)]
+        for i in range(size):
+            x[i] = at[i] = states[b, i]
+            total[i] = 0.0
+        given[0] = (inputs[b, 0] - x[0]) / dt
+        given[1] = (inputs[b, 1] - x[2 * n]) / dt
+        given[2] = (inputs[b, 2] - x[2 * n - 1]) / dt
+        for part in range(substeps):
+            for stage in range(4):
+                ahead = 1.0 if stage == 2 else 0.5  # of the next stage
+                weight = 2.0 if 0 < stage < 3 else 1.0
+                local_derivatives(at, given, own, which, c, stencil, w, rate, J[b, part, stage])
+                for i in range(size):
+                    total[i] += weight * rate[i]
+                    at[i] = x[i] + ahead * h * rate[i]
+            for i in range(size):
+                x[i] += h / 6.0 * total[i]
+                at[i], total[i] = x[i], 0.0
+        for i in range(size):  # by arrays numba takes seconds more
+            reached[b, i] = x[i]
+
+
+@compiled
+def chain_of_stages(J: Array, columns: Array, dt: float, stencil: Array, result: Array) -> None:
+    """Write to result (B, 3n, M) the derivatives of `advance_tangent` by the chain rule, from J of `tangents_of_stages`."""
+    runs, substeps, n, count = J.shape[0], J.shape[1], J.shape[5], columns.shape[0]
+    size, parameters = 3 * n, J.shape[3] - OWN
+    dx, along = np.empty(size * COLUMNS), np.empty(size * COLUMNS)
+    drate, dtotal = np.empty(size * COLUMNS), np.empty(size * COLUMNS)
+    dgiven, dtheta = np.empty(3 * COLUMNS), np.empty(parameters * COLUMNS)
+    h = dt / substeps
+    for b in range(runs):
+        for begin in range(0, count, COLUMNS):
+            lanes = min(COLUMNS, count - begin)
+            for i in range(size * COLUMNS):
+                dx[i] = dtotal[i] = 0.0
+            for i in range(3 * COLUMNS):
+                dgiven[i] = 0.0
+            for i in range(parameters * COLUMNS):
+                dtheta[i] = 0.0
+            for k in range(lanes):
+                j = columns[begin + k]
+                if j < size:
+                    dx[(3 * (j % n) + j // n) * COLUMNS + k] = 1.0
+                    if j == 0:
+                        dgiven[k] = -1.0 / dt
+                    elif j == 2 * n:
+                        dgiven[COLUMNS + k] = -1.0 / dt
+                    elif j == 2 * n - 1:
+                        dgiven[2 * COLUMNS + k] = -1.0 / dt
+                elif j < size + 3:
+                    dgiven[(j - size) * COLUMNS + k] = 1.0 / dt
+                else:  # the last columns, one for each
+                    dtheta[(begin + k - count + parameters) * COLUMNS + k] = 1.0
+            for i in range(size * COLUMNS):
+                along[i] = dx[i]
+            changing = parameters if columns[begin + lanes - 1] >= size + 3 else 0
+            for part in range(substeps):
+                for stage in range(4):
+                    ahead = 1.0 if stage == 2 else 0.5  # of the next stage
+                    weight = 2.0 if 0 < stage < 3 else 1.0
+                    directional(J[b, part, stage], stencil, dgiven, dtheta, changing, along, drate)
+                    for i in range(size * COLUMNS):
+                        dtotal[i] += weight * drate[i]
+                    if stage < 3:
+                        for i in range(size * COLUMNS):
+                            along[i] = dx[i] + ahead * h * drate[i]
+                for i in range(size * COLUMNS):
+                    dx[i] += h / 6.0 * dtotal[i]
+                    along[i] = dx[i]
+                    dtotal[i] = 0.0
+            for v in range(3):
+                for i in range(n):
+                    for k in range(lanes):
+                        result[b, v * n + i, begin + k] = dx[(3 * i + v) * COLUMNS + k]
+
+
 def advance_tangent(
     states: Any, inputs: Any, theta: Any, columns: Any, dt: float, substeps: int, c: PipelineParameters, stencil: Array
 ) -> tuple[Array, Array]:
     """States (B, 3n) as by `advance`, and their derivatives (B, 3n, M) with respect to those of (states, inputs, parameters
     UNKNOWN) whose positions are `columns` (M,), in ascending order, by the chain rule through the stages.
     """
-    size = states.shape[1]
-    n = size // 3
+    B, size = states.shape
     which = columns[columns >= size + 3] - (size + 3)
-    result, reached = np.empty((states.shape[0], size, columns.shape[0])), np.empty((states.shape[0], size))
-    x, at, rate, total = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    given, w = np.empty(3), np.empty(40 * LANES)
-    J = np.empty((substeps, 4, OWN + which.shape[0], 3, n))
-    dx, along = np.empty(size * COLUMNS), np.empty(size * COLUMNS)
-    drate, dtotal = np.empty(size * COLUMNS), np.empty(size * COLUMNS)
-    dgiven, dtheta = np.empty(3 * COLUMNS), np.empty(which.shape[0] * COLUMNS)
-    h = dt / substeps
-    for b in range(states.shape[0]):
-        own = theta[min(b, theta.shape[0] - 1)]
-        for i in range(size):
-            x[i] = states[b, i]
-        given[0] = (inputs[b, 0] - x[0]) / dt
-        given[1] = (inputs[b, 1] - x[2 * n]) / dt
-        given[2] = (inputs[b, 2] - x[2 * n - 1]) / dt
-        for part in range(substeps):
-            for stage in range(4):
-                ahead = 1.0 if stage == 3 else 0.5
-                weight = 2.0 if 0 < stage < 3 else 1.0
-                for i in range(size):
-                    at[i] = x[i] if stage == 0 else x[i] + ahead * h * rate[i]
-                local_derivatives(at, given, own, which, c, stencil, w, rate, J[part, stage])
-                for i in range(size):
-                    total[i] = rate[i] if stage == 0 else total[i] + weight * rate[i]
-            for i in range(size):
-                x[i] += h / 6.0 * total[i]
-        for i in range(size):  # by arrays numba takes seconds more
-            reached[b, i] = x[i]
-        for begin in range(0, columns.shape[0], COLUMNS):
-            lanes = min(COLUMNS, columns.shape[0] - begin)
-            dx[:] = 0.0
-            dgiven[:] = 0.0
-            dtheta[:] = 0.0
-            for k in range(lanes):
-                j = columns[begin + k]
-                if j < size:
-                    dx[(3 * (j % n) + j // n) * COLUMNS + k] = 1.0
-                for v in range(3):
-                    if j == (0, 2 * n, 2 * n - 1)[v]:
-                        dgiven[v * COLUMNS + k] = -1.0 / dt
-                    elif j == size + v:
-                        dgiven[v * COLUMNS + k] = 1.0 / dt
-                for v in range(which.shape[0]):
-                    if j == size + 3 + which[v]:
-                        dtheta[v * COLUMNS + k] = 1.0
-            changes = dtheta if columns[begin + lanes - 1] >= size + 3 else dtheta[:0]
-            for part in range(substeps):
-                for stage in range(4):
-                    ahead = 1.0 if stage == 3 else 0.5
-                    weight = 2.0 if 0 < stage < 3 else 1.0
-                    for i in range(size * COLUMNS):
-                        along[i] = dx[i] if stage == 0 else dx[i] + ahead * h * drate[i]
-                    directional(J[part, stage], stencil, dgiven, changes, along, drate)
-                    for i in range(size * COLUMNS):
-                        dtotal[i] = drate[i] if stage == 0 else dtotal[i] + weight * drate[i]
-                for i in range(size * COLUMNS):
-                    dx[i] += h / 6.0 * dtotal[i]
-            for v in range(3):
-                for i in range(n):
-                    for k in range(lanes):
-                        result[b, v * n + i, begin + k] = dx[(3 * i + v) * COLUMNS + k]
+    reached, result = np.empty((B, size)), np.empty((B, size, columns.size))
+    J = np.empty((B, substeps, 4, OWN + which.size, 3, size // 3))
+    tangents_of_stages(states, inputs, theta, which, dt, c, stencil, reached, J)
+    chain_of_stages(J, columns, dt, stencil, result)
     return reached, result
