@@ -56,7 +56,8 @@ def _times(slope: Interval, factor: Interval) -> Interval:
     """Their product: exact, without outward rounding, where one of them is 1, or the factor -1, by its rule."""
     if factor is _ONE or slope is _ONE:
         return slope if factor is _ONE else factor
-    return -slope if factor is _MINUS_ONE else slope * factor
+    product: Interval = -slope if factor is _MINUS_ONE else slope * factor
+    return product
 
 
 def monotone_hull(function: Callable[..., Any] | Expression, box: Interval, pieces: int = 1) -> Interval:
