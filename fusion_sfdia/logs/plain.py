@@ -41,7 +41,8 @@ def plain_table(path: Path) -> tuple[list[str], Array] | None:
             return None
         columns = np.empty((len(titles), _lines_below(file)))
         while block := file.read(BLOCK) or (rest and b"\n"):  # the last line may lack its end
-            whole, end, rest = (rest + block).replace(b"\r\n", b"\n").rpartition(b"\n")
+            text = rest + block
+            whole, end, rest = (text.replace(b"\r\n", b"\n") if b"\r" in text else text).rpartition(b"\n")
             if end:
                 if (rows := _rows(whole, len(titles))) is None:
                     return None
@@ -55,7 +56,9 @@ def plain_lines(values: Array) -> list[str]:
     if np.isinf(values).any():  # not in JSON
         return [",".join(map(repr, row)).replace("nan", "") for row in values.tolist()]
     text = orjson.dumps(np.ascontiguousarray(values), option=orjson.OPT_SERIALIZE_NUMPY).decode()
-    return text[2:-2].replace("null", "").split("],[") if len(values) else []
+    if np.isnan(values).any():
+        text = text.replace("null", "")
+    return text[2:-2].split("],[") if len(values) else []
 
 
 def shortened(values: Array, digits: int) -> Array:
@@ -82,13 +85,21 @@ def _lines_below(file: IO[bytes]) -> int:
 
 def _rows(lines: bytes, width: int) -> Array | None:
     """The numbers (K, width) of whole lines; None where they are anything else."""
-    if lines.translate(None, ALLOWED) or {line.count(b",") for line in lines.split(b"\n")} != {width - 1}:
+    if lines.translate(None, ALLOWED) or not _of_width(lines, width):
         return None
     try:
         values = np.array(_cells(lines.replace(b"\n", b",")), dtype=float).reshape(-1, width)
     except ValueError:
         return None
     return None if np.isinf(values).any() or np.isnan(values).all(axis=1).any() else values
+
+
+def _of_width(lines: bytes, width: int) -> bool:
+    """Whether each line has so many cells: of what stands between cells each width-th ends a line, and nothing else does."""
+    text = np.frombuffer(lines, np.uint8)
+    ends = text[(text == ord(",")) | (text == ord("\n"))] == ord("\n")
+    rows = (ends.size + 1) // width
+    return rows * width == ends.size + 1 and bool(ends[width - 1 :: width].all()) and int(ends.sum()) == rows - 1
 
 
 def _cells(text: bytes) -> list[float | None]:

@@ -108,6 +108,11 @@ def test_numerics_do_not_draw() -> None:
             assert not drawing, f"{name} imports {drawing}"
 
 
+def test_a_builder_imports_its_school_when_it_is_called() -> None:
+    assert own(imports(MODULES["builders"])) >= {*SCHOOLS}
+    assert not own(imports(MODULES["builders"], top_level=True)) & {*SCHOOLS}
+
+
 def test_there_are_no_cycles() -> None:
     graph = {
         name: {used.removeprefix("fusion_sfdia.") for used in imports(path, top_level=True)} & {*MODULES} - {name}
