@@ -513,6 +513,7 @@ def test_without_options_all_is_compared() -> None:
     assert (chosen.set, chosen.full) == ([], False)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     few = [f"--set={k}={v}" for k, v in TINY.items() if k not in ("plants", "detectors")]
     code = main(["compare", "--plants", "two-tanks", "--detectors", "limits", "--faults", "bias", "--seeds", "1",

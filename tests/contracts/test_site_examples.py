@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import re
+import runpy
 import shutil
-import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -18,31 +18,40 @@ def folder(root: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(root / "docs" / "examples", tmp_path / "examples"))
 
 
-def output_of(root: Path, folder: Path, *arguments: str) -> str:
-    """What Python with these arguments prints; it runs in the folder."""
-    environment = os.environ | {"PYTHONPATH": str(root)}
-    run = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    return run.stdout
+@pytest.fixture
+def printed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Callable[[str], str]]:
+    """What a file prints that is run in the folder, without what another file of it has left in this process."""
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(folder)
+
+    def output_of(name: str) -> str:
+        sys.modules.pop("tank", None)
+        runpy.run_path(name, run_name="__main__")
+        return capsys.readouterr().out
+
+    yield output_of
+    sys.modules.pop("tank", None)
 
 
-def test_the_plant_is_simulated_and_diagnosed(root: Path, folder: Path) -> None:
-    assert output_of(root, folder, "tank.py") == "level_2 from 3060 s, 0.10 m\n"
+def test_the_plant_is_simulated_and_diagnosed(folder: Path, printed: Callable[[str], str]) -> None:
+    assert printed("tank.py") == "level_2 from 3060 s, 0.10 m\n"
     assert "# level_2 from 3060 s, 0.10 m\n" in (folder / "tank.py").read_text(encoding="utf-8")
 
 
-def test_an_unknown_outflow_is_estimated(root: Path, folder: Path) -> None:
-    names, found = output_of(root, folder, "unsure.py").splitlines()
+def test_an_unknown_outflow_is_estimated(printed: Callable[[str], str]) -> None:
+    names, found = printed("unsure.py").splitlines()
     assert names == "level, temperature, outflow, error of inflow"
     value = re.fullmatch(r"outflow (\+\d\.\d)% of its nominal value", found)
     assert value and abs(float(value[1]) - 5.0) < 2.0  # the error of the inflow, 1 %, moves the level as the outflow does
 
 
-def test_rows_are_watched_and_taken_up_again(root: Path, folder: Path) -> None:
-    lines = output_of(root, folder, "live.py").splitlines()
+def test_rows_are_watched_and_taken_up_again(printed: Callable[[str], str]) -> None:
+    lines = printed("live.py").splitlines()
     found = [("opened", "size"), ("named", "bias"), ("closed", "size"), ("named", "bias")]
     assert lines == [f"{what}: level_2, since 3060 s, {kind} 0.10 m" for what, kind in found]
-    assert output_of(root, folder, "live.py") == ""  # all rows were in the state
+    assert printed("live.py") == ""  # all rows were in the state
 
 
 def test_nodes_and_topics_are_those_of_the_tank(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
