@@ -51,7 +51,7 @@ SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings tha
     ),
 }
 EVERY = 4  # of the tasks on the pipeline, which differ in detector and faults, where there are many
-OF_METHODS = {  # every other method on the recordings, with a model and learnt from complete samples; process hypotheses among them
+OF_METHODS = {  # every other method on the recordings: some with a model, one of them with process hypotheses, some without
     "chemical/monitored": slice(0, None, 2),
     "chemical/recorded": slice(1, None, 2),
 }
