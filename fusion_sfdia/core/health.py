@@ -26,8 +26,9 @@ def broken(x: Array, p: Array) -> Array:
 @compiled
 def _broken(x: Array, p: Array) -> Array:
     """The same of estimates (B, n); p (B, n, n) or (1, n, n)."""
-    found, lost = np.zeros(x.shape[0], np.bool_), np.zeros(p.shape[0], np.bool_)
+    found, lost = np.empty(x.shape[0], np.bool_), np.empty(p.shape[0], np.bool_)
     for k in range(p.shape[0]):
+        lost[k] = False
         for i in range(p.shape[1]):
             lost[k] |= not p[k, i, i] >= 0
             for j in range(p.shape[2]):

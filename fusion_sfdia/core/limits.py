@@ -26,8 +26,9 @@ def finite(x: Array) -> Array:
 
 @compiled
 def _within(x: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    inside, moved = np.empty(x.shape), np.zeros(x.shape[0], np.bool_)
+    inside, moved = np.empty(x.shape), np.empty(x.shape[0], np.bool_)
     for r in range(x.shape[0]):
+        moved[r] = False
         for i in range(x.shape[1]):
             value = x[r, i]
             if value < low[i]:
@@ -41,8 +42,9 @@ def _within(x: Array, low: Array, high: Array) -> tuple[Array, Array]:
 
 @compiled
 def _finite(x: Array) -> Array:
-    found = np.ones(x.shape[0], np.bool_)
+    found = np.empty(x.shape[0], np.bool_)
     for r in range(x.shape[0]):
+        found[r] = True
         for i in range(x.shape[1]):
             found[r] &= np.isfinite(x[r, i])
     return found

@@ -45,7 +45,8 @@ def _congruence(A: Array, P: Array, D: Array) -> tuple[Array, Array]:
     B, n = P.shape[:2]
     m = A.shape[1]
     both, one, turned = np.empty((B, m, m)), np.empty((B, m, n)), np.empty((n, m))
-    first, column, factor = np.zeros(m + 1, np.int64), np.empty(m * n, np.int64), np.empty(m * n)
+    first, column, factor = np.empty(m + 1, np.int64), np.empty(m * n, np.int64), np.empty(m * n)
+    first[0] = 0
     for k in range(B):
         if k < A.shape[0]:  # otherwise it is that of the run before
             found = 0
@@ -58,7 +59,8 @@ def _congruence(A: Array, P: Array, D: Array) -> tuple[Array, Array]:
                 first[i + 1] = found
         for i in range(m):
             into = one[k, i]
-            into[:] = 0.0
+            for j in range(n):
+                into[j] = 0.0
             for f in range(first[i], first[i + 1]):
                 out_of, by = P[k, column[f]], factor[f]
                 for j in range(n):

@@ -86,8 +86,9 @@ def mean_square(y: Array, expected: Array, whitened: Array, used: Array) -> Arra
 @compiled
 def mean_of_others(chi_square: Array, used: Array) -> Array:
     """The mean of the chi-squares (B, N), 0 where not `used` (B, N), without the largest (B,); 1 of fewer than two."""
-    found = np.ones(used.shape[0])
+    found = np.empty(used.shape[0])
     for r in range(used.shape[0]):
+        found[r] = 1.0
         total, largest, count = 0.0, chi_square[r, 0], 0
         for i in range(used.shape[1]):
             total += chi_square[r, i]

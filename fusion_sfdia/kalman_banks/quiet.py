@@ -49,7 +49,8 @@ def _paired(first: Array, squares: Array, y: Array, sigma: Array) -> tuple[Array
     for r in range(y.shape[0]):
         for i in range(y.shape[1]):
             after[r, i] = y[r, i]
-            square = (y[r, i] - first[r, i]) ** 2 / (2 * sigma[i] ** 2)
+            change = y[r, i] - first[r, i]
+            square = change * change / (2 * (sigma[i] * sigma[i]))
             if np.isfinite(square):
                 after[r, i] = np.nan
                 for k in range(squares.shape[1] - 1, 0, -1):

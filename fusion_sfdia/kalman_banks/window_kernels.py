@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion_sfdia.core.equation import compiled
+from fusion_sfdia.core.equation import compiled, part
 
 Array = NDArray[Any]
 
@@ -35,7 +35,7 @@ def shift(a: Array, b: Array, age: Array, places: Array) -> tuple[Array, Array, 
     return sums, squares, ages
 
 
-@compiled
+@part
 def entries(H: Array, first: int, row: Array, column: Array, value: Array) -> int:
     """Write the entries of H (N, d) from column `first` on that are not 0 to room for all, and return how many they are."""
     few = 0
@@ -82,7 +82,7 @@ def transition(
     leading, read, rank = sizes
     kind = turned.dtype
     A, columns, FK = np.empty((B, n, n), kind), np.empty((B, n, leading), kind), np.empty((B, n, N), kind)
-    seen = np.zeros((B, rank, read), kind)
+    seen = np.empty((B, rank, read), kind)
     gain, taken, room = np.empty((n, N), kind), np.empty((n, read), kind), np.empty((rank, read), kind)
     was, now = np.empty((N, read), kind), np.empty((N, read), kind)
     for k in range(half.shape[0]):
@@ -101,6 +101,9 @@ def transition(
                 was[i, j] = before[h, i, j]
                 now[i, j] = H[m, i, j]
         np.dot(A[k], gain, FK[k])
+        for i in range(rank):
+            for j in range(read):
+                seen[k, i, j] = 0.0
         subtract_product(A[k], FK[k], was, taken)
         subtract_product(seen[k], turned[u, :rank], now, room)
         for i in range(n):
@@ -167,11 +170,12 @@ def weighed(
                 to, of = into[i, q - r :], change[c, i]
                 for j in range(0 if age[k, l] <= 1 else once, r):
                     to[j] -= of[j]
-            if places[l] < 0 and not r:
-                M[:rank] = zero
-            else:
+            unseen = places[l] < 0 and not r
+            if not unseen:
                 np.dot(seen[now], into[:read], M[:rank])
-            M[rank:] = zero
+            for i in range(0 if unseen else rank, N):
+                for j in range(q):
+                    M[i, j] = zero
             by = number(readings[k % readings.shape[0], l])
             for j in range(q):
                 squares[j] = zero
@@ -268,6 +272,6 @@ def best(a: Array, b: Array, usable: Array, size: Array, first: int, least: floa
                 s = size[r % size.shape[0], l % size.shape[1], j]
                 slot[r, j], information[r, j], expected = l, b[r, l, j], b[r, l, j] * (s * s)
                 found[r, j] = a[r, l, j] / information[r, j]
-                statistic[r, j] = found[r, j] ** 2 * information[r, j]
+                statistic[r, j] = found[r, j] * found[r, j] * information[r, j]
                 evidence[r, j] = statistic[r, j] * (expected / (1.0 + expected)) - np.log1p(expected)
     return statistic, found, information, evidence, slot
