@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 from fusion_sfdia.experiments.provenance import cores
@@ -22,16 +24,18 @@ def announced(detector: str | None = None) -> Iterator[None]:
     """Within the block, report each module of which numba compiles something; what it loads from its cache is not compiled.
 
     detector: the name of one that will be needed. Once something is compiled, usually of the plant, another process compiles
-    that detector's part, if there are two cores, and a cache on disk through which this process gets it.
-    Meanwhile no garbage is collected, which would take a fifth of the time: the compiler makes many objects, and keeps them.
+    that detector's part, if there are two cores, and a cache on disk through which this process gets it; where nothing is
+    compiled yet, from the beginning. Meanwhile no garbage is collected, which would take a fifth of the time: the compiler
+    makes many objects, and keeps them.
     """
+    helper = started(detector) if detector and cores() > 1 and nothing_compiled() else None
     from numba.core import event
 
     class Modules(event.Listener):  # type: ignore[misc]
         def __init__(self) -> None:
             self.told: set[str] = set()
             self.deep = 0  # one function is compiled within another
-            self.helper: Any = None
+            self.helper = helper
 
         def on_start(self, event: Any) -> None:
             self.deep += 1
@@ -42,8 +46,7 @@ def announced(detector: str | None = None) -> Iterator[None]:
                 self.told.add(module)
                 print(f"fusion-sfdia: compiling, once: {module.removeprefix(OWN)}", file=sys.stderr, flush=True)
             if detector and not self.helper and dispatcher.stats.cache_path and cores() > 1:
-                self.helper = get_context("spawn").Process(target=compile_detector, args=(detector,), daemon=True)
-                self.helper.start()
+                self.helper = started(detector)
 
         def on_end(self, event: Any) -> None:
             self.deep -= 1
@@ -58,6 +61,19 @@ def announced(detector: str | None = None) -> Iterator[None]:
         if modules.helper:
             modules.helper.terminate()
             modules.helper.join()
+
+
+def started(detector: str) -> Any:
+    """A process that compiles what a registered detector calls."""
+    helper = get_context("spawn").Process(target=compile_detector, args=(detector,), daemon=True)
+    helper.start()
+    return helper
+
+
+def nothing_compiled() -> bool:
+    """Whether compiled code will be kept beside the modules, or in the folder set for it, and none is there yet."""
+    own, beside = os.environ.get("NUMBA_CACHE_DIR"), Path(__file__).parents[1] / "core"  # every diagnosis compiles some of it
+    return bool(own or os.access(beside, os.W_OK)) and not any(Path(own or beside).glob("**/*.nbi"))
 
 
 def compile_detector(name: str) -> None:
@@ -86,7 +102,8 @@ def compile_detector(name: str) -> None:
         with postponed() as wanted:
             detector.step(detector.init((), 0.0), 1.0, np.zeros(MANY), np.zeros(0))
         for function, signature in reversed(wanted):
-            function.compile(signature)
+            if function.stats.cache_path:  # the others become part of these
+                function.compile(signature)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -69,12 +70,31 @@ def test_a_second_process_compiles_the_detector_where_both_have_a_cache_and_a_co
 
     monkeypatch.setattr(compiling, "get_context", lambda method: SimpleNamespace(Process=Process))
     monkeypatch.setattr(compiling, "cores", lambda: cores)
+    monkeypatch.setattr(compiling, "nothing_compiled", lambda: False)
     compiled = SimpleNamespace(py_func=compile_detector, stats=SimpleNamespace(cache_path=folder))
     with announced(detector):
         for _ in range(2):
             with event.trigger_event("numba:compile", data={"dispatcher": compiled}):
                 pass
     assert calls == [{"target": compile_detector, "args": ("a",), "daemon": True}, "start", "terminate", "join"][: 4 * started]
+
+
+def test_where_nothing_is_compiled_yet_the_second_process_begins_at_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    begun: list[str] = []
+    process = SimpleNamespace(terminate=lambda: begun.append("terminate"), join=lambda: begun.append("join"))
+    monkeypatch.setattr(compiling, "started", lambda detector: begun.append(detector) or process)
+    monkeypatch.setattr(compiling, "cores", lambda: 2)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
+    with announced("a"):
+        assert begun == ["a"]
+    assert begun == ["a", "terminate", "join"]
+    (tmp_path / "kept" / "module").mkdir(parents=True)
+    (tmp_path / "kept" / "module" / "one.nbi").touch()
+    with announced("a"), announced():
+        pass
+    assert begun == ["a", "terminate", "join"]
 
 
 def test_what_is_postponed_runs_as_python_and_is_listed_once_in_the_order_of_the_calls() -> None:
