@@ -51,10 +51,6 @@ SMALLEST: dict[str, tuple[int, dict[str, Any]]] = {  # name: seeds, settings tha
     ),
 }
 EVERY = 4  # of the tasks on the pipeline, which differ in detector and faults, where there are many
-OF_METHODS = {  # every other method on the recordings: some with a model, one of them with process hypotheses, some without
-    "chemical/monitored": slice(0, None, 2),
-    "chemical/recorded": slice(1, None, 2),
-}
 
 
 class Run(NamedTuple):
@@ -71,12 +67,10 @@ def smallest(name: str) -> Run:
     seeds, changes = SMALLEST.get(name, (1, {}))
     settings = {**one.settings, **changes}
     with threadpool_limits(1):
-        results = [(task, one.work(task)) for task in some(name, one.tasks(settings, seeds))]
+        results = [(task, one.work(task)) for task in some(one.tasks(settings, seeds))]
         return Run(results, one.summarise(settings, results))
 
 
-def some(name: str, tasks: list[Task]) -> list[Task]:
-    """All tasks, or of many on the pipeline every fourth, and of methods on the recordings every other."""
-    if name in OF_METHODS:
-        return tasks[OF_METHODS[name]]
+def some(tasks: list[Task]) -> list[Task]:
+    """All tasks, or of many on the pipeline every fourth."""
     return tasks[::EVERY] if len(tasks) >= 2 * EVERY and "accommodate" in tasks[0] else tasks
