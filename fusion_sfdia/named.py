@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from fusion_sfdia import registry
 from fusion_sfdia.builders import healthy_data
 from fusion_sfdia.core.detector import Detector
@@ -49,10 +47,9 @@ def diagnose(
     loaded = data[0] if len(data) == 1 else None
     if is_frame(loaded):
         loaded = load_log(loaded, detector.plant)
-    with threadpool_limits(1):  # matrices are small: threads would wait for each other
-        if isinstance(loaded, LoadedLog):
-            return diagnose_run(detector, without_suspects(detector.plant, loaded).log, gap=gap, clock=loaded.clock)
-        return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
+    if isinstance(loaded, LoadedLog):
+        return diagnose_run(detector, without_suspects(detector.plant, loaded).log, gap=gap, clock=loaded.clock)
+    return diagnose_run(detector, as_log(detector.plant, *data), gap=gap)
 
 
 def fit(name: str, plant: Plant | str, healthy: Any = None, false_alarm: float = FALSE_ALARM, **unknown: Any) -> Detector:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from fusion_sfdia.core.clock import Clock
 from fusion_sfdia.core.detector import (
@@ -161,7 +162,8 @@ def diagnose_run(
     log = one_run(log)
     t, y, u = log
     track, gaps = bridged(detector.plant, log)
-    decisions = decided(detector, track, each)
+    with threadpool_limits(1):  # of linear algebra: matrices are small, threads would wait for each other
+        decisions = decided(detector, track, each)
     y = present(y, decisions)
     frozen = repeats(y)
     out = left_out(decisions.isolated[:, : y.shape[1]])
@@ -176,7 +178,8 @@ def diagnose_run(
         for k in np.flatnonzero(np.any(decisions.absurd_input, axis=1)):
             track.u[own[k]] = np.where(decisions.absurd_input[k], detector.plant.input_at(float(t[k])), u[k])
     model = getattr(detector, "model", None)  # of principal components it is no plant
-    look = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
+    with threadpool_limits(1):
+        look = hindsight(model if isinstance(model, Plant) else detector.plant, track, out, each)
     starts = np.flatnonzero(np.isfinite(track.begins[track.own]))
     health, after = health_of(detector.plant.sensor_names, look, starts, alarm_rate_of(detector), ()), look.residuals
     del look, track, out  # of a long log as much memory as its readings, twice
