@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from typing import NamedTuple
 
@@ -20,7 +19,3 @@ class Clock(NamedTuple):
         if self.start.tzinfo is not None:  # on the clock of the zone, which may have changed in between
             moment = (self.start.astimezone(UTC) + timedelta(seconds=t)).astimezone(self.start.tzinfo)
         return moment.isoformat(sep=" ", timespec="milliseconds" if moment.microsecond else "seconds")
-
-    def each(self, times: Iterable[float]) -> list[str]:
-        """Many times (s) in words."""
-        return [f"{t:.10g} s" for t in times] if self.start is None else [self.at(t) for t in times]

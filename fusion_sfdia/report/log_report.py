@@ -82,7 +82,8 @@ def progress(steps: Sequence[int]) -> Iterable[int]:
     from rich.console import Console
     from rich.progress import track
 
-    return track(steps, "diagnosing", console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)  # which may be told that a terminal is none
+    return track(steps, "diagnosing", console=console, transient=True) if console.is_terminal else steps
 
 
 def as_text(found: Diagnosis, detector: str) -> str:
@@ -128,7 +129,9 @@ def _write_scores(path: Path, plant: Plant, found: Diagnosis) -> None:
         with np.errstate(invalid="ignore"):
             residuals = found.after.error[rows] / found.after.sd[rows] if found.after else np.full(scores.shape, np.nan)
         values = plain_lines(shortened(np.concatenate([scores, residuals], axis=1), DIGITS))
-        return [f"{s},{at},{v}" for s, at, v in zip(plain_lines(t[:, None]), found.clock.each(t.tolist()), values, strict=True)]
+        return [
+            f"{s},{at},{v}" for s, at, v in zip(plain_lines(t[:, None]), map(found.clock.at, t.tolist()), values, strict=True)
+        ]
 
     write_lines(path, header, found.t.size, lines)
 

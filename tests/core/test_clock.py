@@ -27,9 +27,3 @@ def test_a_clock_follows_its_zone_where_clocks_change() -> None:
 def test_seconds_since_1970_are_not_rounded() -> None:
     assert Clock().at(1714564805.5) == "1714564806 s" and Clock().at(1714564805.0) == "1714564805 s"
     assert Clock().at(1205.25) == "1205.25 s"
-
-
-def test_many_times_are_shown_as_each_is() -> None:
-    times = [0.0, 5.0, 0.25, 1205.25, 1714564805.5]
-    for clock in (Clock(), Clock(datetime(2026, 3, 1, 14, 20, tzinfo=UTC))):
-        assert clock.each(times) == [clock.at(t) for t in times]
