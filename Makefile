@@ -43,7 +43,7 @@ demo: $(RUN)
 test: $(DEV)
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not long'
 
-# what takes long and decides little: the notebooks' outputs
+# what takes ten seconds or more and has shorter tests beside it, and the notebooks' outputs
 test-long: $(DEV)
 	$(BIN)/python -m pytest -n $(WORKERS) -m long
 

@@ -81,7 +81,7 @@ def test_healthy_readings_never_alarm() -> None:
     assert not d.alarm.any() and d.scores.max() <= 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_million_healthy_module_samples_raise_no_alarm() -> None:
     recording = simulate(ENGINE, 10_000, range(100, 200), truth="model")
     d = judge(DETECTOR, recording.y, recording)

@@ -32,6 +32,10 @@ VARIANTS = {
     "robust-glr:areas",
 }  # in rows, but not in `list detectors`: filters, modes
 TIMED = ("network/scale",)  # measures time, which no second run repeats
+LONG = (  # ten seconds or more each
+    "chemical/monitored", "chemical/recorded", "engine/three-faults", "engine/virtual-sensors", "pipeline/accommodation",
+    "pipeline/accuracy",
+)  # fmt: skip
 
 pytestmark = pytest.mark.slow
 
@@ -47,7 +51,7 @@ def other() -> Iterator[ProcessPoolExecutor]:
         yield process
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.long] if n in LONG else []) for n in NAMES])
 def test_a_scenario_runs_to_its_rows_and_figures_with_the_same_bits_in_another_process(
     name: str, other: ProcessPoolExecutor, tmp_path: Path
 ) -> None:

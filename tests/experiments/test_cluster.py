@@ -73,7 +73,7 @@ def test_work_that_fails_on_a_worker_is_reported(tmp_path: Path, cluster: Any) -
     assert len(outcome.failures) == 3 and all("ArithmeticError" in line for line in outcome.failures)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("undrawn")
 def test_a_comparison_that_loses_a_worker_is_that_of_one_machine(
     tmp_path: Path, cluster: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

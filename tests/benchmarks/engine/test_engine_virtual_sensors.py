@@ -35,7 +35,7 @@ def value(rows: list[Row], **expected: str) -> float:
     return found.value
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_intervals_contain_the_faults_and_narrow_when_intersected() -> None:
     found = smallest(NAME).summary
     assert len(found.figures) == 3

@@ -78,7 +78,7 @@ def exponents() -> dict[tuple[str, str], list[Row]]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("case", growth.CASES, ids=lambda c: f"{c.detector} {c.quantity}")
 def test_the_work_grows_as_its_algebra_does(case: growth.Case, exponents: dict[tuple[str, str], list[Row]]) -> None:
     rows = exponents[case.detector, case.quantity]
