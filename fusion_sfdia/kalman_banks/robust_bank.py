@@ -151,11 +151,13 @@ class RobustBank(ExcludingBank):
         estimate, exclusion, out_for, led, *windows, last, standing, pairs, nis = memory
         of, est, count = self._hypotheses, self.estimator, y.shape[-1]
         stands = np.asarray(standing.accepted.any(axis=-1))
-        lately = stands & (standing.since <= LATELY)
-        limits, handicap = self._limits, of.handicap
+        unexplained = none = np.zeros(stands.shape, bool)
+        limits, handicap, room = self._limits, of.handicap, self.most_faults - exclusion.out.sum(axis=-1)
         if stands.any():
             limits = limits._replace(sensor_margin=np.where(stands, self.process_margin, self.sensor_margin))
             handicap = np.where(stands[..., None], 0.0, handicap)
+            unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
+            room = np.where(unexplained, 0, room)
         prior = self._predict(estimate, standing, now, u)
         joint = est.joint(of.model, prior, now.t, u)
         usable = np.isfinite(y) & ~exclusion.out
@@ -165,39 +167,35 @@ class RobustBank(ExcludingBank):
         tested = self._test(windows, prior.tangent, step, now.k, everything)
         one = one_sample_evidence(everything, of.recent_sizes[:count])
         evidence = gathered(tested.best_recent, tested.best_slow, tested.slow.age, one, handicap)
-        room = self.most_faults - exclusion.out.sum(axis=-1)
-        unexplained = stands & leaves_unexplained(nis)  # no sensor is isolated then
-        room = np.where(unexplained, 0, room)
-        isolated, capped = np.zeros(y.shape, bool), np.zeros(y.shape[:-1], bool)
+        isolated, capped = np.zeros(y.shape, bool), none
         if (everything.chi_square > limits.one).any():
             present = Present(tested.recent.changes(slice(0, 1), count)[..., 0, :, :], of.recent_sizes, handicap)
             isolated, capped = eliminated(everything, evidence, present, limits, room)
         by_windows = accepted(evidence, limits, np.asarray(~isolated.any(axis=-1)))
-        capped = (capped | (by_windows.is_sensor & (room < 1))) & ~unexplained
-        sensor, process = by_windows.is_sensor & (room > 0), by_windows.is_process
-        led, leads, reopened, freed = np.zeros(led.shape), led, np.zeros(lately.shape, bool), np.zeros(lately.shape, bool)
-        if isolated.any() or sensor.any():
+        found, led, leads, process, restart = everything, np.zeros(led.shape), led, by_windows.is_process, none
+        if isolated.any() or by_windows.is_sensor.any() or process.any():
+            capped = capped | (by_windows.is_sensor & (room < 1))
+            sensor, lately = by_windows.is_sensor & (room > 0), stands & (standing.since <= LATELY)
             isolated = isolated | (sensor[..., None] & one_hot(by_windows.sensor, count))
             led = led_by(leads, isolated, np.where(isolated, everything.innovation, 0.0))
             isolated = isolated & (np.abs(led) >= np.where(lately, PERSISTENT, 1)[..., None])
             reopened = isolated.any(axis=-1) & lately & ~standing.reopened & self.accommodate
             isolated = isolated & ~reopened[..., None]
             freed = absorbed_before(evidence, isolated, by_windows.sensor)
-        changed = freed | process | reopened
-        if self.accommodate and changed.any():
-            rivals = alternatives(evidence, by_windows, self.process_margin)
-            standing = self._stand(standing, by_windows, evidence, prior, rivals > 0)
-            standing = standing._replace(reopened=standing.reopened | reopened)
-            prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
-            likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
-            prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
-            joint = est.joint(of.model, prior, now.t, u)
-        found = everything
-        leaves = isolated.any(axis=-1)
-        if self.accommodate and (changed | leaves).any():
-            found = statistics(joint, y, usable & ~isolated)
+            changed, leaves = freed | process | reopened, isolated.any(axis=-1)
+            if self.accommodate and changed.any():
+                rivals = alternatives(evidence, by_windows, self.process_margin)
+                standing = self._stand(standing, by_windows, evidence, prior, rivals > 0)
+                standing = standing._replace(reopened=standing.reopened | reopened)
+                prior = with_alternatives(moved(prior, tested, evidence, by_windows, freed), tested, rivals)
+                likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
+                prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
+                joint = est.joint(of.model, prior, now.t, u)
+            if self.accommodate and (changed | leaves).any():
+                found = statistics(joint, y, usable & ~isolated)
+            restart = (leaves | process | reopened) & self.accommodate
+        capped = capped & ~unexplained
         x, p, gain = posterior_and_gain(joint, found)
-        restart = (leaves | process | reopened) & self.accommodate
         last = last_update(step, gain, restart)
         recent, slow = (updated(w, restart) for w in (tested.recent, tested.slow))
 
@@ -222,7 +220,7 @@ class RobustBank(ExcludingBank):
         memory = RobustMemory(
             GaussianState(x, p), exclusion, out_for, led, recent, slow, last, standing, pairs, faded(nis, found)
         )
-        undecided = decision.alarm & ~decision.isolated.any(axis=-1) & ~process
+        undecided = (decision.score > 1) & ~decision.isolated.any(axis=-1) & ~process
         return memory, self._with_process(decision, evidence, standing, undecided, (x[..., added], variance))
 
     def _predict(self, estimate: GaussianState, standing: Standing, now: TimeStep, u: Array) -> Prior:
@@ -240,7 +238,8 @@ class RobustBank(ExcludingBank):
         recent, slow = (shifted(w, grid, k) for w, grid in zip(windows, self._grids, strict=True))
         weighed = weigh(recent, step, of.recent(F, recent.age.shape[-1]))
         slowly = weigh(slow, step, of.slow(F, slow.age))
-        every = np.concatenate([found.used, np.ones((*found.used.shape[:-1], len(of.process)), bool)], axis=-1)
+        every = np.ones(weighed.a.shape[:-2] + weighed.a.shape[-1:], bool)
+        every[..., : found.used.shape[-1]] = found.used
         best_slow = best_onset(slowly, every[..., : slow.a.shape[-1]], of.slow_sizes(slow.age))
         return Tested(weighed, slowly, best_onset(weighed, every, of.recent_sizes), best_slow)
 
