@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.equation import plain
 from fusion_sfdia.stochastic_thresholds import consensus_equations as equations
 from fusion_sfdia.stochastic_thresholds.consensus_equations import UNKNOWN
 
@@ -116,6 +117,6 @@ def take(predicted: Prediction, own: Array, shared: Array) -> Diagnosers:
 
 
 def _flat(a: Array, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """The array (*batch, *shape) with the leading axes of the batch merged into one."""
+    """The array (*batch, *shape) with the leading axes of the batch merged into one, of one type for compiled code."""
     whole = a if a.shape == (*batch, *shape) else np.broadcast_to(a, (*batch, *shape))
-    return np.ascontiguousarray(whole, dtype=float).reshape(-1, *shape)
+    return plain(whole).reshape(-1, *shape)

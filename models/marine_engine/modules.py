@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.equation import plain
 from fusion_sfdia.core.modules import Modules, ObserverBound
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
@@ -75,10 +76,10 @@ def engine_modules(c: EngineParameters, slip: str, nominal: Mapping[str, Any]) -
 
 
 def _monitor(c: EngineParameters, law: bool, *arguments: Any, of: NDArray[Any] = EVERY) -> Any:
-    *before, s = arguments
+    *of_each, dt, s = arguments
     of_runs = s._replace(bound=np.atleast_2d(s.bound), gains=np.atleast_2d(s.gains))
-    order = np.arange(len(before[0])) if len(of) == 1 else np.argsort(of.argmax(axis=1), kind="stable")
-    return equations.monitor(*before, of_runs, c, law, of, order)  # type: ignore[call-arg]
+    order = np.arange(len(of_each[0])) if len(of) == 1 else np.argsort(of.argmax(axis=1), kind="stable")
+    return equations.monitor(*map(plain, of_each), dt, of_runs, c, law, of, order)  # type: ignore[arg-type, call-arg]
 
 
 def alone(modules: Modules, variables: Sequence[str]) -> Modules:

@@ -88,9 +88,7 @@ class NetworkModel:
             return np.asarray(whole.reshape(*batch, n, 4))
         at = self.network.topology
         after: Array = equations.advance(
-            _rows(x, (*batch, n, 4), kind).reshape(-1, n, 4),
-            _rows(reference, (*batch, n), kind).reshape(-1, n),
-            _rows(load, (*batch, n), kind).reshape(-1, n),
+            _rows(x, batch, (n, 4), kind), _rows(reference, batch, (n,), kind), _rows(load, batch, (n,), kind),
             self.area, at.start, at.neighbour, self.side_slope,
         )  # fmt: skip
         return after.reshape(*batch, n, 4)
@@ -164,8 +162,12 @@ class NetworkModel:
             )
 
 
-def _rows(a: Array, shape: tuple[int, ...], kind: Any) -> Array:
-    return np.ascontiguousarray(a if a.shape == shape else np.broadcast_to(a, shape), dtype=kind)
+def _rows(a: Array, batch: tuple[int, ...], of_one: tuple[int, ...], kind: Any) -> Array:
+    """The batch of a (..., *of_one) as (B, *of_one), contiguous and read only: nothing is compiled for two types of arrays."""
+    whole = a if a.shape == (*batch, *of_one) else np.broadcast_to(a, (*batch, *of_one))
+    rows = np.ascontiguousarray(whole, dtype=kind).reshape(-1, *of_one)
+    rows.flags.writeable = False
+    return rows
 
 
 def stiffness(network: Network, side_slope: Array) -> Array:

@@ -79,7 +79,7 @@ def within_standard_errors(found: Array, expected: Array, largest: float) -> Non
     assert np.all(error < largest)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_poles_are_recovered_within_their_standard_errors(plants: list[Plant]) -> None:
     """A pole p of states read without noise has the standard error sqrt((1 - p^2) / samples): 0.04 and 0.02 of a recording.
 
@@ -89,14 +89,14 @@ def test_poles_are_recovered_within_their_standard_errors(plants: list[Plant]) -
     within_standard_errors(found, POLES, 0.08)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_gain_at_rest_and_the_noise_are_recovered_within_their_standard_errors(plants: list[Plant]) -> None:
     expected = gain(truth())
     within_standard_errors(np.array([gain(p) for p in plants]), expected, 0.1 * float(np.abs(expected).max()))
     within_standard_errors(np.array([p.sensor_sigma for p in plants]), SIGMA, 0.1 * float(SIGMA.max()))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_filter_on_other_readings_has_white_innovations_of_the_stated_size(plants: list[Plant]) -> None:
     """NIS per reading of K samples of 3 sensors has the standard error sqrt(2 / (3 K)): 4 of them, twice, since the model was
     identified from as many samples and has errors of the same order.
@@ -108,7 +108,7 @@ def test_the_filter_on_other_readings_has_white_innovations_of_the_stated_size(p
         assert np.all(np.abs(found.variance - 1) <= 2 * 4 * np.sqrt(2 / SAMPLES))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_states_are_readings_without_noise_in_their_units(plants: list[Plant]) -> None:
     units = {s.name: s.unit for s in SENSORS}
     for plant in plants:
