@@ -59,6 +59,15 @@ def plain(a: Array) -> Array:
     return a if a.flags.carray and a.dtype == np.float64 else np.array(a, dtype=float, order="C")
 
 
+def batch_rows(a: Array, batch: tuple[int, ...], kind: Any, axes: int = 1) -> Array:
+    """The batch of an array with so many axes of its own as (B, ..), contiguous and read only: one type, as of `plain`."""
+    lead = a.ndim - axes
+    whole = a if a.shape[:lead] == batch else np.broadcast_to(a, (*batch, *a.shape[lead:]))
+    rows = np.ascontiguousarray(whole, dtype=kind).reshape(-1, *a.shape[lead:])
+    rows.flags.writeable = False
+    return rows
+
+
 def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:
     """Return the argument names of an equation: the variables it depends on, that is its row of the structure."""
     return tuple(inspect.signature(function).parameters)

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.arguments import number
 from fusion_sfdia.core.differentiable import Differentiable
+from fusion_sfdia.core.equation import batch_rows
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Numerics, Truth
 from fusion_sfdia.core.signals import Sensor, Signal
@@ -229,17 +230,9 @@ class _Pipe:
         rows = [x, u, theta]
         shapes = {a.shape[:-1] for a in rows} - {()}
         kind, batch = np.result_type(*rows, float), shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
-        flat = [_rows(a, batch if a.ndim > 1 or a is not theta else (), kind) for a in rows]
+        flat = [batch_rows(a, batch if a.ndim > 1 or a is not theta else (), kind) for a in rows]
         found = function(*flat, *which, float(dt), self.count, self.c, self.stencil)
         return [a.reshape(*batch, *a.shape[1:]) for a in (found if which else (found,))]
-
-
-def _rows(a: Array, batch: tuple[int, ...], kind: Any) -> Array:
-    """The batch of a (..., n) as a matrix with a row for each, all of them of one type: nothing is compiled twice."""
-    whole = a if a.shape[:-1] == batch else np.broadcast_to(a, (*batch, a.shape[-1]))
-    rows = np.ascontiguousarray(whole, dtype=kind).reshape(-1, a.shape[-1])
-    rows.flags.writeable = False
-    return rows
 
 
 def _finer(model: Callable[[], Plant], nodes: int) -> tuple[Plant, Callable[[Array], Array]]:

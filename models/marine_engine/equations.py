@@ -110,14 +110,6 @@ def unknown_of(c: EngineParameters) -> Array:
     return found
 
 
-def rows(a: Array, batch: tuple[int, ...], kind: Any) -> Array:
-    """The batch of a (..., n) as a contiguous matrix (B, n), read only: nothing is compiled for two types of arrays."""
-    whole = a if a.shape[:-1] == batch else np.broadcast_to(a, (*batch, a.shape[-1]))
-    found = np.ascontiguousarray(whole, dtype=kind).reshape(-1, a.shape[-1])
-    found.flags.writeable = False
-    return found
-
-
 @equation
 def fuel_inflow(fuel_setting: Any, c: EngineParameters) -> Any:
     """h(1) = x_nom u / tau_X, kg/s (27). The setting u is a fraction, where the text states percent."""

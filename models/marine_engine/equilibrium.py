@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.equation import batch_rows
 from fusion_sfdia.models.marine_engine import equations
 from fusion_sfdia.models.marine_engine.equations import ALGEBRAIC, STATES, EngineParameters
 
@@ -29,7 +30,7 @@ def engine_variables(x: Array, c: EngineParameters, slip: str = "law") -> dict[s
     for i, name in enumerate(STATES):
         if not np.all(np.isfinite(x[..., i]) & (x[..., i] > 0)):
             raise ValueError(f"{name} is {np.min(x[..., i]):g}; fuel and pressures must be positive and finite")
-    z = equations.algebraic(equations.rows(x, x.shape[:-1], float), equations.unknown_of(c)[None], c, follows_law(slip))
+    z = equations.algebraic(batch_rows(x, x.shape[:-1], float), equations.unknown_of(c)[None], c, follows_law(slip))
     z = z.reshape(*x.shape[:-1], len(ALGEBRAIC))
     bad = [name for i, name in enumerate(ALGEBRAIC) if not np.all(z[..., i] > 0)]
     if bad:

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from fusion_sfdia.core.differentiable import Differentiable
 from fusion_sfdia.core.discretise import discretise
+from fusion_sfdia.core.equation import batch_rows
 from fusion_sfdia.core.plant import Plant
 from fusion_sfdia.core.plant_groups import Structure, Truth, with_same_states
 from fusion_sfdia.core.signals import Sensor
@@ -218,5 +219,5 @@ def _rows(x: Array, u: Array, theta: Array, kind: Any) -> tuple[Any, ...]:
     batch = x.shape[:-1]
     if u.shape[:-1] != batch or theta.ndim > 1:
         batch = np.broadcast_shapes(batch, u.shape[:-1], theta.shape[:-1])
-    of_parameters = equations.rows(theta, batch if theta.ndim > 1 else (), kind)
-    return batch, equations.rows(x, batch, kind), equations.rows(u, batch, kind), of_parameters
+    of_parameters = batch_rows(theta, batch if theta.ndim > 1 else (), kind)
+    return batch, batch_rows(x, batch, kind), batch_rows(u, batch, kind), of_parameters

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion_sfdia.core.equation import batch_rows
 from fusion_sfdia.core.linear import zero_order_hold
 from fusion_sfdia.core.network import Network
 from fusion_sfdia.models.power_network import equations
@@ -88,7 +89,7 @@ class NetworkModel:
             return np.asarray(whole.reshape(*batch, n, 4))
         at = self.network.topology
         after: Array = equations.advance(
-            _rows(x, batch, (n, 4), kind), _rows(reference, batch, (n,), kind), _rows(load, batch, (n,), kind),
+            batch_rows(x, batch, kind, 2), batch_rows(reference, batch, kind), batch_rows(load, batch, kind),
             self.area, at.start, at.neighbour, self.side_slope,
         )  # fmt: skip
         return after.reshape(*batch, n, 4)
@@ -160,14 +161,6 @@ class NetworkModel:
                 f"matrices of all {4 * len(self.names)} states are dense and too large here; step area by area, which needs "
                 f"none, or take at most {DENSE_AREAS} areas"
             )
-
-
-def _rows(a: Array, batch: tuple[int, ...], of_one: tuple[int, ...], kind: Any) -> Array:
-    """The batch of a (..., *of_one) as (B, *of_one), contiguous and read only: nothing is compiled for two types of arrays."""
-    whole = a if a.shape == (*batch, *of_one) else np.broadcast_to(a, (*batch, *of_one))
-    rows = np.ascontiguousarray(whole, dtype=kind).reshape(-1, *of_one)
-    rows.flags.writeable = False
-    return rows
 
 
 def stiffness(network: Network, side_slope: Array) -> Array:
