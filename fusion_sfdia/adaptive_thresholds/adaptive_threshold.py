@@ -41,7 +41,7 @@ from fusion_sfdia.adaptive_thresholds.monitoring import Settings, decide, monito
 from fusion_sfdia.core.arguments import shown
 from fusion_sfdia.core.batch_detector import BatchDetector, TimeStep
 from fusion_sfdia.core.detector import Decision
-from fusion_sfdia.core.equation import COMPLEX_STEP
+from fusion_sfdia.core.equation import COMPLEX_STEP, plain
 from fusion_sfdia.core.modules import Modules, ObserverBound
 from fusion_sfdia.core.state import mapped
 
@@ -211,7 +211,7 @@ class AdaptiveThreshold(BatchDetector):
             return mapped(lambda a: a.reshape(*y.shape[:-1], *a.shape[1:]), after), nested(decision, y.shape[:-1])
         x, error, before, fired, elapsed = memory
         extra, variable, scale = self._layers
-        y, u = np.array(y, order="C"), np.array(u, order="C")  # one memory layout, for compiled code
+        y = plain(y)
         reading = (y / scale).take(self._sensor, axis=-1)
         x, error, lower, upper = self._monitor(x, error, before, reading, u, now.dt, self._settings)
         if self.bounds != "corners":

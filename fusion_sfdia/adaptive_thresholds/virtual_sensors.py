@@ -142,7 +142,7 @@ class VirtualSensors(BatchDetector):
         shape, scale, of = y.shape[:-1], self.plant.sensor_scale, self.thresholds
         m = FaultMemory(*(a.reshape(-1, a.shape[-1]) for a in memory))
         reading = np.ascontiguousarray((y / scale)[..., of._sensor].reshape(len(m.x), -1))
-        u = np.ascontiguousarray(u.reshape(len(m.x), -1))
+        u = u.reshape(len(m.x), -1)
         bounds = self._step_modules(m, reading, u, now.dt)
         while np.any(fresh := bounds.firing & ~m.isolated):
             m, bounds = self._isolate(m, bounds, fresh, reading, u, now.dt)

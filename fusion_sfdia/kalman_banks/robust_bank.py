@@ -191,9 +191,9 @@ class RobustBank(ExcludingBank):
                 likely = reopened[..., None] & (evidence.process[..., : of.added] > 0)
                 prior = widened(prior, likely, PARAMETER_SIZE * of.changes)
                 joint = est.joint(of.model, prior, now.t, u)
-            if self.accommodate and (changed | leaves).any():
+            restart = (changed | leaves) & self.accommodate
+            if restart.any():
                 found = statistics(joint, y, usable & ~isolated)
-            restart = (leaves | process | reopened) & self.accommodate
         capped = capped & ~unexplained
         x, p, gain = posterior_and_gain(joint, found)
         last = last_update(step, gain, restart)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion_sfdia.core.areas import Areas
+from fusion_sfdia.core.equation import plain
 from fusion_sfdia.stochastic_thresholds import consensus_equations
 from fusion_sfdia.stochastic_thresholds.consensus import MODES, Diagnosers, NetworkReadings
 
@@ -30,7 +31,7 @@ def network_step(
     """
     if mode not in MODES:
         raise ValueError(f"mode is {mode!r}; known: {', '.join(MODES)}")
-    own, shared, reference, load = map(_plain, given)
+    own, shared, reference, load = map(plain, given)
     if out is None:
         out = Diagnosers(*map(np.empty_like, state))
     alarm = np.zeros(reference.shape, bool)
@@ -40,10 +41,6 @@ def network_step(
     ):
         raise _misfit(areas, state, given, out)
     return out, alarm
-
-
-def _plain(a: Array) -> Array:
-    return np.ascontiguousarray(a, dtype=float)
 
 
 def _misfit(areas: Areas, state: Diagnosers, given: NetworkReadings, out: Diagnosers) -> ValueError:

@@ -76,7 +76,7 @@ def test_every_folder_is_mapped(root: Path) -> None:
     assert set(setup["packages"]) == {n if n.startswith("fusion_sfdia") else f"fusion_sfdia.{n}" for n in names}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_wheel_from_the_sdist_holds_the_package_and_nothing_else(root: Path, tmp_path: Path) -> None:
     """Built from a copy of what is tracked, without the links, as some checkouts and archives come."""
     pytest.importorskip("build")

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from numba import njit
 
-from fusion_sfdia.core.equation import argument_names, compiled, complex_step_jacobian, difference_jacobian, equation
+from fusion_sfdia.core.equation import (
+    argument_names,
+    batch_rows,
+    compiled,
+    complex_step_jacobian,
+    difference_jacobian,
+    equation,
+)
 
 EPS = np.finfo(float).eps
 
@@ -77,3 +84,15 @@ def test_argument_names_are_the_row_of_the_structure() -> None:
 def test_code_is_compiled_where_no_folder_can_be_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("numba.core.caching.CompileResultCacheImpl._locator_classes", [])
     assert compiled(lambda x: x + 1.0)(1.0) == 2.0
+
+
+@pytest.mark.parametrize("kind", [float, complex])
+def test_rows_of_a_batch_are_of_one_type_and_the_given_array_stays_writable(kind: type) -> None:
+    a = np.arange(24.0).reshape(2, 3, 4)
+    rows_of_a = a.reshape(6, 4)
+    for given, expected in ((a, rows_of_a), (a[0, 0], np.tile(a[0, 0], (6, 1))), (a[..., :1], rows_of_a[:, :1])):
+        rows = batch_rows(given, (2, 3), kind)
+        assert np.array_equal(rows, expected) and rows.dtype == kind
+        assert rows.flags.c_contiguous and not rows.flags.writeable and given.flags.writeable
+    matrices = batch_rows(a, (2,), kind, 2)
+    assert np.array_equal(matrices, a) and not matrices.flags.writeable and a.flags.writeable
