@@ -20,6 +20,8 @@ Array = NDArray[Any]
 
 SPACES = dict.fromkeys((0xA0, 0x2009, 0x202F), " ")  # no-break, thin: thousands in French and in ISO 31-0
 APOSTROPHE = {0x2019: "'"}
+MINUS = {0x2212: "-"}  # the minus sign, for the hyphen that keyboards have
+UNIT_BEHIND = r"\s*((?:[^\W\d_]|[°%‰\[(]|1/).*)"
 PLAIN = set("0123456789+-.eE")
 
 
@@ -55,20 +57,44 @@ class Numbers:
                 found.add(decimal(b) if isinstance(b, str) else float(b))
         return frozenset(found)
 
+    @cached_property
+    def _with_unit(self) -> re.Pattern[str]:
+        spaces = "".join(map(chr, SPACES)) if self.thousands == " " else ""
+        marks = re.escape(f"{self.decimal}{self.thousands}{spaces}")
+        return re.compile(rf"([+-]?[{marks}]?\d(?:[\d{marks}]*\d)?\.?(?:[eE][+-]?\d+)?){UNIT_BEHIND}", re.DOTALL)
+
     def cell(self, cell: Any) -> float:
-        """The number of a cell, NaN where it is missing; ValueError for anything else, also for infinity."""
+        """The number of a cell, NaN where it is missing; ValueError for anything else, also for infinity and with a unit."""
+        value, unit = self.quantity(cell)
+        if unit:
+            raise ValueError(f"a number with a unit, {unit!r}")
+        return value
+
+    def quantity(self, cell: Any) -> tuple[float, str]:
+        """The number of a cell and the text of the unit behind it, "" without one, as in "23.5 degC" and "12%".
+
+        NaN where the cell is missing. ValueError for anything else, also for infinity. Whether the text is a unit, is for
+        `conversion` to say.
+        """
+        unit = ""
         if isinstance(cell, str):
             text = cell.strip()
             if not text or text.casefold() in self.bad_texts:
-                return math.nan
-            value = decimal(self._plain(text))
-        elif cell is None or cell != cell or type(cell).__name__ in ("NAType", "NaTType"):
-            return math.nan
+                return math.nan, ""
+            text = text.translate(MINUS)
+            try:
+                value = decimal(self._plain(text))
+            except ValueError:
+                if (match := self._with_unit.fullmatch(text)) is None:
+                    raise
+                value, unit = decimal(self._plain(match[1])), match[2]
+        elif _is_missing(cell):
+            return math.nan, ""
         else:
             value = _real(cell)
         if math.isinf(value):
             raise ValueError("infinite")
-        return math.nan if value in self.bad_numbers else value
+        return (math.nan, "") if value in self.bad_numbers else (value, unit)
 
     def column(self, cells: Any) -> tuple[Array, Array]:
         """Return a pandas column or a sequence of cells as numbers (K,) and where a bad one stands (K,); NotANumberError."""

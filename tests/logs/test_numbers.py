@@ -84,3 +84,39 @@ def test_codes_of_quality() -> None:
     for codes in ([192], ["fine"], [0.5j]):
         with pytest.raises(NotANumberError):
             good_codes(codes, ())
+
+
+@pytest.mark.parametrize(
+    ("numbers", "cell", "value", "unit"),
+    [
+        (Numbers(), "1.0043 m", 1.0043, "m"),
+        (Numbers(), "23.5degC", 23.5, "degC"),
+        (Numbers(), " -1.5e3 kW ", -1500.0, "kW"),
+        (Numbers(), "−12%", -12.0, "%"),
+        (Numbers(), ".5 °", 0.5, "°"),
+        (Numbers(), "5\u00a0m³/s", 5.0, "m³/s"),
+        (Numbers(), "7 [bar]", 7.0, "[bar]"),
+        (Numbers(), "1500 1/min", 1500.0, "1/min"),
+        (Numbers(), "1eV", 1.0, "eV"),
+        (Numbers(","), "23,5 K", 23.5, "K"),
+        (Numbers(",", " "), "1\u202f234,5 kW", 1234.5, "kW"),
+        (Numbers(".", ","), "12,345 kW", 12345.0, "kW"),
+        (Numbers(), "23.5", 23.5, ""),
+        (Numbers(), 23.5, 23.5, ""),
+        (Numbers(), "", math.nan, ""),
+        (Numbers(), None, math.nan, ""),
+        (Numbers(bad=("Bad", -9999)), "bad", math.nan, ""),
+        (Numbers(bad=("Bad", -9999)), "-9999 m", math.nan, ""),
+    ],
+)
+def test_a_number_and_the_unit_behind_it(numbers: Numbers, cell: Any, value: float, unit: str) -> None:
+    np.testing.assert_equal(numbers.quantity(cell), (value, unit))
+    if unit:
+        with pytest.raises(ValueError, match="unit"):
+            numbers.cell(cell)
+
+
+@pytest.mark.parametrize("cell", ["m", "On", "1,5 m", "1.2.3 m", "1_000 m", "１２ m", "12:30", "2024-07-01", "1e999 m", [1.0]])
+def test_what_is_no_number_with_a_unit(cell: Any) -> None:
+    with pytest.raises(ValueError):
+        Numbers().quantity(cell)
